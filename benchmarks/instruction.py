@@ -23,7 +23,7 @@ from mavfi.faults.instruction.runtime import NEVER
 from mavfi.faults.instruction.variant import signature_of, variant_for
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN

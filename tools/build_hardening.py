@@ -1,4 +1,4 @@
-"""Write docs/generated/hardening.md: curves, plans and certificates of the kernels, beside the bars that were set.
+"""Write docs/generated/hardening.md: curves, plans and certificates of the kernels, and the required values.
 
 python -m tools.build_hardening out/hardening [--faults 200] [--fractions 0.5,1] [--flights 10] [--budget 0.10]
 
@@ -16,29 +16,29 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.api import load
 from mavfi.campaign.analysis.pairs import Paired, mcnemar
 from mavfi.campaign.hardening.advise import Advice, Curve, Step
 from mavfi.campaign.hardening.certify import certify, pairs_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import observe
-from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of, processor
+from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import Target
+from mavfi.campaign.overheads import processor
 from mavfi.hardening.choose import Choice, Chooser
 from mavfi.hardening.plan import Plan, save_plan
 from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.reports.hardening.plain import caveats, headline, interval, interval_of
-from mavfi.reports.text import percent
+from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of
+from mavfi.reports.text import percent, shown
 from tools.markers import GENERATED, ROOT, banner, fill
 
 PAGE = GENERATED / "hardening.md"
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
-RIVAL_FRACTION = 0.25
+COMPARED_FRACTION = 0.25
 """Share of the instructions of full duplication at which ways to choose are compared."""
 Row = dict[str, Any]
 
@@ -93,14 +93,14 @@ def certificates(
                 yield curve, step, row
 
 
-def rivals(target: Target) -> Row | None:
+def alternatives(target: Target) -> Row | None:
     """Silent corruptions of the ledger that choices at equal cost remove, judged by other missions; None if few."""
     if sum(one.sdc for one in target.injections) < 20:
         return None
     rows = target.rows
 
     def budget(chooser: Chooser) -> float:
-        return RIVAL_FRACTION * chooser.full.cost
+        return COMPARED_FRACTION * chooser.full.cost
 
     def by(names: Sequence[Any]) -> Any:
         return lambda chooser: chooser.by_group(names, budget(chooser))
@@ -143,12 +143,12 @@ def found(row: Row) -> str:
     return interval(row["coverage"])
 
 
-def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, float], Row]) -> list[list[str]]:
+def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, str, float], Row]) -> list[list[str]]:
     """A row for each step of each function."""
     rows = []
     for curve in curves:
         for step in curve.steps[1:]:
-            row = certified.get((curve.target.name, step.fraction))
+            row = certified.get((*curve.target.key, step.fraction))
             measured = ["", "", "", ""] if row is None else [
                 interval(row["sdc_before"]), interval(row["sdc_after"]), found(row), row["verdict"]
             ]  # fmt: skip
@@ -171,10 +171,10 @@ def best_within(certified: Sequence[tuple[Curve, Step, Row]], entry: str, most: 
     return f"{found(row)} at ×{step.time:.2f}"
 
 
-def bars(
-    certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], told: Row, check: GoldenCheck
+def requirements(
+    certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], advice: Row, check: GoldenCheck
 ) -> list[list[str]]:  # fmt: skip
-    """The bars beside what was measured."""
+    """Required and measured values."""
     judged = [row for _, _, row in certified if row["verdict"] != "unknown"]
     inside = sum(row["verdict"] == "confirmed" for row in judged)
     beaten = [
@@ -185,16 +185,16 @@ def bars(
         ["golden digests with any plan; false alarms", "equal on 40 missions in four environments; 0 in ≥ 10,000 calls",
          f"{check.same} of {check.flights} equal; {check.alarms} in {check.calls:,} calls"],
     ]  # fmt: skip
-    for entry, most, bar in (
+    for entry, most, wanted in (
         ("plan_rrt_connect", 1.2, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
         ("time_to_collision", 1.2, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
         ("track", 1.3, "≥ 85 % at ≤ ×1.30"), ("apply_updates", 1.3, "≥ 85 % at ≤ ×1.30"),
         ("back_project", 1.5, "best found within ×1.5"), ("insert_scan", 1.5, "best found within ×1.5"),
     ):  # fmt: skip
-        rows.append([f"`{entry}`", bar, best_within(certified, entry, most)])
+        rows.append([f"`{entry}`", wanted, best_within(certified, entry, most)])
     rows += [
         ["`--budget 0.10` of a flight's kernel time", "every kernel but the map in full, or better",
-         f"{percent(told['spent'])} spent, {interval(told['coverage'])} of all SDCs removed, predicted"],
+         f"{percent(advice['spent'])} spent, {interval(advice['coverage'])} of all SDCs removed, predicted"],
         ["prediction", "inside its 95 % interval for ≥ 90 % of ≥ 20 plans", f"{inside} of {len(judged)} plans"],
         ["choice", "beats random and by-opcode at equal cost, paired p < .01, on ≥ 5 kernels",
          f"{len(beaten)} of {len(compared)} functions: {', '.join(beaten) or 'none'}"],
@@ -206,7 +206,7 @@ def _wins(test: Paired) -> bool:
     return test.first_only > test.second_only and test.p_value < 0.01
 
 
-def rival_rows(compared: Sequence[Row]) -> list[list[str]]:
+def alternative_rows(compared: Sequence[Row]) -> list[list[str]]:
     """Coverage of each way to choose, with McNemar's p against the minimum cut."""
     rows = []
     for row in compared:
@@ -219,28 +219,24 @@ def rival_rows(compared: Sequence[Row]) -> list[list[str]]:
 
 
 def page(
-    study: Study, told: Row, curves: Sequence[Curve], certified: Sequence[tuple[Curve, Step, Row]],
+    study: Study, advice: Row, curves: Sequence[Curve], certified: Sequence[tuple[Curve, Step, Row]],
     compared: Sequence[Row], check: GoldenCheck, faults: int,
 ) -> str:  # fmt: skip
     """The complete page."""
     c = study.campaign
-    by_step = {(curve.target.name, step.fraction): row for curve, step, row in certified}
-    plan = [
-        [row["kernel"], f"`{row['entry']}`", percent(row["share"]), f"×{row['time']:.2f}", percent(row["added"], 2),
-         f"{row['sites']} of {row['all_sites']}", interval(row["coverage"])]
-        for row in told["functions"]
-    ]  # fmt: skip
+    by_step = {(*curve.target.key, step.fraction): row for curve, step, row in certified}
+    columns, plan = shown(advice_table(advice))
     return (
         banner("make hardening")
         + "# Hardening of the kernels: curves, plans, certificates\n\n"
-        + f"{headline(told)} {' '.join(caveats(told))}\n\n"
+        + f"{headline(advice)} {' '.join(caveats(advice))}\n\n"
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
-        + "## Bars\n\n"
-        + table(("what", "bar", "measured"), bars(certified, compared, told, check))
+        + "## Requirements\n\n"
+        + table(("what", "requirement", "measured"), requirements(certified, compared, advice, check))
         + "\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`).\n\n"
-        + f"## The plan for {percent(told['budget'], 0)} of a flight's kernel time\n\n"
-        + table(("kernel", "function", "kernel time", "time", "adds", "duplicated", "SDCs removed, predicted"), plan)
+        + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
+        + table([column.heading for column in columns], plan)
         + "\n## Curves and certificates\n\n"
         + f"Step: share of the instructions that full duplication adds. Certified with {faults} faults per function in "
         + "plain and as many in protected code, on fresh missions; brackets: 95 % intervals.\n\n"
@@ -250,18 +246,18 @@ def page(
             curve_rows(curves, by_step),
         )
         + "\n## Ways to choose, at equal cost\n\n"
-        + f"Silent corruptions of the ledger that are removed at step {RIVAL_FRACTION:g}; missions judge choices made "
-        + "without them; p: McNemar's test against the minimum cut.\n\n"
-        + table(("function", "SDCs", "minimum cut", "by line", "by opcode", "random"), rival_rows(compared))
+        + f"Silent corruptions of the ledger that are removed at step {COMPARED_FRACTION:g}; missions judge choices "
+        + "made without them; p: McNemar's test against the minimum cut.\n\n"
+        + table(("function", "SDCs", "minimum cut", "by line", "by opcode", "random"), alternative_rows(compared))
         + "\nTime: measured by the time stamp counter on baseline x86-64 code. Crash rates are IR level, not quoted.\n"
     )  # fmt: skip
 
 
-def sentence(told: Row) -> str:
+def sentence(advice: Row) -> str:
     """What the budget buys and what it does not, for the README."""
     return (
-        f"What {percent(told['budget'], 0)} of the kernels' time buys "
-        f"([curves, plans, certificates](docs/generated/hardening.md)): {headline(told)} {caveats(told)[0]}"
+        f"What {percent(advice['budget'], 0)} of the kernels' time buys "
+        f"([curves, plans, certificates](docs/generated/hardening.md)): {headline(advice)} {caveats(advice)[0]}"
     )
 
 
@@ -277,17 +273,17 @@ def main() -> None:
     study = Study.open(given.directory)
     records = Records(given.directory / "hardening.jsonl")
     advices = advise(study, given.budget, lambda text: print(text, flush=True))
-    told = summary(study, advices, harm_of(load(given.directory)))
+    advice = summary(study, advices, harm_of(study.runs))
     plan = plan_of(study, advices)
     PLAN.parent.mkdir(exist_ok=True)
     save_plan(plan, PLAN)
     curves = [curve for advice in advices for curve in advice.curves if len(curve.steps) > 1]
-    compared = [row for curve in curves if (row := rivals(curve.target)) is not None]
+    compared = [row for curve in curves if (row := alternatives(curve.target)) is not None]
     check = golden(plan, given.flights, records)
     fractions = [float(text) for text in given.fractions.split(",")]
     certified = list(certificates(study, advices, fractions, given.faults, records))
-    PAGE.write_text(page(study, told, curves, certified, compared, check, given.faults), encoding="utf-8")
-    fill(ROOT / "README.md", {"hardening": sentence(told)})
+    PAGE.write_text(page(study, advice, curves, certified, compared, check, given.faults), encoding="utf-8")
+    fill(ROOT / "README.md", {"hardening": sentence(advice)})
     print(f"wrote {PAGE}")
 
 

@@ -43,7 +43,7 @@ def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan
     signatures = called(tuple(functions), MissionSpec(environment=environment, seed=seed, planner=planner))
     return Plan(
         functions=tuple(
-            full_plan(kernel, getattr(PLAIN, name), signature, addresses=True)
+            full_plan(kernel, getattr(PLAIN, name), signature)
             for name, kernel in functions.items()
             for signature in signatures[name]
         )

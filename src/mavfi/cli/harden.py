@@ -83,7 +83,6 @@ def _advise(
 ) -> None:
     from rich.text import Text
 
-    from mavfi.campaign.analysis.runs import Runs
     from mavfi.campaign.hardening.ledger import harm_of
     from mavfi.campaign.hardening.study import advise, plan_of
     from mavfi.campaign.hardening.summary import summary
@@ -93,7 +92,7 @@ def _advise(
     from mavfi.reports.terminal import show_table
 
     advices = advise(study, budget, _tell, addresses=addresses)
-    found = summary(study, advices, harm_of(Runs.read(study.directory)))
+    found = summary(study, advices, harm_of(study.runs))
     if plan is not None:
         save_plan(plan_of(study, advices), plan)
     if html is not None:

@@ -3,12 +3,8 @@
 import ctypes
 from typing import Any
 
-import llvmlite.binding as llvm
-
-from mavfi.ir.build import Source, target_machine, translate
+from mavfi.ir.build import Source, load_code, translate
 from mavfi.ir.module import Module
-
-_CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 
 
 class Compiled:
@@ -24,13 +20,7 @@ class Compiled:
 
     def __init__(self, source: Source, text: str, environment: Any) -> None:
         self._environment = environment
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
-        self._engine.add_object_file(llvm.ObjectFileRef.from_data(translate(text)))
-        self._engine.finalize_object()
-        place = self._engine.get_global_value_address(source.environment)
-        if place:
-            ctypes.c_void_p.from_address(place).value = id(environment)
-        self._function = _CALL(self._engine.get_function_address(source.wrapper))
+        self._engine, self._function = load_code(translate(text), source.wrapper, source.environment, environment)
 
     def __call__(self, *args: Any) -> Any:
         """Call it; modifies the arguments as the function does."""

@@ -6,7 +6,7 @@ volatile load: code generation can merge neither.  Where a value leaves the chos
 value that is not chosen), its bits are compared with those of its shadow, in the block of the definition or in those
 of the uses, whichever are in fewer loops.  Both edges of a branch check the shadow of its condition.
 
-On a difference the function returns `DETECTED`, which every caller in the module hands on.  Numba's wrapper then
+On a difference the function returns `DETECTED`, which every caller in the module propagates.  Numba's wrapper then
 raises a SystemError, which no kernel does otherwise.
 """
 
@@ -58,7 +58,7 @@ def protect(module: Module, sites: Collection[Site], *, addresses: bool, libm: b
         chosen[number].add(str(module.functions[number].blocks[block].sites[offset].result))
     able = reporting(module)
     detecting = {module.functions[number].name for number in chosen}
-    while True:  # callers of detecting functions hand their status on
+    while True:  # callers of detecting functions propagate their status
         callers = {one.name for one in module.functions if one.name in able and callees(one) & detecting} - detecting
         if not callers:
             break
@@ -196,7 +196,7 @@ class _Duplicator:
                 self._shadow(one, shadow(one.result))
             self._check_where_computed(one, block.label)
             if one.callee in self.detecting:
-                self._hand_on(one)
+                self._propagate(one)
         for name in self.checked_last[block.label]:
             self._check(name, block.terminator)
         self.block.body += self.tails[block.label]
@@ -295,7 +295,7 @@ class _Duplicator:
             kind = word
         self._stop_if("ne", kind, pair, like)
 
-    def _hand_on(self, call: Instruction) -> None:
+    def _propagate(self, call: Instruction) -> None:
         """Return if the called function has detected a difference: its caller need not look at the status."""
         self._stop_if("eq", "i32", [str(call.result), str(DETECTED)], call)
 

@@ -29,12 +29,10 @@ class Timing:
     Attributes:
         ratios: Time of each variant / time of plain code: median over rounds.
         ticks: Ticks of the time stamp counter per plain call: mean over the recorded calls.
-        rounds: Number of rounds.
     """
 
     ratios: dict[str, float]
     ticks: float
-    rounds: int
 
 
 class Timed(Compiled):
@@ -129,4 +127,4 @@ def compare(
         rows.append({name: clocks[name](copied(args), repetitions) for name in names[place:] + names[:place]})
     ratios = {name: float(np.median([row[name] / row[""] for row in rows])) for name in variants}
     by_call = [float(np.median([row[""] for row in rows[place :: len(calls)]])) for place in range(len(calls))]
-    return Timing(ratios, float(np.mean(by_call)), len(rows))
+    return Timing(ratios, float(np.mean(by_call)))

@@ -18,7 +18,7 @@ import yaml
 from pydantic import Field, field_serializer, field_validator, model_validator
 
 from mavfi.config import Config, load, shipped
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, writing
 from mavfi.version import __version__
 
 Kind = Literal["duplicate", "none", "rerun", "vote"]
@@ -64,10 +64,9 @@ class FunctionPlan(Config):
     addresses: bool = Field(False, description="addresses are compared before loads, too")
     libm: bool = Field(False, description="calls of libm are duplicated, too")
     sites: tuple[Site, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
-    lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for people")
+    lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")
     predicted: Coverage | None = Field(None, description="coverage predicted from the ledger")
-    certificate: str | None = Field(None, description="file with the certificate, relative to the plan")
 
     @field_validator("sites", mode="before")
     @classmethod
@@ -116,8 +115,8 @@ class Plan(Config):
 
     @property
     def bare(self) -> "Plan":
-        """The plan without what flights do not depend on: lines, predictions, certificates."""
-        nothing = {"lines": (), "predicted": None, "certificate": None}
+        """The plan without what flights do not depend on: lines and predictions."""
+        nothing = {"lines": (), "predicted": None}
         return self.model_copy(update={"functions": tuple(one.model_copy(update=nothing) for one in self.functions)})
 
     @property
@@ -133,10 +132,6 @@ class Plan(Config):
         """The entry for a function (module and name) and the Numba types of its arguments; None = not protected."""
         text = signature_text(signature)
         return next((one for one in self.functions if (one.function, one.signature) == (function, text)), None)
-
-    def of_kernel(self, kernel: str) -> tuple[FunctionPlan, ...]:
-        """The entries of a kernel of the pipeline."""
-        return tuple(one for one in self.functions if one.kernel == kernel)
 
     def check_versions(self) -> None:
         """Raise a BadInputError if the plan was made with another compiler, which makes other code."""
@@ -182,10 +177,8 @@ def save_plan(plan: Plan, path: Path) -> None:
     content = plan.model_dump(mode="json", exclude_defaults=True)
     content = {key: getattr(plan, key) for key in ("mavfi", "numba", "llvmlite", "cpu", "ledger")} | content
     text = yaml.dump(content, sort_keys=False, width=_LINE, allow_unicode=True)
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def _expand(number: Any, text: Any) -> list[Site]:

@@ -1,11 +1,18 @@
 """The transformation that a plan describes, for the code of one function."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from mavfi.hardening.duplicate import protect
-from mavfi.hardening.plan import FunctionPlan, check_code
+from mavfi.hardening.plan import FunctionPlan, Plan, check_code
 from mavfi.ir.digest import digest_of
 from mavfi.ir.module import Module
+
+
+def protection_of(plan: Plan, function: str, signature: tuple[Any, ...]) -> "Protection | None":
+    """Protection of a function (module and name) for the Numba types of its arguments; None = its code is plain."""
+    found = plan.find(function, signature)
+    return Protection(found) if found is not None and found.sites else None
 
 
 @dataclass(frozen=True, slots=True)

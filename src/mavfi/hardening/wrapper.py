@@ -1,6 +1,6 @@
 """Numba's wrapper of a kernel, changed to raise a SystemError for the status of a detected difference.
 
-LLVM has removed whatever the wrapper does with statuses that the plain kernel never returns.
+LLVM has removed the wrapper's handling of statuses that the plain kernel never returns.
 """
 
 import re

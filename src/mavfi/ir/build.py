@@ -3,6 +3,7 @@
 Both are made in a process of their own, since LLVM aborts on a malformed module.
 """
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -17,6 +18,7 @@ from mavfi.ir.refusal import BuildError, RefusedError
 from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE = 600.0
+_CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 _OPTIMISATION = 3
 """Optimisation level of code generation, as Numba's."""
 
@@ -109,6 +111,12 @@ def source_of(kernel: Any, signature: tuple[Any, ...]) -> Source:
     return Source(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
 
 
+def environment_of(kernel: Any, signature: tuple[Any, ...]) -> Any:
+    """Numba's environment of a kernel, to which its machine code points."""
+    kernel.compile(signature)
+    return kernel.overloads[signature].environment
+
+
 def target_machine() -> Any:
     """A generic x86-64 CPU, for the same code everywhere."""
     llvm.initialize_native_target()
@@ -117,6 +125,27 @@ def target_machine() -> Any:
     return target.create_target_machine(
         cpu="generic", features="", opt=_OPTIMISATION, reloc="static", codemodel="jitdefault", jit=True,
     )  # fmt: skip
+
+
+def load_code(code: bytes, wrapper: str, environment_name: str, environment: Any) -> tuple[Any, Any]:
+    """Load an object file into this process.
+
+    Args:
+        code: The object file.
+        wrapper: The function that Python calls.
+        environment_name: The global that points to Numba's environment of the kernel.
+        environment: See `environment_of`; it must live as long as the code.
+
+    Returns:
+        The engine, which owns the code, and the function: called with None, a tuple of arguments, None.
+    """
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    place = engine.get_global_value_address(environment_name)
+    if place:
+        ctypes.c_void_p.from_address(place).value = id(environment)
+    return engine, _CALL(engine.get_function_address(wrapper))
 
 
 def translate(text: str, prepare: Callable[[Any, Any], Any] = lambda module, machine: module) -> bytes:

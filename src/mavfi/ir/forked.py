@@ -1,4 +1,4 @@
-"""Work in a forked child: whatever a fault causes there, the parent continues from the instant of the fork.
+"""Work in a forked child: a fault there cannot affect the parent, which continues from the instant of the fork.
 
 The child reports through a pipe and exits without the parent's clean-up code.  It ends with its parent, writes no core
 file, and leaves no zombie and no open file.

@@ -112,8 +112,8 @@ class Block:
     """A basic block: phis, allocations on the stack, the body, and the terminator.
 
     Attributes:
-        runs_as: Labels of blocks whose numbers of executions, the first less the others, are that of this block; () =
-            not known.
+        runs_as: Labels of blocks. This block is executed as often as the first one minus all others; () = it is
+            counted itself.
         unreached: Whether only a fault leads to it.
     """
 

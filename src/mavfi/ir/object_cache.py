@@ -38,9 +38,9 @@ class ObjectCache:
 
     def key(self, kernel: Any, signature: tuple[Any, ...], *more: bytes) -> str:
         """Digest of all inputs of the machine code, except the text of callees; `more` are further inputs."""
-        digest = hashlib.sha256(_platform(self.package))
+        digest = hashlib.sha256(repr((numba.__version__, llvmlite.__version__, np.__version__)).encode())
         digest.update(repr([str(kind) for kind in signature]).encode())
-        for part in (*_parts(kernel, set()), *more):
+        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *_parts(kernel, set()), *more):
             digest.update(hashlib.sha256(part).digest())
         return digest.hexdigest()[:40]
 
@@ -79,11 +79,9 @@ class ObjectCache:
 
 
 @cache
-def _platform(package: Path) -> bytes:
-    versions = numba.__version__, llvmlite.__version__, np.__version__
-    modules = [path for folder in (Path(__file__).parent, package) for path in sorted(folder.glob("*.py"))]
-    own = b"".join(path.read_bytes() for path in modules)
-    return repr((versions, hashlib.sha256(own).hexdigest())).encode()
+def folder_text(package: Path) -> bytes:
+    """Text of all modules of a package's folder."""
+    return b"".join(path.read_bytes() for path in sorted(package.glob("*.py")))
 
 
 def _parts(kernel: Any, seen: set[int]) -> Iterator[bytes]:

@@ -31,8 +31,7 @@ _KERNEL_EFFECTS = {
     "detected": "detected by its protection; its step was computed again by plain code",
 }  # fmt: skip
 _ROLES = {
-    "": "", "shadow": "in the shadow of the instruction, ", "copy": "in a copy for a shadow, ",
-    "check": "in the comparison with a shadow, ",
+    "": "", "shadow": ", its shadow", "copy": ", a copy for its shadow", "check": ", the comparison with its shadow",
 }  # fmt: skip
 """Role of an instruction of protected code."""
 Lines = list[tuple[str, str]]
@@ -134,9 +133,9 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
         value_class = str(details.get("value_class", "")).replace("_", " ")
         story.append((
             "source line",
-            f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable} "
+            f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable}"
             f"{_ROLES[details.get('role', '')]}"
-            f"({value_class}), call {details.get('call')}, instruction {details.get('index')}",
+            f" ({value_class}), call {details.get('call')}, instruction {details.get('index')}",
         ))  # fmt: skip
     if "instruction" in details:
         story.append(("instruction", f"{details['instruction']} in {details['symbol'] or details['library']}"))

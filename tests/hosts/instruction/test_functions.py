@@ -19,7 +19,7 @@ from mavfi.faults.instruction.plan import plan
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN

@@ -9,7 +9,7 @@ from mavfi.faults.instruction.variant import signature_of
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
 from mavfi.hardening.full import full_plan
-from mavfi.hardening.plan import Plan, load_plan, save_plan
+from mavfi.hardening.plan import Coverage, Plan, load_plan, save_plan
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.protected import SOURCE
@@ -47,7 +47,7 @@ def golden():
 
 @pytest.fixture(scope="module")
 def plan(golden):
-    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types, addresses=True) for types in golden[1]))
+    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,9 @@ def paired_logs(protected, plain_faults):
 
 def test_the_shipped_plan_is_that_of_the_code(plan):
     """Made again by tools/full_protection.py after a change of these kernels."""
-    shipped_plan = load_plan("full")
-    assert shipped_plan.of_kernel("pid") == plan.functions
-    assert {one.function.rpartition(".")[2] for one in shipped_plan.of_kernel("rrt_connect")} >= {"plan"}
+    found = load_plan("full").functions
+    assert tuple(one for one in found if one.kernel == "pid") == plan.functions
+    assert any(one.kernel == "rrt_connect" and one.function.endswith(".plan") for one in found)
 
 
 def test_the_golden_flight_is_the_plain_one(golden, protected):
@@ -147,8 +147,8 @@ def test_a_detected_fault_is_explained(golden, paired_logs):
     log = next(log for log in paired_logs if log.kernel.effect == "detected")
     effect = effect_of(record_of(golden[0].log), record_of(log))
     assert effect in (Effect.DETECTED, Effect.MASKED)
-    told = dict(injection_lines(log.injections[0], None, log))
-    assert told["kernel"].endswith("detected by its protection; its step was computed again by plain code")
+    lines = dict(injection_lines(log.injections[0], None, log))
+    assert lines["kernel"].endswith("detected by its protection; its step was computed again by plain code")
     assert verdict(Effect.DETECTED, log, golden[0].log).startswith("detected by the protection of the kernel")
 
 
@@ -172,12 +172,11 @@ def test_whole_calls_can_be_repeated(plan, folder, plain_faults, plain_logs, kin
     assert (log.meta["recompute_us"]["control"] > 0) == again
 
 
-def test_lines_and_certificates_are_not_part_of_the_mission(plan, folder, protected):
-    told = plan.model_copy(update={"functions": tuple(
-        one.model_copy(update={"lines": ("pid.py:1",), "certificate": "c.json"}) for one in plan.functions
-    )})  # fmt: skip
-    save_plan(told, folder / "told.yaml")
-    assert mission(folder / "told.yaml").key() == protected.key()
+def test_lines_and_predictions_are_not_part_of_the_mission(plan, folder, protected):
+    more = {"lines": ("pid.py:1",), "predicted": Coverage(estimate=0.9, low=0.8, high=1.0)}
+    extended = plan.model_copy(update={"functions": tuple(one.model_copy(update=more) for one in plan.functions)})
+    save_plan(extended, folder / "extended.yaml")
+    assert mission(folder / "extended.yaml").key() == protected.key()
 
 
 def test_a_plan_for_other_code_is_refused_in_one_line(plan, folder):

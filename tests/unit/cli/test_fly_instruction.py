@@ -8,7 +8,7 @@ import pytest
 from mavfi.campaign.samplers.request import text_of
 from mavfi.cli import run
 from mavfi.faults.fault import fault_from_json
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
 

@@ -3,15 +3,14 @@
 import mmap
 from collections import Counter
 
-import numpy as np
-
 from mavfi.faults.instruction import budget_for
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.build import assemble, prepare
 from mavfi.faults.instruction.variant import Variant, signature_of
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.duplicate import protect
-from mavfi.ir.build import source_of
+from mavfi.hardening.recorded import copied
+from mavfi.ir.build import environment_of, source_of
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.parser import parse_module
 
@@ -19,7 +18,7 @@ OUTCOMES = {b"M": "masked", b"S": "sdc", b"D": "detected", b"E": "exception"}
 
 
 class Full:
-    """Duplicates whatever can be."""
+    """Duplicates every instruction that can be."""
 
     key = b"full"
 
@@ -37,25 +36,20 @@ def module_of(kernel, args):
 def variant(kernel, args, rewrite=None):
     """The instrumented variant, built in this process."""
     signature = signature_of(args)
-    kernel.compile(signature)
-    return Variant(assemble(*prepare(kernel, signature, rewrite)), kernel.overloads[signature].environment)
-
-
-def copies(args):
-    return tuple(argument.copy() if isinstance(argument, np.ndarray) else argument for argument in args)
+    return Variant(assemble(*prepare(kernel, signature, rewrite)), environment_of(kernel, signature))
 
 
 def sites_of(struck, args):
     """The site of each dynamic instruction of a call."""
-    total = struck.count(*copies(args))[1]
-    return struck.resolve(range(total), *copies(args))[1]
+    total = struck.count(*copied(args))[1]
+    return struck.resolve(range(total), *copied(args))[1]
 
 
 def strike_all(struck, args, step=1):
     """Outcomes of all faults, or of every `step`-th: number by outcome, and the sites of silent corruptions."""
     sites = sites_of(struck, args)
     todo = [(index, bit) for index, site in enumerate(sites) for bit in range(site.width)][::step]
-    own = copies(args)
+    own = copied(args)
     golden = digest((struck.count(*own)[0], own))
     budget = budget_for(len(sites))
     found = mmap.mmap(-1, len(todo) + 1)
@@ -78,7 +72,7 @@ def strike_all(struck, args, step=1):
 
 
 def outcome(struck, index, bit, budget, args, golden):
-    own = copies(args)
+    own = copied(args)
     try:
         result = struck.inject(index, -1, 1 << bit, budget, *own)
     except SystemError:

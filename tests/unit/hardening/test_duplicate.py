@@ -16,13 +16,14 @@ from mavfi.hardening.candidates import candidates
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.plan import FunctionPlan, signature_text
 from mavfi.hardening.protection import Protection
+from mavfi.hardening.recorded import copied
 from mavfi.ir.build import name_of, target_machine
 from mavfi.ir.digest import bodies_of, digest_of
 from mavfi.ir.module import is_floating
 from mavfi.ir.parser import parse_module
 from tests.unit.faults.instruction.kernels import STRAIGHT, straight
 from tests.unit.hardening.kernels import CASES, WALK, blend, mean_square, walk
-from tests.unit.hardening.strikes import Full, copies, module_of, strike_all, variant
+from tests.unit.hardening.strikes import Full, module_of, strike_all, variant
 from tests.unit.kernels.cases import CASES as REAL
 
 
@@ -75,7 +76,7 @@ def test_what_is_not_duplicated_can_be_silent():
 @pytest.mark.parametrize("addresses", [False, True])
 def test_without_a_fault_results_are_those_of_the_plain_kernel(name, addresses):
     kernel, args = CASES[name]
-    plain, own = copies(args), copies(args)
+    plain, own = copied(args), copied(args)
     assert digest((struck(name, addresses=addresses).count(*own)[0], own)) == digest((kernel(*plain), plain))
 
 
@@ -84,11 +85,11 @@ def test_executions_are_counted_as_in_plain_code(name):
     """The fast count derives those of split blocks from others; the slow one counts each block."""
     kernel, args = CASES[name]
     protected = struck(name, addresses=True)
-    fast, slow = protected.tally(*copies(args))[1], protected.profile(*copies(args))[1]
+    fast, slow = protected.tally(*copied(args))[1], protected.profile(*copied(args))[1]
     assert fast.tolist() == slow.tolist()
     originals = [count for site, count in protected.table.executions(fast) if not site.role]
     plain = variant(kernel, args)
-    assert originals == [count for _, count in plain.table.executions(plain.tally(*copies(args))[1])]
+    assert originals == [count for _, count in plain.table.executions(plain.tally(*copied(args))[1])]
 
 
 def test_exceptions_pass():
@@ -116,11 +117,11 @@ def test_partial_plans_keep_results():
     kernel, args = CASES["blend"]
     all_sites = candidates(module("blend"))
     random = np.random.default_rng(3)
-    golden = copies(args)
+    golden = copied(args)
     wanted = digest((kernel(*golden), golden))
     for share in (0.1, 0.5):
         some = [site for site in all_sites if random.random() < share]
-        own = copies(args)
+        own = copied(args)
         made = variant(kernel, args, lambda plain, some=some: protect(plain, some, addresses=True))
         assert digest((made.count(*own)[0], own)) == wanted
 

@@ -31,9 +31,9 @@ def test_sites_are_written_as_ranges_by_block(tmp_path):
     assert "'0': 0:0-2,5 2:1" in (tmp_path / "p.yaml").read_text()
 
 
-def test_the_digest_is_that_of_the_content_without_certificates():
+def test_the_digest_is_that_of_the_content_without_lines():
     one = Plan(functions=(of(sites=((0, 0, 1),)),))
-    assert one.digest == Plan(functions=(of(sites=((0, 0, 1),), certificate="c.json"),)).digest
+    assert one.digest == Plan(functions=(of(sites=((0, 0, 1),), lines=("m.py:1",)),)).digest
     assert one.digest != Plan(functions=(of(sites=((0, 0, 2),)),)).digest
     assert one.digest != Plan(functions=(of(sites=((0, 0, 1),), time=1.5),)).digest
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from mavfi.errors import MachineError
-from mavfi.ir import ForkPoint, forked, run_in_child
-from mavfi.ir.forked import HANG_EXIT
+from mavfi.ir import forked
+from mavfi.ir.forked import HANG_EXIT, ForkPoint, run_in_child
 
 
 def open_files():

@@ -6,7 +6,7 @@ import pytest
 
 from mavfi.ir import object_cache
 from mavfi.ir.object_cache import ObjectCache
-from mavfi.numerics.jit import kernel_jit
+from tests.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)
 
@@ -15,14 +15,6 @@ FLOAT = (numba.float64,)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setattr(object_cache, "code_folder", lambda: tmp_path / "code")
     return ObjectCache("some", tmp_path)
-
-
-def closure(factor):
-    @kernel_jit
-    def scaled(x):
-        return x * factor
-
-    return scaled
 
 
 def test_functions_that_differ_in_what_they_enclose_differ_in_their_keys(cache):

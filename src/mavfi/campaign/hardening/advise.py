@@ -1,21 +1,22 @@
 """Advice from a ledger: how much of the silent corruption each share of time removes, and a plan within a budget.
 
-The ledger gives rates by instruction, a golden flight executions and calls to time.  For each function a ladder of
+The ledger gives rates by instruction, a golden flight executions and calls to time.  For each function a series of
 choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
 Coverage is predicted by cross-validation: each part of the ledger judges choices that were made from the other parts.
 """
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 from time import monotonic
 
 from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_rate
 from mavfi.campaign.hardening.ledger import Injected
 from mavfi.campaign.hardening.target import Target
-from mavfi.hardening.choose import NOTHING, Choice, upper_hull
+from mavfi.hardening.choose import NOTHING, Choice, Chooser, upper_hull
 from mavfi.hardening.duplicate import protect
-from mavfi.hardening.measure import Timed, Timing, compare
-from mavfi.hardening.plan import Site
+from mavfi.hardening.measure import Timed, compare
+from mavfi.ir.build import environment_of
 
 FRACTIONS = (0.1, 0.25, 0.5, 0.75, 1.0)
 """Steps of a curve: shares of the instructions that duplicating everything adds."""
@@ -80,13 +81,13 @@ class Advice:
         budget: Share of a flight's kernel time.
         curves: All functions.
         chosen: Index of the step for each of them.
-        besides: Time that protection of other functions adds to the same flight, as a share of its kernel time.
+        shared: Time that functions chosen for another planner add to the same flight, as a share of its kernel time.
     """
 
     budget: float
     curves: tuple[Curve, ...]
     chosen: tuple[int, ...]
-    besides: float = 0.0
+    shared: float = 0.0
 
     @property
     def steps(self) -> list[tuple[Curve, Step]]:
@@ -96,12 +97,12 @@ class Advice:
     @property
     def spent(self) -> float:
         """Time that the plan adds, as a share of the flight's kernel time."""
-        return self.besides + sum(curve.extra(step) for curve, step in self.steps)
+        return self.shared + sum(curve.extra(step) for curve, step in self.steps)
 
-    def coverage(self, kernel: str = "") -> Rate:
-        """Predicted share of silent corruptions removed: of one kernel, or of all, each weighted by its number."""
-        own = [(curve, step) for curve, step in self.steps if kernel in ("", *curve.target.kernels)]
-        return together([(curve.target.name, curve.target.sdc_mass, step.judged) for curve, step in own])
+    @property
+    def coverage(self) -> Rate:
+        """Predicted share of all silent corruptions that is removed."""
+        return coverage_of_steps(self.steps)
 
 
 def coverage_of(judged: Judged) -> Rate:
@@ -109,67 +110,73 @@ def coverage_of(judged: Judged) -> Rate:
     return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged], [o.weight for o, _ in judged])
 
 
-def together(parts: Sequence[tuple[str, float, Judged]]) -> Rate:
-    """Coverage of several functions, given by name, expected corruptions and predictions."""
-    known = [(name, mass, judged) for name, mass, judged in parts if judged and mass > 0]
-    rows = [
-        (hit, mass * one.weight / (sum(o.weight for o, _ in judged) / len(judged)), name, one.world)
-        for name, mass, judged in known
-        for one, hit in judged
-    ]
+def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
+    """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions."""
+    rows = []
+    for target, judged in ((curve.target, step.judged) for curve, step in steps):
+        whole = sum(one.weight for one, _ in judged)
+        mass = target.sdc_mass * len(judged) / whole if whole else 0.0
+        rows += [(hit, mass * one.weight, target.name, one.world) for one, hit in judged if mass > 0]
     return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
 
 
 def choices_of(target: Target, fractions: Sequence[float] = FRACTIONS) -> list[tuple[float, Choice, Judged]]:
-    """The ladder of a function: fraction, choice and prediction, from nothing to everything."""
-    full = target.chooser.full
-    found: list[tuple[float, Choice, Judged]] = [(0.0, NOTHING, target.judged(lambda _: NOTHING))]
-    for fraction in fractions:
-        choice = target.chooser.within(fraction * full.cost) if fraction < 1 else full
-        found.append((fraction, choice, target.judged(_same_share(fraction))))
+    """Fraction, choice and prediction of each step of a function, from nothing to everything."""
+    found: list[tuple[float, Choice, Judged]] = []
+    for fraction in (0.0, *fractions):
+        choose = partial(_share_of, fraction)
+        found.append((fraction, choose(target.chooser), target.judged(choose)))
     return found
 
 
-def _same_share(fraction: float) -> Callable[..., Choice]:
-    return lambda chooser: chooser.within(fraction * chooser.full.cost) if fraction < 1 else chooser.full
+def _share_of(fraction: float, chooser: Chooser) -> Choice:
+    """The choice that adds at most a fraction of the instructions of full duplication."""
+    if fraction in (0.0, 1.0):
+        return chooser.full if fraction else NOTHING
+    return chooser.within(fraction * chooser.full.cost)
 
 
-def timed(target: Target, choices: Sequence[Collection[Site]], seconds: float = _SECONDS) -> Timing:
-    """Time of plain code, and of code with each choice of sites; ratios by the index of the choice as text."""
-    source, plain, environment = target.source, target.module, target.environment
+def timed_steps(target: Target, fractions: Sequence[float] = FRACTIONS) -> tuple[float, tuple[Step, ...]]:
+    """Build, predict and time the steps of a function; also returns the ticks of a plain call."""
+    source, plain = target.source, target.module
+    environment = environment_of(target.seen.function, target.seen.signature)
+    choices = choices_of(target, fractions)
     clocks = {
-        str(place): Timed(source, protect(plain, sites, addresses=target.addresses), environment).ticks
-        for place, sites in enumerate(choices)
-    }
+        str(fraction): Timed(
+            source, protect(plain, target.sites(choice), addresses=target.addresses), environment
+        ).ticks
+        for fraction, choice, _ in choices[1:]
+    }  # fmt: skip
     base = Timed(source, plain, environment)
-    end = monotonic() + seconds
-    return compare(base.ticks, clocks, target.seen.calls, lambda _: monotonic() > end)
+    end = monotonic() + _SECONDS
+    timing = compare(base.ticks, clocks, target.seen.calls, lambda _: monotonic() > end)
+    return timing.ticks, tuple(
+        Step(fraction, choice, max(timing.ratios.get(str(fraction), 1.0), 1.0), judged)
+        for fraction, choice, judged in choices
+    )
 
 
 def curves_of(
     targets: Sequence[Target],
     wanted: Collection[str],
-    besides: float = 0.0,
+    other_ticks: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> tuple[Curve, ...]:
-    """Build, predict and time the ladders of the functions of a flight.
+    """Build, predict and time the steps of the functions of a flight.
 
     Args:
         targets: The functions; those without an injection, or of kernels that are not `wanted`, are timed only.
         wanted: Kernels to protect.
-        besides: Ticks of other functions in the flight.
+        other_ticks: Ticks of all other functions in the flight.
         tell: Called with the name of each function.
     """
     rows = []
     for target in targets:
         tell(f"choosing and timing {target.name}")
         free = bool(target.injections) and not set(wanted).isdisjoint(target.kernels)
-        ladder = choices_of(target, FRACTIONS if free else ())
-        timing = timed(target, [target.sites(choice) for _, choice, _ in ladder[1:]])
-        times = [1.0, *(max(timing.ratios[str(place)], 1.0) for place in range(len(ladder) - 1))]
-        steps = tuple(Step(*row[:2], time, row[2]) for row, time in zip(ladder, times, strict=True))
-        rows.append((target, timing.ticks * target.seen.total, steps))
-    whole = besides + sum(ticks for _, ticks, _ in rows)
+        ticks, steps = timed_steps(target, FRACTIONS if free else ())
+        rows.append((target, ticks * target.seen.total, steps))
+    whole = other_ticks + sum(ticks for _, ticks, _ in rows)
     return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
 
 

@@ -16,11 +16,11 @@ from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, Variant
 from mavfi.hardening.recorded import copied, size_of
 from mavfi.ir.forked import run_in_child
+from mavfi.outcomes import Effect
 
-MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED = "masked", "sdc", "detected", "exception", "not_activated"
-EFFECTS = (MASKED, SDC, DETECTED, "crash", "hang", EXCEPTION)
-_KNOWN = (MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED)
-"""Effects after which a process lives."""
+_SURVIVED = (Effect.MASKED, Effect.SDC, Effect.DETECTED, Effect.EXCEPTION, Effect.NOT_ACTIVATED)
+"""Effects that do not end the process."""
+MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED = _KNOWN = tuple(effect.label for effect in _SURVIVED)
 _SMALL = 1 << 20
 """Arguments up to this size (bytes) are copied for each injection rather than forked with a process."""
 _TIMEOUT = 60.0
@@ -153,7 +153,7 @@ class Battery:
         return MASKED if self._digest(result, args) == golden else SDC
 
 
-def shares(effects: Sequence[str]) -> dict[str, int]:
+def counts_of(effects: Sequence[str]) -> dict[str, int]:
     """Number of injections by effect, in a fixed order."""
     counted = Counter(effects)
-    return {name: counted[name] for name in (*EFFECTS, NOT_ACTIVATED) if counted[name]}
+    return {effect.label: counted[effect.label] for effect in Effect if counted[effect.label]}

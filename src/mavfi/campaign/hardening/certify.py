@@ -6,13 +6,13 @@ The same calls are injected without protection, and these faults once more, inst
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import hypot
 from typing import Any
 
 from mavfi.campaign.analysis.pairs import Paired, mcnemar
 from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.hardening.battery import SDC, Battery, Place, shares
+from mavfi.campaign.hardening.battery import SDC, Battery, Place, counts_of
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference
 from mavfi.faults.instruction.build import cached_build
@@ -70,12 +70,17 @@ class Certificate:
         return coverage(self.sdc_before, self.sdc_after, self.growth)
 
     @property
+    def predicted_rate(self) -> Rate:
+        """The prediction; all None without one."""
+        own = self.predicted
+        return Rate(0, None, None, None) if own is None else Rate(0, own.estimate, own.low, own.high)
+
+    @property
     def verdict(self) -> str:
         """Whether the measured coverage agrees with the prediction, is lower, or higher, at 95 %."""
         if self.predicted is None or self.coverage.rate is None:
             return UNKNOWN
-        own = Rate(0, self.predicted.estimate, self.predicted.low, self.predicted.high)
-        low, high = difference(self.coverage, own)
+        low, high = difference(self.coverage, self.predicted_rate)
         return REFUTED if high < 0 else BETTER if low > 0 else CONFIRMED
 
     def to_json(self) -> dict[str, Any]:
@@ -83,18 +88,14 @@ class Certificate:
         return {
             "kernel": self.kernel, "function": self.function, "signature": self.signature,
             "instructions": self.instructions, "verdict": self.verdict, "growth": self.growth,
-            "before": self.before, "after": self.after, "coverage": _plain(self.coverage),
-            "sdc_before": _plain(self.sdc_before), "sdc_after": _plain(self.sdc_after),
+            "before": self.before, "after": self.after, "coverage": asdict(self.coverage),
+            "sdc_before": asdict(self.sdc_before), "sdc_after": asdict(self.sdc_after),
             "predicted": None if self.predicted is None else self.predicted.model_dump(),
             "paired": {
                 "n": self.paired.n, "plain_only": self.paired.first_only, "protected_only": self.paired.second_only,
                 "p": self.paired.p_value,
             },
         }  # fmt: skip
-
-
-def _plain(found: Rate) -> dict[str, Any]:
-    return {"n": found.n, "rate": found.rate, "low": found.low, "high": found.high}
 
 
 @dataclass
@@ -157,7 +158,7 @@ def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
     after = pair.guarded.run(pair.guarded.draw(random, faults))
     planned, seen = pair.planned, pair.seen
     return Certificate(
-        planned.kernel, planned.function, planned.signature, seen.instructions, shares(before), shares(after),
+        planned.kernel, planned.function, planned.signature, seen.instructions, counts_of(before), counts_of(after),
         pair.growth, planned.predicted, mcnemar([one == SDC for one in before], [one == SDC for one in again]),
     )  # fmt: skip
 

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.campaign.hardening.observed import entries_of
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.compiled import Compiled, text_of
 from mavfi.hardening.plan import Plan
-from mavfi.hardening.protection import Protection
+from mavfi.hardening.protection import protection_of
 from mavfi.hardening.sources import cached_source
 from mavfi.hosts.local import fly
-from mavfi.ir.build import name_of
+from mavfi.ir.build import environment_of, name_of
 from mavfi.ir.parser import parse_module
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
-from mavfi.states import INJECTABLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,18 +86,17 @@ def protected_code(function: Any, signature: tuple[Any, ...], plan: Plan) -> Com
     Raises:
         BadInputError: The plan was made for other code.
     """
-    planned = plan.find(name_of(function), signature)
-    if planned is None or not planned.sites:
+    protection = protection_of(plan, name_of(function), signature)
+    if protection is None:
         return None
     source = cached_source(function, signature)
-    module = Protection(planned)(parse_module(source.text, source.kernel))
-    function.compile(signature)
-    return Compiled(source, text_of(module), function.overloads[signature].environment)
+    module = protection(parse_module(source.text, source.kernel))
+    return Compiled(source, text_of(module), environment_of(function, signature))
 
 
 def check_golden(scenario: Scenario, plan: Plan, kernels: Sequence[str]) -> GoldenCheck:
     """Fly a mission plain and with protected functions, and compare."""
-    names = tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
+    names = entries_of(kernels)
     made = {name: Guarded(getattr(PLAIN, name), plan) for name in names}
     with np.errstate(all="ignore"):
         plain = fly(scenario).log.digest()

@@ -12,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.hardening.advise import Step, choices_of, timed
+from mavfi.campaign.hardening.advise import Step, timed_steps
 from mavfi.campaign.hardening.battery import NOT_ACTIVATED, SDC, Battery
 from mavfi.campaign.hardening.certify import Certificate, Pair, certify
 from mavfi.campaign.hardening.golden import protected_code
 from mavfi.campaign.hardening.ledger import Injected
 from mavfi.campaign.hardening.observed import Seen
-from mavfi.campaign.hardening.study import planned_of, processor
+from mavfi.campaign.hardening.study import planned_of
 from mavfi.campaign.hardening.target import Target
+from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction.variant import signature_of, variant_for
 from mavfi.faults.sampling import stream
@@ -89,10 +90,7 @@ def harden(function: Any, calls: Calls, budget: float, faults: int = 1000, seed:
         if effect != NOT_ACTIVATED
     ]
     target = Target((seen.entry,), seen, injections)
-    ladder = choices_of(target)
-    ratios = timed(target, [target.sites(choice) for _, choice, _ in ladder[1:]]).ratios
-    times = [1.0, *(max(ratios[str(place)], 1.0) for place in range(len(ladder) - 1))]
-    steps = tuple(Step(*row[:2], time, row[2]) for row, time in zip(ladder, times, strict=True))
+    _, steps = timed_steps(target)
     affordable = [step for step in steps if step.time <= 1 + budget]
     best = max(affordable, key=lambda step: (step.choice.benefit, -step.time))
     return Hardened(function, planned_of(target, best), steps)

@@ -13,8 +13,9 @@ from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.hardening.rates import Groups, Rates
+from mavfi.outcomes import Effect
 
-SDC = "sdc"
+_SDC = Effect.SDC.label
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ def injections_of(runs: Runs, directory: Path) -> list[Injected]:
         found.append(
             Injected(
                 row["kernel"], row["function"], details["ir_sha256"], details["block"], details["offset"],
-                row["kernel_effect"] == SDC, row["world"], row["weight"],
+                row["kernel_effect"] == _SDC, row["world"], row["weight"],
             )
         )  # fmt: skip
     if not found:
@@ -97,6 +98,6 @@ class Harm:
 def harm_of(runs: Runs) -> Harm:
     """Missions lost in a ledger, by effect on the kernel; bits and instructions as drawn."""
     own = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
-    silent, dead = own.where(kernel_effect=SDC), own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
+    silent, dead = own.where(kernel_effect=_SDC), own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
     lost = [wilson(part["success"].count(False), len(part)) for part in (silent, dead)]
     return Harm(lost[0], lost[1], wilson(len(dead), len(own)))

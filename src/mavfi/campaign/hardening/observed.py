@@ -57,7 +57,7 @@ class Observing:
         entry: Name of the function.
         function: Compiled by `kernel_jit`.
         most: Recorded calls per signature, about.
-        ahead: Fetches the IR, which takes seconds for the first time, while the flight goes on.
+        ahead: Fetches the IR, which takes seconds for the first time, during the flight.
     """
 
     def __init__(self, entry: str, function: Any, most: int, ahead: Executor) -> None:
@@ -75,7 +75,6 @@ class Observing:
             self._ahead.submit(cached_source, self._function, signature)
         seen, recording = self._seen[signature]
         recording.note(args)
-        seen.total += 1
         result, times = seen.variant.tally(*args)
         seen.executions += times
         return result
@@ -83,8 +82,14 @@ class Observing:
     def seen(self) -> list[Seen]:
         """By signature, in order of the first call."""
         for seen, recording in self._seen.values():
+            seen.total = recording.total
             seen.calls = [recording.kept[call] for call in sorted(recording.kept)]
         return [seen for seen, _ in self._seen.values()]
+
+
+def entries_of(kernels: Sequence[str]) -> tuple[str, ...]:
+    """Functions of some kernels, fields of `KernelFunctions`."""
+    return tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
 
 
 def observe(scenario: Scenario, kernels: Sequence[str], most: int = 12) -> dict[str, list[Seen]]:
@@ -94,7 +99,7 @@ def observe(scenario: Scenario, kernels: Sequence[str], most: int = 12) -> dict[
         BadInputError: The mission cannot be flown.
         RefusedError: A kernel cannot be instrumented exactly.
     """
-    names = tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
+    names = entries_of(kernels)
     with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):
         made = {name: Observing(name, getattr(PLAIN, name), most, ahead) for name in names}
         fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name]))

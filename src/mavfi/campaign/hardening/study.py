@@ -1,9 +1,9 @@
 """From a ledger to a plan, and from a plan to its certificate."""
 
 import json
-import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,13 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of
-from mavfi.campaign.hardening.certify import Certificate, certify, pairs_of
+from mavfi.campaign.hardening.certify import REFUTED, Certificate, certify, pairs_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.ledger import injections_of
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.target import Target, targets_of
 from mavfi.campaign.mission import host_of
+from mavfi.campaign.overheads import processor
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, writing
@@ -31,7 +32,7 @@ FRESH = 2
 """Missions, per environment of the campaign, with which a plan is certified."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Study:
     """A campaign of instruction faults, as input of the choice.
 
@@ -65,6 +66,11 @@ class Study:
                 raise BadInputError(f"--kernels: {kernel!r}: allowed: {', '.join(known)}")
         return Study(directory, campaign, digest, tuple(kernels) or known)
 
+    @cached_property
+    def runs(self) -> Runs:
+        """The ledger's runs."""
+        return Runs.read(self.directory)
+
     def by_planner(self) -> dict[str, tuple[str, ...]]:
         """All kernels of the missions that are flown, by planner; that of the campaign's mission comes first."""
         own = self.campaign.spec(self.campaign.environments[0], self.campaign.first_seed).planner
@@ -96,19 +102,19 @@ def advise(study: Study, budget: float, tell: Tell = lambda _: None, *, addresse
     Raises:
         BadInputError: The ledger has no injections in instructions, or is of other code.
     """
-    injections = injections_of(Runs.read(study.directory), study.directory)
+    injections = injections_of(study.runs, study.directory)
     environment, seed = study.campaign.environments[0], study.campaign.first_seed
     found: list[Advice] = []
     for planner, kernels in study.by_planner().items():
         tell(f"flying the golden mission {environment} {seed} with {planner}")
         seen = observe(study.scenario(environment, seed, planner), kernels)
-        known = {curve.target.name: (curve, step) for advice in found for curve, step in advice.steps}
+        known = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
         targets = targets_of(seen, injections, addresses=addresses)
-        shared = [known[target.name] for target in targets if target.name in known]
-        new = [target for target in targets if target.name not in known]
-        besides = sum(curve.ticks for curve, _ in shared)
-        curves = curves_of(new, study.kernels, besides, tell)
-        whole = besides + sum(curve.ticks for curve in curves)
+        shared = [known[target.key] for target in targets if target.key in known]
+        new = [target for target in targets if target.key not in known]
+        other_ticks = sum(curve.ticks for curve, _ in shared)
+        curves = curves_of(new, study.kernels, other_ticks, tell)
+        whole = other_ticks + sum(curve.ticks for curve in curves)
         spent = sum(curve.ticks * (step.time - 1) for curve, step in shared) / whole
         found.append(Advice(budget, curves, allocate(curves, budget - spent), spent))
     return found
@@ -139,15 +145,6 @@ def _coverage(found: Rate) -> Coverage | None:
     return Coverage(estimate=found.rate, low=found.low, high=found.high)
 
 
-def processor() -> str:
-    """Model of the processor on which times are measured."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
 @dataclass(frozen=True, slots=True)
 class Certification:
     """Certificates of a plan's functions, and its golden flights.
@@ -169,7 +166,7 @@ class Certification:
     @property
     def refuted(self) -> bool:
         """Whether a prediction is refuted, or a golden flight differs or raises an alarm."""
-        return not self.golden.passed or any(one.verdict == "refuted" for one in self.certificates)
+        return not self.golden.passed or any(one.verdict == REFUTED for one in self.certificates)
 
 
 def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None) -> Certification:
@@ -188,7 +185,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
     missions: list[str] = []
     for planner, kernels in study.by_planner().items():
         scenarios = study.fresh(planner)
-        done = {one.function for one in certificates}
+        done = {(one.function, one.signature) for one in certificates}
         flown: list[Seen] = []
         for scenario in scenarios:
             tell(f"flying {scenario.environment.name} {scenario.seed} with {planner}")
@@ -196,7 +193,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
         for pair in pairs_of(merged(flown), plan):
-            if pair.planned.function not in done:
+            if (pair.planned.function, pair.planned.signature) not in done:
                 tell(f"injecting {3 * faults} faults in {pair.planned.function}")
                 certificates.append(certify(pair, faults, plan.digest))
     if not certificates:
@@ -219,7 +216,7 @@ def merged(seen: Sequence[Seen]) -> list[Seen]:
 
 
 def save_certification(certification: Certification, plan_path: Path) -> Path:
-    """Write the certificate beside a plan; returns its path, e.g. plan.certificate.json.
+    """Write the certificate next to the plan; returns its path, e.g. plan.certificate.json.
 
     Raises:
         BadInputError: The file cannot be written.

@@ -6,8 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.hardening.advise import Advice, Curve, Step, coverage_of
-from mavfi.campaign.hardening.advise import together as joined
+from mavfi.campaign.hardening.advise import Advice, Curve, Step, coverage_of, coverage_of_steps
 from mavfi.campaign.hardening.ledger import Harm
 from mavfi.campaign.hardening.study import Study
 from mavfi.campaign.hardening.target import Target
@@ -24,7 +23,7 @@ def summary(study: Study, advices: Sequence[Advice], harm: Harm) -> dict[str, An
     pairs = [pair for advice in advices for pair in advice.steps if pair[0].target.injections]
     return {
         "campaign": study.campaign.name, "ledger": study.digest, "budget": first.budget, "spent": first.spent,
-        "coverage": asdict(first.coverage()), "injections": sum(len(curve.target.injections) for curve, _ in pairs),
+        "coverage": asdict(first.coverage), "injections": sum(len(curve.target.injections) for curve, _ in pairs),
         "kernels": [_kernel(kernel, pairs) for kernel in study.kernels],
         "functions": [_function(curve, step) for curve, step in pairs],
         "harm": asdict(harm),
@@ -33,12 +32,11 @@ def summary(study: Study, advices: Sequence[Advice], harm: Harm) -> dict[str, An
 
 def _kernel(kernel: str, pairs: Sequence[tuple[Curve, Step]]) -> dict[str, Any]:
     own = [(curve, step) for curve, step in pairs if kernel in curve.target.kernels]
-    found = joined([(curve.target.name, curve.target.sdc_mass, step.judged) for curve, step in own])
     share = sum(curve.share for curve, _ in own)
     added = sum(curve.extra(step) for curve, step in own)
     return {
         "kernel": kernel, "share": share, "added": added, "time": 1 + added / share if share else 1.0,
-        "coverage": asdict(found),
+        "coverage": asdict(coverage_of_steps(own)),
     }  # fmt: skip
 
 

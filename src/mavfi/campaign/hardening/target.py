@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -44,16 +43,15 @@ class Target:
         """Module and name, as in a plan."""
         return name_of(self.seen.function)
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Name and signature, as in a plan."""
+        return self.name, self.seen.signature_text
+
     @cached_property
     def source(self) -> Source:
         """IR as in a fresh process."""
         return cached_source(self.seen.function, self.seen.signature)
-
-    @property
-    def environment(self) -> Any:
-        """Numba's environment of the function."""
-        self.seen.function.compile(self.seen.signature)
-        return self.seen.function.overloads[self.seen.signature].environment
 
     @cached_property
     def module(self) -> Module:
@@ -94,7 +92,7 @@ class Target:
 
     @property
     def sdc_mass(self) -> float:
-        """The same of the whole function: dynamic instructions x rate of silent corruption."""
+        """Expected silent corruptions of the whole function: dynamic instructions x rate of silent corruption."""
         return sum(mass for *_, mass in self.masses)
 
     @cached_property

@@ -29,8 +29,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
-from mavfi.ir import name_of
-from mavfi.ir.build import Rewriting
+from mavfi.ir.build import Rewriting, name_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, INJECTABLE

@@ -7,8 +7,8 @@ from mavfi.faults.instruction.plan import budget_for, injection_of
 from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.faults.instruction.strata import Estimate, Stratum, choose, draw_stratified, estimate
 from mavfi.faults.instruction.table import Site
-from mavfi.ir import BuildError, RefusedError
 from mavfi.ir.forked import Ended, ForkPoint, run_in_child
+from mavfi.ir.refusal import BuildError, RefusedError
 
 __all__ = [
     "BuildError", "Counting", "Ended", "Estimate", "ForkPoint", "InjectedCall", "Injecting", "InstructionFault",

@@ -19,7 +19,7 @@ from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.flight_log import Injection
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.refusal import BuildError
 

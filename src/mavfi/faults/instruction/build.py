@@ -1,5 +1,6 @@
 """Builds the instrumented variant of a kernel, or loads it from the cache."""
 
+import inspect
 import json
 import zlib
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from mavfi.faults.instruction.instrument import Instrumented, instrument
 from mavfi.faults.instruction.table import Table
 from mavfi.faults.instruction.tally import optimised
 from mavfi.ir.build import Rewrite, Source, build_apart, source_of, translate
-from mavfi.ir.object_cache import ObjectCache
+from mavfi.ir.object_cache import ObjectCache, folder_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,8 @@ class Built:
 def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
     cache = ObjectCache("instruction", Path(__file__).parent)
-    key = cache.key(kernel, signature, *([] if rewrite is None else [rewrite.key]))
+    more = [] if rewrite is None else [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
+    key = cache.key(kernel, signature, *more)
     data = cache.load(key)
     if data is not None:
         return Built.unpack(data)
@@ -67,7 +69,7 @@ def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | Non
 def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """Instrument a Numba dispatcher for one signature (Numba types of the arguments), rewritten before.
 
-    Raises a RefusedError for an unknown construct, and a BuildError if the compiler crashes.
+    Raises a RefusedError for an unknown construct, a BuildError if the compiler crashes, and the errors of `rewrite`.
     """
     return Built.unpack(build_apart(kernel, signature, partial(make, rewrite=rewrite)))
 

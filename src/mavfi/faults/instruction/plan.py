@@ -13,7 +13,7 @@ from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Report, Variant
 from mavfi.flight_log import Injection
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 
 DATA = (FLOATING, INTEGER)
 """Value classes that feed neither addresses nor branches."""

@@ -29,7 +29,7 @@ from mavfi.faults.instruction.plan import budget_for, plan
 from mavfi.faults.instruction.selection import Selection, parse_selection
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, variant_for
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 
 _EVEN = 0.5
 """Share of the faults spread evenly over strata."""

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-import llvmlite.binding as llvm
 import numba
 import numpy as np
 
@@ -21,9 +20,7 @@ from mavfi.faults.instruction.refusal import AllocationError
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.instruction.tally import HISTOGRAM
-from mavfi.ir.build import Rewrite, Rewriting, check, name_of, target_machine
-
-_CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
+from mavfi.ir.build import Rewrite, Rewriting, check, environment_of, load_code, name_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +105,7 @@ class Variant:
 
     def _load(self, code: bytes) -> tuple[Any, Any]:
         """Engine of an object file, and its function."""
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        engine.finalize_object()
-        place = engine.get_global_value_address(self._built.environment)
-        if place:
-            ctypes.c_void_p.from_address(place).value = id(self._environment)
-        return engine, _CALL(engine.get_function_address(self._built.wrapper))
+        return load_code(code, self._built.wrapper, self._built.environment, self._environment)
 
     def own_report(self) -> None:
         """Direct reports of later injections to this process; called by the reading process before it forks.
@@ -288,6 +279,5 @@ def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None 
     key = signature, b"" if rewrite is None else rewrite.key
     if key not in known:
         built = cached_build(kernel, signature, rewrite)
-        kernel.compile(signature)
-        known[key] = Variant(built, kernel.overloads[signature].environment)
+        known[key] = Variant(built, environment_of(kernel, signature))
     return known[key]

@@ -134,14 +134,14 @@ def _try(search: _Search, attempt: _Attempt) -> Done | None:
 def flip_here(
     fault: RegisterFault, choices: random.Random, tracee: Tracee, memory: int, walk: Callable[[int], bool]
 ) -> Done | None:
-    """Flip a bit at the first eligible instruction from a stopped thread's current one on.
+    """Flip a bit at the first eligible instruction, beginning with the next one of a stopped thread.
 
     Args:
         fault: The fault.
         choices: Draws access, register and bit.
         tracee: The thread.
         memory: File of its memory.
-        walk: Executes a number of instructions; False = the thread cannot go on.
+        walk: Executes a number of instructions; False = the thread cannot continue.
 
     Returns:
         The injection; None if no instruction within reach is eligible.

@@ -36,7 +36,7 @@ from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -174,8 +174,8 @@ class Forks(ABC):
 
     def _repetition(self, function: Any, args: tuple[Any, ...]) -> str:
         """See `repetition_of`."""
-        scenario = self.loop.scenario
-        return repetition_of(scenario, name_of(function), signature_of(args)) if scenario.protection else ""
+        plan = self.loop.scenario.protection
+        return "" if plan is None else repetition_of(plan, name_of(function), signature_of(args))
 
     def _fault_in(
         self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]

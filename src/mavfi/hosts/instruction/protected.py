@@ -16,6 +16,7 @@ themselves.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,9 @@ from mavfi.faults.instruction.api import apart
 from mavfi.faults.instruction.variant import Passes, Variant
 from mavfi.flight_log import AlarmRecord
 from mavfi.hardening.plan import Plan
-from mavfi.hardening.protection import Protection
+from mavfi.hardening.protection import protection_of
 from mavfi.hardening.wrapper import MESSAGE
-from mavfi.ir.build import Rewrite, Rewriting
+from mavfi.ir.build import Rewriting
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import State
@@ -37,24 +38,15 @@ SOURCE = "protection"
 """Source of the alarms."""
 
 
-def repetition_of(scenario: Scenario, kernel: str, signature: tuple[Any, ...]) -> str:
+def repetition_of(plan: Plan, kernel: str, signature: tuple[Any, ...]) -> str:
     """Kind of protection by repetition of a function: "rerun" or "vote"; "" = none."""
-    found = None if scenario.protection is None else scenario.protection.find(kernel, signature)
+    found = plan.find(kernel, signature)
     return found.kind if found is not None and found.kind in ("rerun", "vote") else ""
 
 
 def rewriting_of(scenario: Scenario) -> Rewriting | None:
     """Transformation of a mission's kernels; None = none is protected."""
-    return None if scenario.protection is None else _Protections(scenario.protection)
-
-
-class _Protections:
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-
-    def __call__(self, kernel: str, signature: tuple[Any, ...]) -> Rewrite | None:
-        found = self._plan.find(kernel, signature)
-        return Protection(found) if found is not None and found.sites else None
+    return None if scenario.protection is None else partial(protection_of, scenario.protection)
 
 
 def paired(fault: InstructionFault, plain: Variant, protected: Variant, args: tuple[Any, ...]) -> InstructionFault:

@@ -7,7 +7,7 @@ import numpy as np
 from mavfi import config as configs
 from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.errors import BadInputError
-from mavfi.hardening.plan import Plan
+from mavfi.hardening.plan import Plan, load_plan
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
@@ -79,7 +79,7 @@ def _protection(name: str) -> Plan | None:
     """What flights depend on of a protection plan; "" = none."""
     if not name:
         return None
-    plan = shipped("protections", Plan, name)
+    plan = load_plan(name)
     plan.check_versions()
     for one in plan.functions:
         if one.kernel not in INJECTED_KERNEL:

@@ -1,11 +1,13 @@
 """Hardening advice and certificates as sentences and tables."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
+from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.hardening.certify import Certificate, together
+from mavfi.campaign.hardening.certify import REFUTED, Certificate, together
 from mavfi.campaign.hardening.study import Certification
 from mavfi.reports.text import ABSENT, percent
 
@@ -14,7 +16,6 @@ _CERTIFICATE = (
     "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "SDCs removed", "predicted", "",
     "pairs",
 )  # fmt: skip
-DUE = ("crash", "hang", "exception")
 
 
 def headline(summary: Mapping[str, Any]) -> str:
@@ -37,7 +38,7 @@ def caveats(summary: Mapping[str, Any]) -> list[str]:
         f"It does not buy missions: {silent['successes']} of {silent['n']} flights with an SDC were lost, "
         f"{interval(silent)}; {dead['successes']} of {dead['n']} with a dead kernel.",
         f"It does not buy crashes: {interval(share)} of the injections ended in a crash, hang or exception; "
-        "duplication detects some of them, at machine level hardly any.",
+        "duplication detects some of them at IR level, which says nothing about machine level.",
     ]
 
 
@@ -65,7 +66,7 @@ def verdict_line(certification: Certification) -> str:
     outcome = "refuted" if certification.refuted else "confirmed"
     return (
         f"The plan is {outcome}: {interval_of(together(certification.certificates))} of all SDCs are removed, on fresh "
-        f"missions and faults; {verdicts.count('refuted')} of {len(verdicts)} predictions are refuted; golden digests "
+        f"missions and faults; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted; golden digests "
         f"equal in {golden.same} of {golden.flights} flights; {golden.alarms} false alarms in {golden.calls:,} calls."
     )
 
@@ -85,20 +86,17 @@ def certificate_table(certification: Certification) -> Table:
 
 def _certificate_row(one: Certificate) -> tuple[str, ...]:
     n = sum(one.after.values())
-    predicted = ABSENT if one.predicted is None else interval(
-        {"rate": one.predicted.estimate, "low": one.predicted.low, "high": one.predicted.high}
-    )  # fmt: skip
     return (
         one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc_before), interval_of(one.sdc_after),
-        percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in DUE) / n),
-        f"×{one.growth:.2f}", interval_of(one.coverage), predicted, one.verdict,
+        percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in KERNEL_DUE) / n),
+        f"×{one.growth:.2f}", interval_of(one.coverage), interval_of(one.predicted_rate), one.verdict,
         f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
     )  # fmt: skip
 
 
 def interval_of(found: Rate) -> str:
     """A rate with its interval, in per cent."""
-    return interval({"rate": found.rate, "low": found.low, "high": found.high})
+    return interval(asdict(found))
 
 
 def interval(found: Mapping[str, Any]) -> str:

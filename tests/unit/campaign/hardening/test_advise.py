@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.campaign.hardening.advise import Advice, Curve, Step, allocate, coverage_of, together
+from mavfi.campaign.hardening.advise import Advice, Curve, Step, allocate, coverage_of, coverage_of_steps
 from mavfi.campaign.hardening.ledger import Injected
 from mavfi.hardening.choose import NOTHING
 
@@ -15,7 +15,6 @@ from mavfi.hardening.choose import NOTHING
 class Target:
     name: str
     sdc_mass: float
-    kernels: tuple[str, ...] = ("pid",)
 
 
 def judged(hits, n, world=lambda i: f"dense {i}"):
@@ -61,13 +60,16 @@ def test_predicted_coverage_counts_missions_as_clusters():
 
 
 def test_functions_count_by_their_silent_corruptions():
-    found = together([("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 5.0, [])])
+    parts = [("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 5.0, [])]
+    found = coverage_of_steps(
+        [(Curve(Target(name, mass), 1.0, 0.1, ()), Step(1.0, NOTHING, 1.0, own)) for name, mass, own in parts]
+    )
     assert found.rate == pytest.approx(0.9)
     assert found.low < 0.9 < found.high
 
 
 def test_an_advice_sums_time_over_its_functions():
-    advice = Advice(0.2, (SMALL, LARGE), allocate([SMALL, LARGE], 0.14), besides=0.01)
+    advice = Advice(0.2, (SMALL, LARGE), allocate([SMALL, LARGE], 0.14), shared=0.01)
     assert advice.spent == pytest.approx(0.01 + 0.1 * 0.4 + 0.9 * 0.1)
-    assert advice.coverage().rate == pytest.approx((50 * 0.95 + 100 * 0.2) / 150)
-    assert advice.coverage("octomap").rate is None
+    assert advice.coverage.rate == pytest.approx((50 * 0.95 + 100 * 0.2) / 150)
+    assert Advice(0.2, (), ()).coverage.rate is None

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mavfi.campaign.hardening.battery import MASKED, SDC, Battery, shares
+from mavfi.campaign.hardening.battery import MASKED, SDC, Battery, counts_of
 from mavfi.campaign.hardening.outputs import outputs_of
 from mavfi.faults.instruction.variant import variant_for
 from tests.unit.campaign.hardening.kernels import calls, smooth
@@ -31,7 +31,7 @@ def test_injections_have_effects_and_can_be_repeated(battery):
     before = [(values.copy(), out.copy()) for values, out in battery.calls]
     effects = battery.run(places)
     assert effects == battery.run(places)
-    counted = shares(effects)
+    counted = counts_of(effects)
     assert counted[SDC] > 0 and counted[MASKED] > 0 and sum(counted.values()) == 30
     np.testing.assert_equal([tuple(args) for args in battery.calls], before)
 

@@ -11,10 +11,10 @@ from mavfi.errors import BadInputError
 @pytest.mark.slow  # builds seven variants of the kernel
 def test_the_example_protects_its_kernel_and_certifies_it(capsys):
     example.main(30)
-    told = capsys.readouterr().out.splitlines()
-    assert len([line for line in told if line.startswith("time x")]) == 6
-    assert told[-3].startswith("chosen: ") and "prediction" in told[-2]
-    assert float(told[-1].rpartition(" ")[2]) > 0
+    printed = capsys.readouterr().out.splitlines()
+    assert len([line for line in printed if line.startswith("time x")]) == 6
+    assert printed[-3].startswith("chosen: ") and "prediction" in printed[-2]
+    assert float(printed[-1].rpartition(" ")[2]) > 0
 
 
 def test_calls_of_several_types_or_none_are_refused():

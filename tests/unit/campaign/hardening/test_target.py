@@ -73,14 +73,14 @@ class Study:
 def test_a_summary_adds_up(target):
     steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in choices_of(target))
     advice = Advice(0.5, (Curve(target, 1.0, 0.2, steps),), (3,))
-    told = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
-    (function,), (kernel,) = told["functions"], told["kernels"]
+    found = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
+    (function,), (kernel,) = found["functions"], found["kernels"]
     assert sum(function["escapes"].values()) == pytest.approx(1.0)
     assert sum(line["sdc"] for line in function["lines"]) == pytest.approx(1.0)
     assert sum(line["sdc"] * line["protected"] for line in function["lines"]) == pytest.approx(
         function["escapes"]["protected"]
     )
-    assert told["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
+    assert found["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
     assert [step["chosen"] for step in function["steps"]] == [False, False, False, True, False, False]
 
 

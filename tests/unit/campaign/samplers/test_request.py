@@ -5,7 +5,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import MemoryRequest, parse
 from mavfi.hosts.loop.compose import resolve
-from mavfi.ir import name_of
+from mavfi.ir.build import name_of
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 

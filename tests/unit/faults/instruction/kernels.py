@@ -76,3 +76,13 @@ def masking(a, b, i, j):
 
 
 MASKING = (1.7, -2.3, 7, 12)
+
+
+def closure(factor):
+    """A kernel that encloses a value."""
+
+    @kernel_jit
+    def scaled(x):
+        return x * factor
+
+    return scaled

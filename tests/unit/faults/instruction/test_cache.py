@@ -9,7 +9,7 @@ import pytest
 from mavfi.faults.instruction import BuildError, build
 from mavfi.faults.instruction.build import Built, cached_build
 from mavfi.ir import object_cache
-from mavfi.numerics.jit import kernel_jit
+from tests.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)
 SOURCE = """
@@ -48,11 +48,15 @@ def builds(monkeypatch):
 
 def load(path, factor):
     path.write_text(SOURCE.format(factor=factor), encoding="utf-8")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    return module_at(path, path.stem).kernel
+
+
+def module_at(path, name):
+    spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
-    return module.kernel
+    return module
 
 
 @pytest.mark.slow
@@ -105,12 +109,15 @@ def test_without_a_folder_there_is_no_cache(monkeypatch, builds, tmp_path):
     assert builds == ["kernel", "kernel"]
 
 
-def closure(factor):
-    @kernel_jit
-    def scaled(x):
-        return x * factor
-
-    return scaled
+def test_rewritten_code_depends_on_the_text_of_the_package_that_rewrites_it(folder, monkeypatch, tmp_path):
+    kernel, built, names = closure(2.0), build.build(closure(2.0), FLOAT), []
+    monkeypatch.setattr(build, "build", lambda *_: names.append("built") or built)
+    for number, change in enumerate(("1", "2", "2")):
+        path = tmp_path / f"package{number}" / "rewriting.py"
+        path.parent.mkdir()
+        path.write_text(f"class Rewriting:\n    key = b'one'\n    change = {change}\n", encoding="utf-8")
+        cached_build(kernel, FLOAT, module_at(path, f"rewriting{number}").Rewriting())
+    assert len(names) == 2
 
 
 def test_an_entry_survives_packing(tmp_path):

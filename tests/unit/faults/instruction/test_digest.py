@@ -11,9 +11,10 @@ import pytest
 from mavfi.faults.instruction import RefusedError
 from mavfi.faults.instruction.build import build
 from mavfi.faults.instruction.instrument import instrument
-from mavfi.ir import BuildError, Ended
 from mavfi.ir import build as building
 from mavfi.ir.digest import digest_of_text
+from mavfi.ir.forked import Ended
+from mavfi.ir.refusal import BuildError
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.unit.faults.instruction.test_refusals import calling
 from tests.unit.kernels.cases import CASES

@@ -50,13 +50,13 @@ def test_source_lines_have_their_text_and_gaps():
 
 
 def test_sentences():
-    told = summary()
-    assert headline(told).startswith("Protect pid, octomap: 9.9 % more kernel time")
-    told["kernels"] = [row | {"added": 0.0, "coverage": rate(0.0)} for row in told["kernels"]]
-    assert headline(told) == "Nothing can be protected within 10.0 % of a flight's kernel time."
-    assert "of 60 with a dead kernel" in caveats(told)[0]
+    advice = summary()
+    assert headline(advice).startswith("Protect pid, octomap: 9.9 % more kernel time")
+    advice["kernels"] = [row | {"added": 0.0, "coverage": rate(0.0)} for row in advice["kernels"]]
+    assert headline(advice) == "Nothing can be protected within 10.0 % of a flight's kernel time."
+    assert "of 60 with a dead kernel" in caveats(advice)[0]
     assert interval(rate(None)) == "—"
-    assert advice_table(told).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
+    assert advice_table(advice).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
 
 
 def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
