@@ -360,8 +360,7 @@ class RegisterFault(Planned):
 Fault = StateFault | MemoryFault | InstructionFault | MessageFault | RegisterFault | SensorFault
 """A planned fault of any level."""
 LEVELS: dict[str, type[Fault]] = {
-    kind.level: kind
-    for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault, SensorFault)
+    kind.level: kind for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault, SensorFault)
 }
 
 

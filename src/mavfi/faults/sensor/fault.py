@@ -55,6 +55,8 @@ TYPES = {
 }
 """Types of failures: MAVLink's FAILURE_TYPE (https://mavlink.io/en/messages/common.html#FAILURE_TYPE), and drift."""
 NULL = "ok"
+RANDOM = ("garbage", "intermittent")
+"""Types that draw values by the seed."""
 FAILING = tuple(kind for kind in TYPES if kind != NULL)
 SLOW_US, DELAY_US, BLOCK_US, DRIFT_US = 500_000, 200_000, 100_000, 10_000_000
 """Period of `slow`, delay of `delayed`, block of `intermittent`, and time in which `drift` reaches `wrong`."""

@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import MemoryFault, SensorFault, StateFault
+from mavfi.faults.fault import MemoryFault, StateFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector

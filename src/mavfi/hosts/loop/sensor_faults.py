@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, SensorFault
+from mavfi.faults.fault import Fault
 from mavfi.faults.sensor.failures import Failures
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import Injection
 from mavfi.hosts.loop.scheduler import Loop
-from mavfi.mission import Scenario
 from mavfi.sim.controller import Controller
 from mavfi.states import State, floats
 
@@ -65,7 +65,7 @@ class SensorInjector:
     spent = True
 
     def __init__(self, loop: Loop, fault: SensorFault) -> None:
-        check_read(fault.unit, loop.scenario)
+        check_read(fault.unit, loop.scenario.flight_controller, loop.scenario.localization.kind)
         plant: Any = loop.plant
         self._plant, self._estimating = plant, loop.sensors.estimating
         self._failures = Failures()
@@ -123,14 +123,13 @@ def _with_header(state: State, values: np.ndarray) -> State:
     return seen
 
 
-def check_read(unit: str, scenario: Scenario) -> None:
+def check_read(unit: str, flight_controller: str, localization: str) -> None:
     """Check that something in a mission reads a device.
 
     Raises:
         BadInputError: Nothing does.
     """
-    own = scenario.flight_controller == _OWN_CONTROLLER and scenario.localization.kind == "truth"
-    if unit == "accelerometer" and own:
+    if unit == "accelerometer" and flight_controller == _OWN_CONTROLLER and localization == "truth":
         raise BadInputError(
             "fault in accelerometer: localization truth and our flight controller do not read it; "
             "allowed: localization estimator, or flight_controller betaflight"
