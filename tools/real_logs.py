@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mavfi.flight_logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, read_recording, select
+from mavfi.flight_logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, judge_rest, read_recording, select
 from mavfi.reports.log_watch import Rates, rate_text, share_text
 from tools.markers import ROOT
 
@@ -30,8 +30,7 @@ SETS = {
 def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> list[Judged]:
     """Each recording judged by a detector trained on all others; a single one by its own first half."""
     if len(recordings) == 1:
-        first, rest = recordings[0].split(0.5)
-        return [LogWatch(kind, profile, select([first, rest]), [first]).judge(rest, FLIPS)]
+        return [judge_rest(kind, profile, recordings[0], 0.5, flips=FLIPS)[1]]
     probes = select([recording.normal for recording in recordings])
     found = []
     for recording in recordings:
@@ -44,12 +43,10 @@ def rows(name: str, recordings: Sequence[Recording]) -> list[str]:
     """One row per detector and profile."""
     found = []
     for kind, profile in SETTINGS:
-        judged = judge_apart(recordings, kind, profile)
-        rates = Rates(judged)
-        alarms = sum(len(one.alarms) for one in judged)
+        rates = Rates(judge_apart(recordings, kind, profile))
         cells = [
             name, f"{kind}, {profile}", f"{rates.exposure_s / 60:.1f} min", str(rates.alarms.events),
-            rate_text(rates.alarms), f"{100 * alarms / sum(one.messages for one in judged):.2g} %",
+            rate_text(rates.alarms), f"{rates.alarm_percent:.2g} %",
             *(share_text(rates.flips[bits]) if bits in rates.flips else "–" for bits in BIT_CLASSES),
             share_text(rates.faults), ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or "–",
         ]  # fmt: skip
@@ -79,8 +76,8 @@ def page(folder: Path) -> str:
         f"{FLIPS} bits per recording, equally many in sign, exponent and mantissa of floating-point fields, each "
         "alone; detected: an alarm on the message, or on the next one of its topic, that the recording itself does not "
         "have. "
-        "Intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights. A flip in a "
-        "value near 0 stays small whatever its bit, so many flips in the exponent pass.\n\n"
+        "Intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights. A value "
+        "near 0 stays small, whichever bit flips, so many flips in the exponent pass.\n\n"
         f"| {' | '.join(head)} |\n|{'---|' * len(head)}\n" + "\n".join(parts) + "\n"
     )
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 OF_THE_PIPELINE = (
     "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
-    "epoch_liveness", *RECOVERY,
+    "epoch_liveness", "protection", *RECOVERY,
 )  # fmt: skip
 _CLOCKS = ("real", "steps")
 

@@ -9,21 +9,34 @@ import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import check_writable, console, write_json
+from mavfi.config import Config, parse
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Publication
     from mavfi.flight_log import FlightLog
     from mavfi.hosts.host import ArmSetup
     from mavfi.mission import Scenario
-    from mavfi.reports.export.timeline import Publications
-    from mavfi.sim.environments import World
+
+    Recorded = tuple[FlightLog, list[Publication] | None, FlightLog | None]
+    """A flight, its publications, and its golden run; None = unknown."""
 
 ENDINGS = (".bag", ".mcap", ".ulg", ".tlog", ".csv")
 ROS_ENDINGS = (".bag", ".mcap")
 """Formats with publications, for which the flight is flown again."""
 RUNS = (".parquet", ".csv")
 """File name extensions for the runs of a campaign."""
+
+
+class Request(Config):
+    """What a saved flight was flown with, as stored by `mavfi fly --save`."""
+
+    mission: MissionSpec
+    fault: dict[str, Any] | None = None
+    detector: str = "none"
+    profile: str | None = None
+    models: Path | None = None
 
 
 def export(
@@ -65,11 +78,9 @@ def export(
     if run_id and not flight.is_dir():
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
-    if to.suffix in ROS_ENDINGS:
-        log, count = _write_ros(flight, run_id, to)
-    else:
-        log = _log(flight, run_id)
-        count = _write(log, to)
+    read = _recorded if to.suffix in ROS_ENDINGS else _stored
+    log, published, golden = read(flight, run_id)
+    count = _write(log, to, str(flight), published, golden)
     unit = "rows" if to.suffix == ".csv" else "messages"
     if as_json:
         write_json({"file": str(to), "written": count, "unit": unit})
@@ -94,78 +105,30 @@ def _export_runs(directory: Path, to: Path, as_json: bool) -> None:
     console().print(f"{to}: {frame.height} runs, {frame.width} columns", soft_wrap=True)
 
 
-def _log(flight: Path, run_id: str) -> FlightLog:
+def _stored(source: Path, run_id: str) -> Recorded:
+    """The flight alone."""
     if run_id:
         from mavfi.campaign.replay import replay
 
-        return replay(flight, run_id).flight.log
+        return replay(source, run_id).flight.log, None, None
     from mavfi.flight_log import FlightLog
 
-    return FlightLog.load(flight)
+    return FlightLog.load(source), None, None
 
 
-def _write(log: FlightLog, to: Path) -> int:
-    from mavfi.reports.export.files import write_csv
-    from mavfi.reports.export.tlog import write_tlog
-    from mavfi.reports.export.ulog import write_ulog
-
-    return {".csv": write_csv, ".ulg": write_ulog, ".tlog": write_tlog}[to.suffix](log, to)
-
-
-def _write_ros(source: Path, run_id: str, to: Path) -> tuple[FlightLog, int]:
-    """Write a bag or an mcap file; returns the flight and the number of messages."""
-    from mavfi.reports.export.files import write_bag, write_mcap
-    from mavfi.reports.export.timeline import timeline
-
-    log, published, golden = _recorded_run(source, run_id) if run_id else _recorded_file(source)
-    _, world = _mission_of(log, str(source))
-    write = write_bag if to.suffix == ".bag" else write_mcap
-    return log, write(timeline(log, world, published, golden), to)
-
-
-def _recorded_run(directory: Path, run_id: str) -> tuple[FlightLog, Publications, FlightLog | None]:
-    """Log, publications and golden run of a run of a campaign."""
-    from mavfi.campaign.replay import recorded_again
-
-    flight, published, golden = recorded_again(directory, run_id)
-    return flight.log, _publications(flight.log, published), None if golden is None else golden.log
-
-
-def _publications(log: FlightLog, published: list[Publication]) -> Publications:
-    """The publications with the geometry of the map."""
-    import numpy as np
-
-    from mavfi.hosts.loop.compose import pipeline_config
-    from mavfi.pipeline.kernel import map_grid
-    from mavfi.reports.export.timeline import Publications
-
-    scenario, world = _mission_of(log, "flight")
-    grid = map_grid(pipeline_config(scenario, world, np.zeros((1, 3))))
-    return Publications([(item.time_us, item.state) for item in published], grid)
-
-
-def _mission_of(log: FlightLog, source: str) -> tuple[Scenario, World]:
-    """Scenario and world of a flight."""
-    from mavfi.config import parse
-    from mavfi.mission import Scenario
-    from mavfi.sim.environments import build_world
-
-    scenario = parse(Scenario, log.meta.get("scenario", {}), f"{source}: scenario")
-    return scenario, build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
-
-
-def _recorded_file(source: Path) -> tuple[FlightLog, Publications | None, FlightLog | None]:
-    """Log of a file, with the publications and the golden run of a second flight if that is bit-identical."""
-    from mavfi.campaign.replay import fly_recorded
+def _recorded(source: Path, run_id: str) -> Recorded:
+    """The flight with publications and golden run, flown again; a saved flight must be bit-identical to the second."""
+    from mavfi.campaign.replay import fly_recorded, recorded_again
     from mavfi.faults.fault import fault_from_json
-    from mavfi.flight_log import FlightLog
 
-    log = FlightLog.load(source)
-    scenario, _ = _mission_of(log, str(source))
-    request = log.meta.get("request")
-    request = request if isinstance(request, dict) and isinstance(request.get("mission"), dict) else {}
+    if run_id:
+        flight, published, reference = recorded_again(source, run_id)
+        return flight.log, published, None if reference is None else reference.log
+    log, _, _ = _stored(source, "")
+    scenario = _scenario(log, str(source))
     try:
-        fault = None if request.get("fault") is None else fault_from_json(request["fault"])
+        request = None if log.meta.get("request") is None else parse(Request, log.meta["request"], "request")
+        fault = None if request is None or request.fault is None else fault_from_json(request.fault)
         setup = _setup(request, scenario)
         flight, published = fly_recorded(setup, fault)
         if flight.log.digest() != log.digest():
@@ -175,23 +138,53 @@ def _recorded_file(source: Path) -> tuple[FlightLog, Publications | None, Flight
         text = f"{source}: cannot be flown again ({error}); exported without publications and golden path"
         console(error=True).print(text, markup=False, soft_wrap=True)
         return log, None, None
-    return log, _publications(log, published), golden
+    return log, published, golden
 
 
-def _setup(request: dict[str, Any], scenario: Scenario) -> ArmSetup:
+def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
     from mavfi.cli.fly import load_watcher
-    from mavfi.config import parse
     from mavfi.hosts.host import ArmSetup
     from mavfi.hosts.loop.compose import resolve
     from mavfi.hosts.loop.recovery import Recovery
     from mavfi.hosts.watching import with_keys_of
-    from mavfi.mission import MissionSpec
 
-    if not request:
+    if request is None:
         return ArmSetup(scenario)
-    detector, models = str(request.get("detector")), request.get("models")
-    spec = with_keys_of(parse(MissionSpec, request["mission"], "mission"), detector)
+    spec = with_keys_of(request.mission, request.detector)
     resolved = resolve(spec)
-    watcher, _ = load_watcher(detector, request.get("profile"), None if models is None else Path(models), resolved)
+    watcher, _ = load_watcher(request.detector, request.profile, request.models, resolved)
     return ArmSetup(resolved, None if watcher is None else lambda: watcher, Recovery.of(spec))
+
+
+def _write(
+    log: FlightLog, to: Path, source: str, published: list[Publication] | None = None, golden: FlightLog | None = None
+) -> int:
+    """Write a file by its ending; returns the number of messages or rows."""
+    from mavfi.reports.export.files import write_bag, write_csv, write_mcap
+    from mavfi.reports.export.tlog import write_tlog
+    from mavfi.reports.export.ulog import write_ulog
+
+    if to.suffix not in ROS_ENDINGS:
+        return {".csv": write_csv, ".ulg": write_ulog, ".tlog": write_tlog}[to.suffix](log, to)
+    import numpy as np
+
+    from mavfi.hosts.loop.compose import pipeline_config
+    from mavfi.pipeline.kernel import map_grid
+    from mavfi.reports.export.timeline import Publications, timeline
+    from mavfi.sim.environments import build_world
+
+    scenario = _scenario(log, source)
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    publications = None
+    if published is not None:
+        grid = map_grid(pipeline_config(scenario, world, np.zeros((1, 3))))
+        publications = Publications([(item.time_us, item.state) for item in published], grid)
+    write = write_bag if to.suffix == ".bag" else write_mcap
+    return write(timeline(log, world, publications, golden), to)
+
+
+def _scenario(log: FlightLog, source: str) -> Scenario:
+    from mavfi.mission import Scenario
+
+    return parse(Scenario, log.meta.get("scenario", {}), f"{source}: scenario")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -31,13 +31,13 @@ def _mavlink() -> None:
 def serve(
     mission: MissionSpec,
     port: Annotated[int, typer.Option(help="UDP port of the autopilot on 127.0.0.1; 0 = any free one.")] = 14580,
-    speed: Annotated[float, typer.Option(help="Simulated time / time.")] = 1.0,
-    seconds: Annotated[float | None, typer.Option(help="Serve for so long, s; until Ctrl-C by default.")] = None,
+    speed: Annotated[float, typer.Option(help="Simulated time per wall time.")] = 1.0,
+    seconds: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Serve a vehicle with PX4's modes to ground stations and MAVSDK programs, in wall time.
 
-    Telemetry goes to the UDP ports 14540 and 14550 of this machine, and to whoever sends a message.  Failures are
+    Telemetry goes to the UDP ports 14540 and 14550 of this machine, and to every sender of a message.  Failures are
     injected by MAV_CMD_INJECT_FAILURE.
 
     Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
@@ -59,19 +59,15 @@ def serve(
 
 
 def _show(server: Server, as_json: bool) -> None:
-    """Print the state at the end."""
-    told = _told(server)
-    if as_json:
-        write_json(told)
-    else:
-        console().print(", ".join(f"{key.replace('_', ' ')} {value}" for key, value in told.items()), markup=False)
-
-
-def _told(server: Server) -> dict[str, Any]:
-    """State at the end."""
+    """Print the final state."""
     vehicle, autopilot = server.vehicle, server.autopilot
-    return {
+    state = {
         "time_s": 1e-6 * vehicle.now_us, "mode": autopilot.mode.name.lower(), "landed": vehicle.landed,
         "armed": vehicle.sim.armed, "collided": vehicle.has_collided, "messages": server.received,
         "position": [round(value, 3) for value in vehicle.position], "digest": vehicle.digest(),
     }  # fmt: skip
+    if as_json:
+        write_json(state)
+    else:
+        text = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in state.items())
+        console().print(text, markup=False, soft_wrap=True)

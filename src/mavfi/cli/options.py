@@ -40,6 +40,9 @@ DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
 """Names of entry points; importing the registry, which loads them, would slow down `--help`."""
 Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.")]
 Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")]
+WatchProfile = Annotated[str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")]
+"""Of detectors of foreign messages."""
+Duration = Annotated[float | None, typer.Option(help="Duration, s; until Ctrl-C by default.")]
 Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")]

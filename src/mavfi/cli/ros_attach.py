@@ -151,15 +151,13 @@ def watch(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
     ] = "",
     detector: Annotated[str, typer.Option(help=f"{options.DETECTORS}, or package:Class.")] = "gaussian",
-    profile: Annotated[
-        str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")
-    ] = "tuned",
+    profile: options.WatchProfile = "tuned",
     train: Annotated[
         str, typer.Option(metavar="FILE.bag|online", help="A ROS 1 bag of normal messages, or what comes first.")
     ] = "online",
     learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
     alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
-    duration: Annotated[float | None, typer.Option(help="Watch for so long, s; until Ctrl-C by default.")] = None,
+    duration: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
     r"""Monitor numeric fields of any topics with one of the paper's detectors; alarms are printed and published.
@@ -212,10 +210,9 @@ def _trained(
     from mavfi.hosts.node.watch import train
 
     check_name("--detector", chosen[0], of_monitored_fields())
-    used: list[int] = []
     if source == "online":
         probes = make_probes(listener.first(), fields)
-        return probes, train(*chosen, probes, listener.take(seconds), used.append), used[0]
+        return probes, *train(*chosen, probes, listener.take(seconds))
     return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
 
 
@@ -235,7 +232,6 @@ def trained_on_file(
     from mavfi.flight_logs.probe import make_probes
     from mavfi.hosts.node.watch import train
 
-    used: list[int] = []
     try:
         messages = list(open_flight_log(source).messages(topics))
         first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
@@ -244,6 +240,6 @@ def trained_on_file(
                 raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
         probes = make_probes(first, fields)
         parts = ((message.topic, message.data) for message in messages)
-        return probes, train(*chosen, probes, parts, used.append), used[0]
+        return probes, *train(*chosen, probes, parts)
     except MavfiError as error:
         raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

@@ -14,11 +14,9 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.flight_logs.watch import Judged, LogWatch, Recording
+    from mavfi.flight_logs.watch import Judged, LogWatch
     from mavfi.reports.log_watch import Rates
 
-_KINDS = ("gaussian", "autoencoder")
-_PROFILES = ("paper", "tuned")
 _MOST_FLIPS = 100_000
 _MOST_LISTED = 10
 
@@ -29,12 +27,10 @@ def watch(  # noqa: PLR0913 - one parameter per option
         list[Path] | None, typer.Option(metavar="LOG", help="A recorded flight that is normal; may be repeated.")
     ] = None,
     split: Annotated[
-        float | None, typer.Option(help="Instead of --train: this first share of each LOG is normal, judge the rest.")
+        float | None, typer.Option(help="Instead of --train: train on this first share of each LOG, judge the rest.")
     ] = None,
-    detector: Annotated[str, typer.Option(help=", ".join(_KINDS))] = "gaussian",
-    profile: Annotated[
-        str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")
-    ] = "tuned",
+    detector: Annotated[str, typer.Option(help="gaussian or autoencoder.")] = "gaussian",
+    profile: options.WatchProfile = "tuned",
     fields: Annotated[
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. ATTITUDE:roll; recommended ones or all by default.")
     ] = "",
@@ -42,17 +38,21 @@ def watch(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="TOPIC:FIELD", help="A number in LOG that is 0 until a known fault begins.")
     ] = "",
     inject: Annotated[int, typer.Option(help="Bits to flip in each LOG, one at a time.")] = 0,
-    seed: Annotated[int, typer.Option(help="Draws these flips.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of these flips.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Judge recorded flights with one of the paper's detectors, trained on other ones.
+    """Judge recorded flights with one of the paper's detectors, trained on others.
 
     Reports false alarms per hour, the share of injected flips that are detected, and the delay of known faults.
 
     Example: [bold]mavfi watch flight.ulg --train normal1.ulg --train normal2.ulg --inject 300[/bold]
     """
-    check_name("--detector", detector, _KINDS)
-    check_name("--profile", profile, _PROFILES)
+    from mavfi.detectors.preprocess import PROFILES
+    from mavfi.detectors.registry import of_monitored_fields
+    from mavfi.reports.log_watch import Rates
+
+    check_name("--detector", detector, of_monitored_fields())
+    check_name("--profile", profile, PROFILES)
     check_number("--split", split, 0.05, 0.95)
     check_number("--inject", inject, 0, _MOST_FLIPS)
     check_seed("--seed", seed)
@@ -60,20 +60,21 @@ def watch(  # noqa: PLR0913 - one parameter per option
         raise BadInputError("--train, --split: allowed: one of them")
     with stoppable("Stopped."):
         wanted = [part.strip() for part in fields.split(",") if part.strip()]
-        watching, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
-    from mavfi.reports.log_watch import Rates
-
-    rates = Rates(judged)
+        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+    rates, used = Rates(judged), sum(watching.trained_on for watching in trained)
+    names = {topic: [f.name for f in probe.spec.header] for watching in trained
+             for topic, probe in watching.probes.items()}  # fmt: skip
     if as_json:
-        names = {topic: [f.name for f in probe.spec.header] for topic, probe in watching.probes.items()}
         write_json(rates.to_json() | {
-            "detector": detector, "profile": profile, "fields": names, "trained_on": watching.trained_on,
+            "detector": detector, "profile": profile, "fields": names, "trained_on": used,
         })  # fmt: skip
         return
     out = console()
     out.print(rates.headline(), style="bold", markup=False)
-    for line in _summary(rates, watching, f"{detector} ({profile})"):
+    for line in _summary(rates):
         out.print(line, markup=False, soft_wrap=True)
+    monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
+    out.print(f"{detector} ({profile}), {monitored}; trained on {used} messages", markup=False, soft_wrap=True)
     out.print(_table(judged))
     _list_alarms(judged)
 
@@ -81,42 +82,30 @@ def watch(  # noqa: PLR0913 - one parameter per option
 def _judge(
     logs: list[Path], train: list[Path], split: float | None, chosen: tuple[str, str], fields: list[str], fault: str,
     flips: tuple[int, int],
-) -> tuple[LogWatch, list[Judged]]:  # fmt: skip
-    """Train and judge; a LOG that is split trains a detector of its own, and the last one is returned."""
-    from mavfi.flight_logs.watch import LogWatch, read_recording, select
+) -> tuple[list[LogWatch], list[Judged]]:  # fmt: skip
+    """Train and judge; each LOG that is split trains its own detector."""
+    from mavfi.flight_logs.watch import LogWatch, judge_rest, read_recording, select
 
     recordings = [read_recording(path, fault) for path in logs]
     if split is None:
         normal = [read_recording(path, fault, required=False).normal for path in train]
         probes = select([*normal, *(recording.normal for recording in recordings)], fields)
         watching = LogWatch(*chosen, probes, normal)
-        return watching, [watching.judge(recording, *flips) for recording in recordings]
-    judged: list[Judged] = []
-    for recording in recordings:
-        first, rest = _parts(recording, split)
-        watching = LogWatch(*chosen, select([first, rest.normal], fields), [first])
-        judged.append(watching.judge(rest, *flips))
-    return watching, judged
+        return [watching], [watching.judge(recording, *flips) for recording in recordings]
+    pairs = [judge_rest(*chosen, recording, split, fields, *flips) for recording in recordings]
+    return [watching for watching, _ in pairs], [judged for _, judged in pairs]
 
 
-def _parts(recording: Recording, share: float) -> tuple[Recording, Recording]:
-    """The part for training, and the judged one."""
-    first, rest = recording.split(share)
-    return first.normal, rest
-
-
-def _summary(rates: Rates, watching: LogWatch, name: str) -> list[str]:
-    """Detection of flips and known faults, and what was monitored."""
+def _summary(rates: Rates) -> list[str]:
+    """Detection of flips and known faults."""
     from mavfi.reports.log_watch import share_text
 
     lines = [f"flips detected, {bits}: {share_text(rate)}" for bits, rate in rates.flips.items()]
     if rates.faults.n:
         delays = rates.delays_s
-        told = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
-        lines.append(f"known faults followed by an alarm: {share_text(rates.faults)}{told}")
-    fields = sum(len(probe.spec.header) for probe in watching.probes.values())
-    topics = ", ".join(watching.probes)
-    return [*lines, f"{name}, {fields} fields of {topics}; trained on {watching.trained_on} messages"]
+        span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
+        lines.append(f"known faults followed by an alarm: {share_text(rates.faults)}{span}")
+    return lines
 
 
 def _table(judged: list[Judged]) -> Table:

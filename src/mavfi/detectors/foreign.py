@@ -36,17 +36,10 @@ def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
     return State(spec, header, np.zeros(0, spec.element_dtype))
 
 
-def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, StateSpec]) -> Detector:
-    """A detector fitted to the normal publications of one recording; see `learn_from`."""
-    return learn_from(kind, profile, [states], specs)
+def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec]) -> Detector:
+    """A detector of a kind in `of_monitored_fields()`, fitted to normal publications of these states.
 
-
-def learn_from(
-    kind: str, profile: str, recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec]
-) -> Detector:
-    """A detector of a kind in `of_monitored_fields()`, fitted to normal publications, in order, of these states.
-
-    Differences are taken within a recording only.
+    The publications of each recording are in order; differences are taken within a recording only.
 
     Raises:
         BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.

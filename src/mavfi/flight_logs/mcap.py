@@ -1,6 +1,6 @@
 """ROS 2 mcap files with the definitions of their messages inside; ROS is not needed.
 
-Messages are converted to the serialization of ROS 1, of which `Definition` knows the place of every number.
+Messages are converted to the serialization of ROS 1, in which `Definition` locates numbers.
 """
 
 from collections.abc import Iterator, Sequence
@@ -8,11 +8,8 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
-from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import Definition
-from mavfi.files import check_regular
-from mavfi.flight_logs.reader import LoggedMessage
-from mavfi.plugins import reason
+from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
 
 _HEADER = "MSG: std_msgs/Header\n"
 
@@ -25,26 +22,17 @@ class McapReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        path = self._path
-        check_regular(path)
-        try:
-            with AnyReader([path]) as reader:
-                chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
-                for topic in topics:
-                    if topic not in {connection.topic for connection in chosen}:
-                        raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(reader.topics, topic)}")
-                store = reader.typestore
-                layouts = {
-                    name: _definition(name, store.generate_msgdef(name, ros_version=1)[0])
-                    for name in {connection.msgtype for connection in chosen}
-                }
-                for connection, time_ns, data in reader.messages(chosen):
-                    content = bytes(store.cdr_to_ros1(data, connection.msgtype))
-                    yield LoggedMessage(connection.topic, time_ns // 1000, layouts[connection.msgtype], content)
-        except MavfiError:
-            raise
-        except Exception as error:  # noqa: BLE001 - whatever the library raises at a damaged file
-            raise BadInputError(f"{path}: is not an mcap file of ROS 2 that can be read ({reason(error)})") from None
+        with reading(self._path, "an mcap file of ROS 2"), AnyReader([self._path]) as reader:
+            check_topics(self._path, topics, reader.topics)
+            chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
+            store = reader.typestore
+            layouts = {
+                name: _definition(name, store.generate_msgdef(name, ros_version=1)[0])
+                for name in {connection.msgtype for connection in chosen}
+            }
+            for connection, time_ns, data in reader.messages(chosen):
+                content = bytes(store.cdr_to_ros1(data, connection.msgtype))
+                yield LoggedMessage(connection.topic, time_ns // 1000, layouts[connection.msgtype], content)
 
 
 def _definition(name: str, text: str) -> Definition:

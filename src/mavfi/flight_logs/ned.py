@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-HOME = (47.397742, 8.545594, 488.0)
+Triple = tuple[float, float, float]
+HOME: Triple = (47.397742, 8.545594, 488.0)
 """Latitude and longitude (degrees) and altitude (m) of the world's origin: those of PX4's simulations."""
 EARTH_RADIUS = 6_378_137.0
 """Equatorial radius of WGS 84 (m)."""
@@ -52,7 +53,7 @@ def ned_of(rows: np.ndarray) -> NedFlight:
     )  # fmt: skip
 
 
-def euler(wxyz: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+def euler(wxyz: Sequence[float] | np.ndarray) -> Triple:
     """Roll, pitch and yaw (rad) of a quaternion, shape (4,): rotations about z, then y, then x."""
     w, x, y, z = map(float, wxyz)
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -60,18 +61,16 @@ def euler(wxyz: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
     return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def geodetic(ned: np.ndarray) -> tuple[float, float, float]:
-    """Latitude and longitude (degrees) and altitude (m) of a position, shape (3,), on a locally flat earth."""
-    latitude, longitude, altitude = HOME
+def geodetic(ned: Sequence[float] | np.ndarray, home: Triple = HOME) -> Triple:
+    """Latitude and longitude (degrees) and altitude (m) of a position (m), on the tangential plane at home."""
     north, east, down = map(float, ned)
-    per_metre = math.degrees(1 / EARTH_RADIUS)
-    across = east * per_metre / math.cos(math.radians(latitude))
-    return latitude + north * per_metre, longitude + across, altitude - down
+    latitude, longitude, altitude = home
+    across = math.degrees(east / EARTH_RADIUS / math.cos(math.radians(latitude)))
+    return latitude + math.degrees(north / EARTH_RADIUS), longitude + across, altitude - down
 
 
-def local(latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:
+def local(latitude: float, longitude: float, altitude: float, home: Triple = HOME) -> Triple:
     """Inverse of `geodetic`."""
-    at, across, height = HOME
-    north = math.radians(latitude - at) * EARTH_RADIUS
-    east = math.radians(longitude - across) * EARTH_RADIUS * math.cos(math.radians(at))
-    return north, east, height - altitude
+    north = math.radians(latitude - home[0]) * EARTH_RADIUS
+    east = math.radians(longitude - home[1]) * EARTH_RADIUS * math.cos(math.radians(home[0]))
+    return north, east, home[2] - altitude

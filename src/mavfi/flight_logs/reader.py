@@ -1,12 +1,14 @@
 """What a reader of recorded flights is, and which formats there are."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from mavfi.errors import BadInputError
-from mavfi.plugins import build, known, load_object
+from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.files import check_regular
+from mavfi.plugins import build, known, load_object, reason
 
 GROUP = "mavfi.flight_logs"
 """Entry points of this group are readers by file name extension: classes that are made with a path."""
@@ -87,8 +89,27 @@ def open_flight_log(path: Path) -> FlightLogReader:
     """
     extension, formats = path.suffix.removeprefix("."), known(GROUP, _SHIPPED)
     if extension not in formats:
-        allowed = ", ".join(f".{name}" for name in sorted(formats))
-        raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {allowed}")
+        endings = ", ".join(f".{name}" for name in sorted(formats))
+        raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")
     factory = load_object("reader of flight logs", extension, GROUP, _SHIPPED)
     reader: FlightLogReader = build("reader of flight logs", extension, factory, path, needs=("messages",))
     return reader
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Convert the exceptions of a library at a missing or damaged file to a `BadInputError`; `kind`: "a ROS 1 bag"."""
+    check_regular(path)
+    try:
+        yield
+    except MavfiError:
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - any exception of a library
+        raise BadInputError(f"{path}: is not {kind} that can be read ({reason(error)})") from None
+
+
+def check_topics(path: Path, topics: Sequence[str], held: Collection[str]) -> None:
+    """Refuse topics that a file does not hold."""
+    for topic in topics:
+        if topic not in held:
+            raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError
 from mavfi.files import read_file
-from mavfi.flight_logs.reader import LoggedMessage
+from mavfi.flight_logs.reader import LoggedMessage, check_topics
 from mavfi.flight_logs.record import Record
 
 TOPIC = "row"
@@ -34,9 +34,7 @@ class CsvReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        for topic in topics:
-            if topic != TOPIC:
-                raise BadInputError(f"{self._path}: holds no topic {topic}; allowed: {allowed([TOPIC], topic)}")
+        check_topics(self._path, topics, [TOPIC])
         names, lines = self._lines()
         clock = next((place for place, name in enumerate(names) if _TIME.match(name)), None)
         if clock is None:

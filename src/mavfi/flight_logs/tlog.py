@@ -2,22 +2,21 @@
 
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError
 from mavfi.faults.message.definition import FORMATS, Leaf
-from mavfi.files import check_regular
-from mavfi.flight_logs.reader import LoggedMessage
+from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
 from mavfi.flight_logs.record import Record
-from mavfi.plugins import reason
 
 _GROUND_STATION = 250
 """Systems from this number on are ground stations."""
 _KINDS = {code: kind for kind, code in FORMATS.items() if kind not in ("byte", "char", "bool")}
 _HEADERS = {0xFE: 6, 0xFD: 10}
 """Size of the header by its first byte, for MAVLink 1 and 2."""
-_NO_DATA = ("BAD_DATA", "STATUSTEXT")
+_WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
 
 
 class TlogReader:
@@ -36,25 +35,17 @@ class TlogReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        path = self._path
-        check_regular(path)
+        path, kind = self._path, "a telemetry log"
         try:
-            from pymavlink import mavutil
+            from pymavlink.mavutil import mavlogfile
         except ImportError:
             needed = "allowed: pip install 'mavfi[mavlink]'"
             raise BadInputError(f"{path}: reading telemetry logs needs pymavlink; {needed}") from None
-        try:
-            link = mavutil.mavlink_connection(str(path), notimestamps=False)
+        with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
             found = list(_all_of(link))
-            link.close()
-        except Exception as error:  # noqa: BLE001 - whatever the library raises at a damaged file
-            raise BadInputError(f"{path}: is not a telemetry log that can be read ({reason(error)})") from None
-        held = {message.topic for message in found}
         if not found:
-            raise BadInputError(f"{path}: is not a telemetry log that can be read (no MAVLink message of a vehicle)")
-        for topic in topics:
-            if topic not in held:
-                raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
+            raise BadInputError(f"{path}: is not {kind} that can be read (no MAVLink message of a vehicle)")
+        check_topics(path, topics, {message.topic for message in found})
         yield from (message for message in found if not topics or message.topic in topics)
 
 
@@ -63,7 +54,7 @@ def _all_of(link: Any) -> Iterator[LoggedMessage]:
     layouts: dict[str, Record] = {}
     while (message := link.recv_match()) is not None:
         topic = message.get_type()
-        if topic in _NO_DATA or topic.startswith("UNKNOWN") or message.get_srcSystem() >= _GROUND_STATION:
+        if topic in _WITHOUT_NUMBERS or topic.startswith("UNKNOWN") or message.get_srcSystem() >= _GROUND_STATION:
             continue
         layout = layouts.setdefault(topic, Record(topic, _leaves(type(message))))
         yield LoggedMessage(topic, round(1e6 * message._timestamp), layout, _payload(message))

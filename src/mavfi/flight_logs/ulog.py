@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.errors import BadInputError, allowed
-from mavfi.files import check_regular
-from mavfi.flight_logs.reader import LoggedMessage
+from mavfi.errors import BadInputError
+from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
 from mavfi.flight_logs.record import Record, numeric
-from mavfi.plugins import reason
 
 _LANDED = "vehicle_land_detected"
 
@@ -49,9 +47,10 @@ class UlogReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        found = self._data_sets(topics)
+        found = self._data_sets()
+        check_topics(self._path, topics, found)
         spans = _airborne(found.get(_LANDED))
-        tables = []
+        messages = []
         for topic, columns in found.items():
             if topics and topic not in topics:
                 continue
@@ -59,49 +58,33 @@ class UlogReader:
             flown = np.zeros(len(times), np.bool_)
             for begin, end in spans:
                 flown |= (times >= begin) & (times < end)
-            tables.append((topic, Record.of(topic, rows.dtype), times[flown], rows[flown]))
-        order = np.argsort(np.concatenate([times for _, _, times, _ in tables] or [np.zeros(0)]), kind="stable")
-        places = [(table, row) for table, (_, _, times, _) in enumerate(tables) for row in range(len(times))]
-        for place in order.tolist():
-            topic, layout, times, rows = tables[places[place][0]]
-            row = places[place][1]
-            yield LoggedMessage(topic, int(times[row]), layout, rows[row].tobytes())
+            layout = Record.of(topic, rows.dtype)
+            messages += [
+                LoggedMessage(topic, time_us, layout, row.tobytes())
+                for time_us, row in zip(times[flown].tolist(), rows[flown], strict=True)
+            ]
+        yield from sorted(messages, key=lambda message: message.time_us)
 
-    def _data_sets(self, topics: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
-        """Columns by topic; a BadInputError for a file that cannot be read, or lacks a topic."""
+    def _data_sets(self) -> dict[str, dict[str, np.ndarray]]:
+        """Columns by topic; a damaged file, of which the library reads only the rest, is a BadInputError."""
         path = self._path
-        check_regular(path)
         try:
             import pyulog
         except ImportError:
-            raise BadInputError(
-                f"{path}: reading ULog files needs pyulog; allowed: pip install 'mavfi[logs]'"
-            ) from None
-        try:
-            names = [*dict.fromkeys(topic.partition(".")[0] for topic in topics), _LANDED]
-            sets = _sets(pyulog, path, names if topics else None)
-            found = {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: dict(d.data) for d in sets}
-            held = set(found)
-            if not set(topics) <= held:
-                held = {d.name for d in _sets(pyulog, path, None)}
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever the library raises at a damaged file
-            raise BadInputError(f"{path}: is not a ULog file that can be read ({reason(error)})") from None
-        for topic in topics:
-            if topic not in found:
-                raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
-        return found
+            needed = "allowed: pip install 'mavfi[logs]'"
+            raise BadInputError(f"{path}: reading ULog files needs pyulog; {needed}") from None
+        with reading(path, "a ULog file"):
+            with path.open("rb") as file, redirect_stdout(StringIO()):
+                log: Any = pyulog.ULog(file)
+            lacking = [one.name for one in log.data_list if not _required(one.name) <= set(one.data)]
+            if log.file_corruption or lacking:
+                raise ValueError(f"damaged{' in ' if lacking else ''}{', '.join(lacking)}")
+            return {f"{one.name}.{one.multi_id}" if one.multi_id else one.name: one.data for one in log.data_list}
 
 
-def _sets(pyulog: Any, path: Path, names: list[str] | None) -> list[Any]:
-    """Data sets of a file; a ValueError for a damaged file, of which the library prints lines and reads the rest."""
-    with path.open("rb") as file, redirect_stdout(StringIO()):
-        log = pyulog.ULog(file, names)
-    sets: list[Any] = log.data_list
-    lacking = [one.name for one in sets if "timestamp" not in one.data]
-    lacking += [one.name for one in sets if one.name == _LANDED and "landed" not in one.data]
-    if log.file_corruption or lacking:
-        raise ValueError(f"damaged{' in ' if lacking else ''}{', '.join(lacking)}")
-    return sets
+def _required(topic: str) -> set[str]:
+    """Columns that the reader uses."""
+    return {"timestamp", "landed"} if topic == _LANDED else {"timestamp"}
 
 
 def _rows(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""A detector of GAD or AAD on recorded flights: trained on some, judging others; injected flips and known faults."""
+"""GAD or AAD on recorded flights: trained on some, applied to others, with injected flips and known faults."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn_from
-from mavfi.errors import BadInputError, allowed
+from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn
+from mavfi.errors import BadInputError
 from mavfi.faults.message.definition import AbsentError, Leaf, flip_bit
 from mavfi.faults.strata import bits_of
 from mavfi.flight_logs.probe import LONGEST_LIST, Probe
-from mavfi.flight_logs.reader import LoggedMessage, open_flight_log
+from mavfi.flight_logs.reader import LoggedMessage, check_topics, open_flight_log
 from mavfi.states import Field, State
 
 EVENT_GAP_US = 1_000_000
@@ -32,7 +32,7 @@ class Recording:
     Attributes:
         name: File name.
         messages: In order of time.
-        onset_us: Begin of a known fault (us, by the clock of the file); None = none known.
+        onset_us: Start of a known fault (us, by the clock of the file); None = none known.
         recommended: Fields worth monitoring, by topic, as known by the reader; empty = all numbers.
     """
 
@@ -63,26 +63,34 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Rec
 
     Args:
         path: The file.
-        fault: "TOPIC:FIELD" of a number whose first value other than 0 marks the begin of a known fault; "" = none.
+        fault: "TOPIC:FIELD" of a number whose first value other than 0 marks the start of a known fault; "" = none.
         required: Whether the file must have that number.
 
     Raises:
         BadInputError: The file cannot be read, or lacks a required field.
     """
+    topic, _, number = fault.rpartition(":")
+    if fault and not (topic and number):
+        raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
     reader = open_flight_log(path)
     messages = list(reader.messages([]))
-    topic, colon, number = fault.rpartition(":")
-    if fault and not colon:
-        raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
-    own = [message for message in messages if message.topic == topic]
-    if fault and required and not own:
-        held = {message.topic for message in messages}
-        raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
-    for message in own[:1]:
-        message.layout.check(number)
-    active = (m.time_us for m in own if m.layout.locate(m.data, number).value(m.data) != 0)
+    if fault and required:
+        check_topics(path, [topic], {message.topic for message in messages})
+    onset = _onset([message for message in messages if message.topic == topic], number) if fault else None
     others = [message for message in messages if not fault or message.topic != topic]
-    return Recording(path.name, others, next(active, None), getattr(reader, "recommended", {}))
+    return Recording(path.name, others, onset, getattr(reader, "recommended", {}))
+
+
+def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
+    """Time of the first message (us) in which a number is not 0."""
+    for message in messages:
+        message.layout.check(number)
+        try:
+            if message.layout.locate(message.data, number).value(message.data) != 0:
+                return message.time_us
+        except AbsentError as error:
+            raise BadInputError(f"--fault: {error}") from None
+    return None
 
 
 # ---- selection of fields -------------------------------------------------------------------------------------------
@@ -184,7 +192,7 @@ class Judged:
         messages: Number of messages judged in it.
         alarms: Alarms in it.
         flips: Flips injected into it.
-        fault_delay_s: Time from the begin of the known fault to the first alarm (s); None = no alarm.
+        fault_delay_s: Time from the start of the known fault to the first alarm (s); None = no alarm.
         has_fault: Whether a fault is known.
         after_fault_s: Duration of the part with the known fault (s).
     """
@@ -228,7 +236,7 @@ class LogWatch:
             raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
         specs = {topic: probe.spec for topic, probe in self.probes.items()}
         kept = [[state for state in states if state.spec.name in specs] for states in flights]
-        self.detector: Any = learn_from(kind, profile, kept, specs)
+        self.detector: Any = learn(kind, profile, kept, specs)
         self.trained_on = sum(map(len, kept))
 
     def _states(self, recording: Recording) -> Iterator[tuple[LoggedMessage, State]]:
@@ -323,6 +331,16 @@ class LogWatch:
             detected |= self._step(state, later.time_us) is not None and later.topic == message.topic
         self.detector.restore(memory)
         return Flip(message.topic, name, bit, bit_class, detected)
+
+
+def judge_rest(
+    kind: str, profile: str, recording: Recording, share: float, fields: Sequence[str] = (), flips: int = 0,
+    seed: int = 0,
+) -> tuple[LogWatch, Judged]:  # fmt: skip
+    """Train a detector on the first share of a recording, and judge the rest."""
+    first, rest = recording.split(share)
+    watching = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
+    return watching, watching.judge(rest, flips, seed)
 
 
 def _next_of_topic(judged: Sequence[tuple[LoggedMessage, State]]) -> list[int | None]:

@@ -44,14 +44,18 @@ class Rates:
         """Delays of the detected known faults (s), ascending."""
         return sorted(judged.fault_delay_s for judged in self.recordings if judged.fault_delay_s is not None)
 
+    @property
+    def alarm_percent(self) -> float:
+        """Share of normal messages with an alarm (%)."""
+        alarms = sum(len(judged.alarms) for judged in self.recordings)
+        return 100 * alarms / max(1, sum(judged.messages for judged in self.recordings))
+
     def headline(self) -> str:
         """Alarm events per hour and share of messages with an alarm, in one line."""
         rate, minutes = self.alarms, self.exposure_s / _MINUTE
         events = f"{rate.events} false alarm event{'' if rate.events == 1 else 's'}"
-        alarms = sum(len(judged.alarms) for judged in self.recordings)
-        share = alarms / max(1, sum(judged.messages for judged in self.recordings))
         exposed = f"{minutes:.1f} min of normal flight"
-        return f"{events} in {exposed}: {rate_text(rate)} per hour; {100 * share:.2g} % of messages"
+        return f"{events} in {exposed}: {rate_text(rate)} per hour; {self.alarm_percent:.2g} % of messages"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -64,7 +68,7 @@ class Rates:
 
 
 def rate_text(rate: EventRate) -> str:
-    """Events per hour with interval; without events, the upper bound only."""
+    """Events per hour with interval."""
     if rate.per_hour is None:
         return "not counted"
     return f"{rate.per_hour:.3g} [{rate.low:.3g}, {rate.high:.3g}]"

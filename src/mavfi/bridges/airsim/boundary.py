@@ -231,4 +231,4 @@ class Recording:
                 f"--detector: no call happened {SMALLEST_SAMPLE} times; allowed: programs that fly longer"
             )
         states = [foreign_state(specs[name], list(numbers.values())) for name, numbers in self._values if name in specs]
-        return BoundaryWatch(kind, learn(kind, profile, states, specs), specs)
+        return BoundaryWatch(kind, learn(kind, profile, [states], specs), specs)

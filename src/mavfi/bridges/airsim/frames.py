@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.flight_logs.ned import Triple as Triple
+from mavfi.flight_logs.ned import geodetic, local
 from mavfi.numerics.elementary import atan2
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
-EARTH_RADIUS = 6378137.0
-"""WGS 84, equatorial (m)."""
+_GEO_POINT = ("latitude", "longitude", "altitude")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
-Triple = tuple[float, float, float]
 Numbers = Sequence[float] | np.ndarray
 
 
@@ -89,12 +89,7 @@ def pose_numbers(data: Any) -> tuple[Triple, tuple[float, float, float, float]]:
 
 def geo_point(ned: Numbers) -> dict[str, float]:
     """GeoPoint of a place in NED (m), on the tangential plane at `HOME`."""
-    north, east, down = ned
-    return {
-        "latitude": HOME[0] + math.degrees(north / EARTH_RADIUS),
-        "longitude": HOME[1] + math.degrees(east / EARTH_RADIUS / math.cos(math.radians(HOME[0]))),
-        "altitude": HOME[2] - down,
-    }
+    return dict(zip(_GEO_POINT, geodetic(ned, HOME), strict=True))
 
 
 def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
@@ -104,12 +99,10 @@ def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
         BadInputError: It is none.
     """
     try:
-        latitude, longitude, altitude = (float(data[key]) for key in ("latitude", "longitude", "altitude"))
+        latitude, longitude, altitude = (float(data[key]) for key in _GEO_POINT)
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{data!r}: allowed: a GeoPoint (latitude, longitude, altitude)") from None
-    north = math.radians(latitude - HOME[0]) * EARTH_RADIUS
-    east = math.radians(longitude - HOME[1]) * EARTH_RADIUS * math.cos(math.radians(HOME[0]))
-    return north, east, HOME[2] - altitude
+    return local(latitude, longitude, altitude, HOME)
 
 
 def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:

@@ -1,22 +1,29 @@
-"""A MAVLink autopilot with PX4's modes: answers messages, flies tasks, sends telemetry; its owner advances the time."""
+"""A MAVLink autopilot with PX4's modes: answers messages, flies tasks, sends telemetry; its owner advances time."""
 
 import math
 from collections.abc import Callable
 from enum import Enum
 from typing import Any
 
-import numpy as np
-
 from mavfi.bridges.airsim.attitude import Vertical, at_attitude, at_rates
-from mavfi.bridges.airsim.frames import Triple
 from mavfi.bridges.airsim.tasks import land
 from mavfi.bridges.airsim.vehicle import Task
 from mavfi.bridges.mavlink import telemetry
 from mavfi.bridges.mavlink.failures import TYPES, UNITS, Failure
-from mavfi.bridges.mavlink.flying import MavVehicle, Setpoint, climb, go_to, hold, offboard, orbit, return_to_launch
-from mavfi.bridges.mavlink.mission import Mission
+from mavfi.bridges.mavlink.flying import (
+    FOREVER_S,
+    MavVehicle,
+    Setpoint,
+    climb,
+    go_to,
+    hold,
+    offboard,
+    orbit,
+    return_to_launch,
+)
+from mavfi.bridges.mavlink.mission import Mission, place_of
 from mavfi.bridges.mavlink.parameters import Parameters
-from mavfi.flight_logs.ned import euler, local
+from mavfi.flight_logs.ned import Triple, euler, local
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 """MAV_RESULT; 1 = temporarily rejected."""
@@ -26,7 +33,6 @@ PROOF_US = 1_000_000
 LONGEST_TEXT = 50
 _FORCE = 21_196
 _BODY_FRAMES = (8, 9, 12)
-_INT_SCALE = 1e-7
 
 
 class Mode(Enum):
@@ -63,24 +69,20 @@ class Autopilot:
         self._setpoint_us = 0
         self._task = 0
         self._schedule = telemetry.Schedule()
-        self._pending: list[tuple[Failure, Callable[[int], None]]] = []
+        self._pending: list[tuple[Failure, Any]] = []
         self._start(hold(vehicle))
 
     # ---- state ------------------------------------------------------------------------------------------------------
     @property
     def ms(self) -> int:
-        """Time since start (ms)."""
-        return self.vehicle.now_us // 1000
+        """Time since start (ms), 32 bits."""
+        return self.vehicle.now_us // 1000 & 0xFFFFFFFF
 
     @property
     def failures(self) -> list[Failure]:
         """Active failures."""
         failing = self.vehicle.failing
         return [] if failing is None else failing.failures
-
-    def place(self, ned: Triple | None = None) -> np.ndarray:
-        """Position of the vehicle, or the given one (NED, m). Shape (3,)."""
-        return np.array(self.vehicle.position if ned is None else ned)
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def step(self, until_us: int) -> None:
@@ -112,11 +114,11 @@ class Autopilot:
     def set_mode(self, mode: Mode) -> None:
         """Change the mode and start its task."""
         self.mode = mode
-        self._schedule.hurry("heartbeat")
+        self._schedule.request("heartbeat")
         vehicle = self.vehicle
         tasks: dict[Mode, Callable[[], Task]] = {
             Mode.TAKEOFF: lambda: climb(vehicle, self.parameters["MIS_TAKEOFF_ALT"]),
-            Mode.LAND: lambda: land(vehicle, 1e5), Mode.RETURN: lambda: return_to_launch(vehicle, self.speed),
+            Mode.LAND: lambda: land(vehicle, FOREVER_S), Mode.RETURN: lambda: return_to_launch(vehicle, self.speed),
             Mode.MISSION: self.mission.fly, Mode.OFFBOARD: lambda: offboard(vehicle, self._latest),
         }  # fmt: skip
         self._start(tasks.get(mode, lambda: hold(vehicle))())
@@ -162,30 +164,29 @@ class Autopilot:
 
     # ---- commands ---------------------------------------------------------------------------------------------------
     def _command(self, message: Any) -> None:
-        asked = message.get_srcSystem(), message.get_srcComponent()
-
-        def acknowledge(result: int) -> None:
-            self.send("command_ack", message.command, result, 0, 0, *asked)
-
         handler = _COMMANDS.get(message.command)
-        result = UNSUPPORTED if handler is None else handler(self, message, acknowledge)
+        result = UNSUPPORTED if handler is None else handler(self, message)
         if result is not None:
-            acknowledge(result)
+            self._acknowledge(message, result)
 
-    def arm(self, message: Any, _: Callable[[int], None]) -> int:
+    def _acknowledge(self, message: Any, result: int) -> None:
+        source = message.get_srcSystem(), message.get_srcComponent()
+        self.send("command_ack", message.command, result, 0, 0, *source)
+
+    def arm(self, message: Any) -> int:
         """MAV_CMD_COMPONENT_ARM_DISARM; disarming in flight needs the magic number of PX4."""
         on = message.param1 > 0.5
-        if not on and not self.vehicle.landed and round(message.param2) != _FORCE:
+        if not on and not self.vehicle.landed and message.param2 != _FORCE:
             return DENIED
         if on != self.vehicle.sim.armed:
             self.vehicle.sim.arm(on)
             self.text("Armed" if on else "Disarmed")
             if self.mode not in (Mode.OFFBOARD, Mode.MISSION):
                 self.set_mode(Mode.HOLD)
-        self._schedule.hurry("heartbeat")
+        self._schedule.request("heartbeat")
         return ACCEPTED
 
-    def take_off(self, message: Any, _: Callable[[int], None]) -> int:
+    def take_off(self, message: Any) -> int:
         """MAV_CMD_NAV_TAKEOFF; needs motors."""
         if not self.vehicle.sim.armed:
             return REJECTED
@@ -193,10 +194,10 @@ class Autopilot:
         self.text("Takeoff detected")
         return ACCEPTED
 
-    def into(self, mode: Mode, words: str) -> int:
+    def change_mode(self, mode: Mode, text: str) -> int:
         """Change the mode on command."""
         self.set_mode(mode)
-        self.text(words)
+        self.text(text)
         return ACCEPTED
 
     def _set_custom_mode(self, main: int, sub: int) -> int:
@@ -206,43 +207,51 @@ class Autopilot:
         self.set_mode(found)
         return ACCEPTED
 
-    def do_set_mode(self, message: Any, _: Callable[[int], None]) -> int:
+    def do_set_mode(self, message: Any) -> int:
         """MAV_CMD_DO_SET_MODE."""
-        return self._set_custom_mode(int(message.param2), int(message.param3))
+        return self._set_custom_mode(_integer(message.param2), _integer(message.param3))
 
-    def change_speed(self, message: Any, _: Callable[[int], None]) -> int:
+    def change_speed(self, message: Any) -> int:
         """MAV_CMD_DO_CHANGE_SPEED."""
         if message.param2 > 0:
             self.speed = float(message.param2)
         return ACCEPTED
 
-    def reposition(self, message: Any, _: Callable[[int], None]) -> int:
+    def reposition(self, message: Any) -> int:
         """MAV_CMD_DO_REPOSITION."""
         yaw = None if math.isnan(message.param4) else message.param4
         self.mode = Mode.HOLD
-        self._start(self._go_and_hold(target_of(message), yaw))
+        self._start(self._go_and_hold(self._target(message), yaw))
         return ACCEPTED
 
     def _go_and_hold(self, place: Triple, yaw: float | None) -> Task:
         yield from go_to(self.vehicle, place, self.speed, yaw)
         yield from hold(self.vehicle)
 
-    def do_orbit(self, message: Any, _: Callable[[int], None]) -> int:
+    def do_orbit(self, message: Any) -> int:
         """MAV_CMD_DO_ORBIT; negative radius = counter-clockwise."""
         radius, speed = float(message.param1), float(message.param2)
         if not (math.isfinite(radius) and abs(radius) >= 1.0):
             return DENIED
         self.set_mode(Mode.ORBIT)
         speed = speed if math.isfinite(speed) and speed != 0 else self.speed
-        place = target_of(message)
-        here = self.vehicle.position
-        centre = tuple(b if math.isnan(a) else a for a, b in zip(place, here, strict=True))
-        self._start(orbit(self.vehicle, (centre[0], centre[1], centre[2]), abs(radius), abs(speed), radius > 0))
+        self._start(orbit(self.vehicle, self._target(message), abs(radius), abs(speed), radius > 0))
         return ACCEPTED
 
-    def request_message(self, message: Any, _: Callable[[int], None]) -> int:
+    def _target(self, message: Any) -> Triple:
+        """Place (NED, m) of a command; coordinates that it leaves out are those of the vehicle."""
+        if message.get_type() == "COMMAND_INT":
+            place = place_of(message)
+        else:
+            place = local(message.param5, message.param6, message.param7)
+        x, y, z = (
+            given if math.isfinite(given) else here for given, here in zip(place, self.vehicle.position, strict=True)
+        )
+        return x, y, z
+
+    def request_message(self, message: Any) -> int:
         """MAV_CMD_REQUEST_MESSAGE and older forms: AUTOPILOT_VERSION, or any message of the telemetry by its id."""
-        wanted = int(message.param1) if message.command == 512 else 148
+        wanted = _integer(message.param1) if message.command == 512 else 148
         if wanted != 148:
             return self._repeat(wanted)
         can = 0x1 | 0x2 | 0x4 | 0x8 | 0x10 | 0x40 | 0x80 | 0x2000  # MAV_PROTOCOL_CAPABILITY
@@ -256,14 +265,14 @@ class Autopilot:
         name = "" if known is None else known.msgname.lower()
         if name not in {message.__name__ for _, message in telemetry.STREAMS}:
             return DENIED
-        self._schedule.hurry(name)
+        self._schedule.request(name)
         return ACCEPTED
 
     # ---- failures ---------------------------------------------------------------------------------------------------
-    def inject_failure(self, message: Any, acknowledge: Callable[[int], None]) -> int | None:
+    def inject_failure(self, message: Any) -> int | None:
         """MAV_CMD_INJECT_FAILURE: acknowledged once a value has changed; failed if none has within a second."""
-        unit, kind = UNITS.get(int(message.param1)), TYPES.get(int(message.param2))
-        instance = int(message.param3) if math.isfinite(message.param3) else 0
+        unit, kind = UNITS.get(_integer(message.param1)), TYPES.get(_integer(message.param2))
+        instance = 0 if math.isnan(message.param3) else _integer(message.param3)
         if unit is None or kind is None or not 0 <= instance <= (4 if unit == "motor" else 0):
             return UNSUPPORTED
         if kind == "ok":
@@ -273,32 +282,28 @@ class Autopilot:
             return REJECTED
         failure = Failure(unit, kind, instance, self.vehicle.now_us)
         self.vehicle.fail(failure)
-        self._pending.append((failure, acknowledge))
+        self._pending.append((failure, message))
         return None
 
     def _prove_failures(self) -> None:
         """Acknowledge failures that were activated, or were not in time."""
-        for failure, acknowledge in list(self._pending):
+        for failure, message in list(self._pending):
             if failure.activated_us is not None:
                 self.text(f"fault: {failure.site}: {failure.before:.4g} -> {failure.after:.4g}", ERROR)
-                acknowledge(ACCEPTED)
+                self._acknowledge(message, ACCEPTED)
             elif self.vehicle.now_us - failure.since_us >= PROOF_US:
                 failing = self.vehicle.failing
                 if failing is not None:
-                    failing.clear(failure.unit, failure.instance)
-                acknowledge(FAILED)
+                    failing.remove(failure)
+                self._acknowledge(message, FAILED)
             else:
                 continue
-            self._pending.remove((failure, acknowledge))
+            self._pending.remove((failure, message))
 
 
-def target_of(message: Any) -> Triple:
-    """The place (NED, m) of a command in degrees and metres above sea level, or above home for relative frames."""
-    if message.get_type() == "COMMAND_INT":
-        latitude, longitude, altitude = message.x * _INT_SCALE, message.y * _INT_SCALE, message.z
-    else:
-        latitude, longitude, altitude = message.param5, message.param6, message.param7
-    return local(latitude, longitude, altitude)
+def _integer(value: float) -> int:
+    """A whole number in a floating-point parameter; -1 for NaN, which means "not given", and infinities."""
+    return int(value) if math.isfinite(value) else -1
 
 
 def position_target(message: Any) -> Setpoint:
@@ -315,13 +320,13 @@ def position_target(message: Any) -> Setpoint:
     )  # fmt: skip
 
 
-_COMMANDS: dict[int, Callable[[Autopilot, Any, Callable[[int], None]], int | None]] = {
+_COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
     400: Autopilot.arm, 22: Autopilot.take_off, 176: Autopilot.do_set_mode, 178: Autopilot.change_speed,
     192: Autopilot.reposition, 34: Autopilot.do_orbit, 420: Autopilot.inject_failure,
     512: Autopilot.request_message, 519: Autopilot.request_message, 520: Autopilot.request_message,
-    21: lambda autopilot, *_: autopilot.into(Mode.LAND, "Landing"),
-    20: lambda autopilot, *_: autopilot.into(Mode.RETURN, "Returning to launch"),
-    300: lambda autopilot, *_: autopilot.into(Mode.MISSION, "Mission started"),
+    21: lambda autopilot, _: autopilot.change_mode(Mode.LAND, "Landing"),
+    20: lambda autopilot, _: autopilot.change_mode(Mode.RETURN, "Returning to launch"),
+    300: lambda autopilot, _: autopilot.change_mode(Mode.MISSION, "Mission started"),
     511: lambda *_: ACCEPTED,  # message intervals: all rates are fixed, and high enough
 }  # fmt: skip
 """By MAV_CMD."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavfi.faults.sampling import stream
+from mavfi.numerics.rotations import yaw_of
 from mavfi.sim.controller import Controller
 
 UNITS = {0: "gyro", 1: "accelerometer", 2: "compass", 4: "position", 101: "motor"}
@@ -19,7 +20,7 @@ TYPES = {
 WRONG = {"gyro": 0.5, "accelerometer": 2.0, "compass": 0.5 * np.pi, "position": 10.0, "motor": -0.4}
 """Error of type `wrong`: rad/s about each axis, m/s^2 along each, rad, m along x; share of a motor's thrust."""
 SPREAD = {"gyro": 3.0, "accelerometer": 20.0, "compass": np.pi, "position": 50.0, "motor": 1.0}
-"""Largest value of type `garbage`, uniform in both directions; of a motor's largest thrust."""
+"""Largest value of type `garbage`: uniform in both directions; of a motor from 0, as a share of its largest thrust."""
 SLOW_S, DELAY_S, BLOCK_S = 0.5, 0.2, 0.1
 """Period of type `slow`, delay of `delayed`, and length of a block of `intermittent`, of which half are lost (s)."""
 
@@ -53,74 +54,77 @@ class Failure:
 
 
 class _Signal:
-    """The values of a unit, changed by a failure."""
+    """The values of a unit, changed by a failure.
 
-    def __init__(self, failure: Failure, seed: int) -> None:
-        self._failure, self._random = failure, stream(seed, "failure", failure.since_us)
+    Args:
+        failure: The failure.
+        seed: Of its random values.
+        spread: Largest value of type `garbage`.
+    """
+
+    def __init__(self, failure: Failure, seed: int, spread: float) -> None:
+        self.failure, self._random = failure, stream(seed, "failure", failure.since_us)
+        self._spread = spread
         self._held: np.ndarray | None = None
         self._next_us, self._lost = 0, False
         self._past: deque[tuple[int, np.ndarray]] = deque()
 
-    def __call__(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
-        """The values that are received; `scale` = size of an absolute change. Shape (n,)."""
+    def __call__(self, time_us: int, values: np.ndarray) -> np.ndarray:
+        """The values that are received. Shape (n,)."""
         if self._held is None:
             self._held = values.copy()
-        changed: np.ndarray = getattr(self, self._failure.kind)(time_us, values, scale)
-        self._note(time_us, values, changed)
-        return changed
-
-    def _note(self, time_us: int, values: np.ndarray, changed: np.ndarray) -> None:
-        failure = self._failure
+        failure = self.failure
+        changed: np.ndarray = getattr(self, failure.kind)(time_us, values)
         if failure.activated_us is None and not np.array_equal(values, changed):
             place = int(np.flatnonzero(values != changed)[0])
             failure.activated_us = time_us
             failure.before, failure.after = float(values[place]), float(changed[place])
+        return changed
 
-    def off(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
+    def off(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """A motor stands still; a sensor sends nothing, so that the last value stays."""
-        return np.zeros_like(values) if self._failure.unit == "motor" else self.stuck(time_us, values, scale)
+        return np.zeros_like(values) if self.failure.unit == "motor" else self.stuck(time_us, values)
 
-    def stuck(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
-        """The value at the begin of the failure."""
+    def stuck(self, time_us: int, values: np.ndarray) -> np.ndarray:
+        """The value at the start of the failure."""
         assert self._held is not None  # precondition
         return self._held.copy()
 
-    def garbage(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
+    def garbage(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Noise."""
-        spread = SPREAD[self._failure.unit] * scale
-        low = 0.0 if self._failure.unit == "motor" else -spread
-        found: np.ndarray = self._random.uniform(low, spread, len(values))
+        low = 0.0 if self.failure.unit == "motor" else -self._spread
+        found: np.ndarray = self._random.uniform(low, self._spread, len(values))
         return found
 
-    def wrong(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
+    def wrong(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """A constant error; of a motor, in proportion to its thrust."""
-        error: float | np.ndarray = WRONG[self._failure.unit]
-        if self._failure.unit == "motor":
+        error: float | np.ndarray = WRONG[self.failure.unit]
+        if self.failure.unit == "motor":
             return np.asarray(values * (1.0 + error))
-        if self._failure.unit == "position":
+        if self.failure.unit == "position":
             error = np.eye(len(values))[0] * error
         found: np.ndarray = values + error
         return found
 
-    def slow(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
+    def slow(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Updates at a low rate."""
         if time_us >= self._next_us:
             self._held, self._next_us = values.copy(), time_us + round(1e6 * SLOW_S)
-        return self.stuck(time_us, values, scale)
+        return self.stuck(time_us, values)
 
-    def delayed(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
+    def delayed(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """The values of some time ago."""
         self._past.append((time_us, values.copy()))
         while len(self._past) > 1 and self._past[1][0] <= time_us - round(1e6 * DELAY_S):
             self._past.popleft()
         return self._past[0][1].copy()
 
-    def intermittent(self, time_us: int, values: np.ndarray, scale: float) -> np.ndarray:
+    def intermittent(self, time_us: int, values: np.ndarray) -> np.ndarray:
         """Half of all blocks of time are lost."""
         if time_us >= self._next_us:
             self._next_us, self._lost = time_us + round(1e6 * BLOCK_S), bool(self._random.random() < 0.5)
         if self._lost:
-            return self.off(time_us, values, scale)
+            return self.off(time_us, values)
         self._held = values.copy()
         return values
 
@@ -135,7 +139,6 @@ class FailingController:
 
     Attributes:
         odometry: State of the vehicle as the controller received it last. Shape (13,).
-        failures: Active failures.
     """
 
     rewindable = False
@@ -144,49 +147,58 @@ class FailingController:
         self._controller, self._max_thrust, self._seed = controller, max_thrust, seed
         self.period_us = controller.period_us
         self.odometry = odometry.copy()
-        self.failures: list[Failure] = []
         self._signals: list[_Signal] = []
 
+    @property
+    def failures(self) -> list[Failure]:
+        """Active failures."""
+        return [signal.failure for signal in self._signals]
+
     def add(self, failure: Failure) -> None:
-        """Begin a failure."""
-        self.failures.append(failure)
-        self._signals.append(_Signal(failure, self._seed))
+        """Start a failure."""
+        spread = SPREAD[failure.unit] * (self._max_thrust if failure.unit == "motor" else 1.0)
+        self._signals.append(_Signal(failure, self._seed, spread))
 
     def clear(self, unit: str, instance: int) -> bool:
         """End the failures of a unit (instance 0: of all instances); returns whether there were any."""
-        ended = [f.unit == unit and instance in (0, f.instance) for f in self.failures]
-        kept = [place for place, gone in enumerate(ended) if not gone]
-        self.failures, self._signals = [self.failures[p] for p in kept], [self._signals[p] for p in kept]
-        return any(ended)
+        ended = [failure for failure in self.failures if failure.unit == unit and instance in (0, failure.instance)]
+        for failure in ended:
+            self.remove(failure)
+        return bool(ended)
+
+    def remove(self, failure: Failure) -> None:
+        """End one failure."""
+        self._signals = [signal for signal in self._signals if signal.failure is not failure]
 
     def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See `Controller`."""
         self.odometry[:] = odometry
-        if not self.failures:
+        if not self._signals:
             return self._controller.rotors(time_us, setpoint, odometry, force)
-        felt = force.copy()
-        for failure, signal in zip(self.failures, self._signals, strict=True):
-            if failure.unit != "motor":
-                self._sense(failure.unit, signal, time_us, felt)
-        wanted = np.array(self._controller.rotors(time_us, setpoint, self.odometry, felt), np.float64)
-        for failure, signal in zip(self.failures, self._signals, strict=True):
-            if failure.unit == "motor":
-                own = slice(failure.instance - 1, failure.instance) if failure.instance else slice(None)
-                wanted[own] = signal(time_us, wanted[own], self._max_thrust)
+        measured = force.copy()
+        for signal in self._signals:
+            if signal.failure.unit != "motor":
+                self._measure(signal, time_us, measured)
+        wanted = np.array(self._controller.rotors(time_us, setpoint, self.odometry, measured), np.float64)
+        for signal in self._signals:
+            if signal.failure.unit == "motor":
+                number = signal.failure.instance
+                motors = slice(number - 1, number) if number else slice(None)
+                wanted[motors] = signal(time_us, wanted[motors])
         return wanted
 
-    def _sense(self, unit: str, signal: _Signal, time_us: int, force: np.ndarray) -> None:
+    def _measure(self, signal: _Signal, time_us: int, force: np.ndarray) -> None:
         """Change what the sensors of a unit measure."""
-        seen = self.odometry
+        unit, seen = signal.failure.unit, self.odometry
         if unit == "gyro":
-            seen[10:13] = signal(time_us, seen[10:13], 1.0)
+            seen[10:13] = signal(time_us, seen[10:13])
         elif unit == "accelerometer":
-            force[:] = signal(time_us, force, 1.0)
+            force[:] = signal(time_us, force)
         elif unit == "position":
-            seen[:6] = signal(time_us, seen[:6], 1.0)
+            seen[:6] = signal(time_us, seen[:6])
         else:
-            heading = _heading(seen[6:10])
-            seen[6:10] = _turned(seen[6:10], float(signal(time_us, np.array([heading]), 1.0)[0]) - heading)
+            heading = float(yaw_of(seen[6:10]))
+            seen[6:10] = _turned(seen[6:10], float(signal(time_us, np.array([heading]))[0]) - heading)
 
     def save(self) -> bytes:
         """See `Controller`."""
@@ -199,12 +211,6 @@ class FailingController:
     def close(self) -> None:
         """See `Controller`."""
         self._controller.close()
-
-
-def _heading(quaternion: np.ndarray) -> float:
-    """Yaw (rad)."""
-    w, x, y, z = map(float, quaternion)
-    return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 def _turned(quaternion: np.ndarray, angle: float) -> np.ndarray:

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim.frames import Triple, flipped, turned
+from mavfi.bridges.airsim.frames import flipped, turned
 from mavfi.bridges.airsim.tasks import Yaw, fly_path, land
 from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
 from mavfi.bridges.mavlink.failures import FailingController, Failure
+from mavfi.flight_logs.ned import Triple
 
 HOLD_S = 0.06
 """Validity of a command that is renewed every period (s)."""
@@ -18,14 +19,18 @@ SETPOINT_TIMEOUT_US = 1_000_000
 """Age of a set-point of mode offboard from which the vehicle stops (us); PX4: COM_OF_LOSS_T."""
 RETURN_HEIGHT = 5.0
 """Least height of a return to launch (m); PX4's default is 60 m, above the walls of some environments."""
-_FOREVER_S = 1e5
+FOREVER_S = 1e5
 _POSITION_GAIN, _HOLD_SPEED, _APPROACH_SPEED = 0.9, 2.0, 5.0
 _ORBIT_GAIN = 1.0
 _YAW_GAIN, _YAW_RATE = 2.5, 1.5
 
 
 class MavVehicle(ApiVehicle):
-    """An `ApiVehicle` that believes its sensors: with failures, state and tasks use what the controller receives."""
+    """An `ApiVehicle` that starts disarmed; during failures, state and tasks use what the controller receives."""
+
+    def _begin(self) -> None:
+        super()._begin()
+        self.sim.arm(False)
 
     @property
     def failing(self) -> FailingController | None:
@@ -60,7 +65,7 @@ class MavVehicle(ApiVehicle):
         return flipped(self._believed[10:13])
 
     def fail(self, failure: Failure) -> None:
-        """Begin a failure."""
+        """Start a failure."""
         if self.failing is None:
             sim = self.sim
             sim.controller = FailingController(sim.controller, sim.odometry, sim.max_thrust, self.spec.seed)
@@ -106,21 +111,21 @@ def hold(vehicle: ApiVehicle) -> Task:
 def climb(vehicle: ApiVehicle, height: float) -> Task:
     """Climb to a height above the origin (m), at 1.5 m/s like PX4."""
     north, east, _ = vehicle.position
-    return (yield from fly_path(vehicle, [(north, east, -height)], 1.5, _FOREVER_S, Yaw()))
+    return (yield from fly_path(vehicle, [(north, east, -height)], 1.5, FOREVER_S, Yaw()))
 
 
 def go_to(vehicle: ApiVehicle, place: Triple, speed: float, yaw: float | None = None) -> Task:
     """Fly to a place in a straight line; the nose points along it unless a yaw is given."""
     facing = Yaw(is_rate=False, value=yaw or 0.0, forward=yaw is None)
-    return (yield from fly_path(vehicle, [place], speed, _FOREVER_S, facing))
+    return (yield from fly_path(vehicle, [place], speed, FOREVER_S, facing))
 
 
 def return_to_launch(vehicle: ApiVehicle, speed: float) -> Task:
     """Fly home at a safe height, and land."""
     north, east, down = vehicle.position
     height = min(down, -RETURN_HEIGHT)
-    yield from fly_path(vehicle, [(north, east, height), (0.0, 0.0, height)], speed, _FOREVER_S, Yaw())
-    return (yield from land(vehicle, _FOREVER_S))
+    yield from fly_path(vehicle, [(north, east, height), (0.0, 0.0, height)], speed, FOREVER_S, Yaw())
+    return (yield from land(vehicle, FOREVER_S))
 
 
 def orbit(vehicle: ApiVehicle, centre: Triple, radius: float, speed: float, clockwise: bool) -> Task:
@@ -167,6 +172,6 @@ def _velocity_for(vehicle: ApiVehicle, setpoint: Setpoint) -> Triple:
 
 
 def _yaw_rate_for(vehicle: ApiVehicle, setpoint: Setpoint) -> float:
-    if setpoint.yaw is not None:
-        return _clip(_YAW_GAIN * math.remainder(setpoint.yaw - vehicle.yaw, 2.0 * math.pi), _YAW_RATE)
-    return setpoint.yaw_rate or 0.0
+    absolute = setpoint.yaw is not None
+    yaw = Yaw(is_rate=not absolute, value=(setpoint.yaw if absolute else setpoint.yaw_rate) or 0.0)
+    return yaw.rate(vehicle, (0.0, 0.0, 0.0))

@@ -1,6 +1,5 @@
 """The autopilot on UDP, on loopback, in wall time."""
 
-import os
 import select
 import socket
 import time
@@ -38,7 +37,6 @@ class Server:
         self, spec: MissionSpec, port: int = PORT, peers: tuple[int, ...] = (OFFBOARD_PORT, GROUND_STATION_PORT),
         speed: float = 1.0,
     ) -> None:  # fmt: skip
-        os.environ.setdefault("MAVLINK20", "1")
         try:
             from pymavlink.dialects.v20 import common
         except ImportError:
@@ -91,9 +89,10 @@ class Server:
             except (BlockingIOError, ConnectionRefusedError):
                 return
             self._peers.add(peer)
-            parser = self._parsers.setdefault(peer, self._dialect.MAVLink(None))
-            parser.robust_parsing = True
-            for message in parser.parse_buffer(data) or ():
+            if peer not in self._parsers:
+                self._parsers[peer] = self._dialect.MAVLink(None)
+                self._parsers[peer].robust_parsing = True
+            for message in self._parsers[peer].parse_buffer(data) or ():
                 if message.get_type() != "BAD_DATA":
                     self.received += 1
                     self.autopilot.handle(message)

@@ -1,10 +1,10 @@
-"""What the autopilot sends by itself: messages with their rates."""
+"""Messages that the autopilot sends periodically, with their rates."""
 
 import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from mavfi.flight_logs.ned import euler, geodetic
+from mavfi.flight_logs.ned import HOME, Triple, euler, geodetic
 
 if TYPE_CHECKING:
     from mavfi.bridges.mavlink.autopilot import Autopilot
@@ -28,9 +28,14 @@ def _heading(autopilot: "Autopilot") -> float:
     return math.degrees(autopilot.vehicle.yaw) % 360.0
 
 
-def _scaled(autopilot: "Autopilot") -> tuple[int, int, int]:
-    """Latitude and longitude (1e-7 degrees) and altitude (mm)."""
-    latitude, longitude, altitude = geodetic(autopilot.place())
+def _above_sea(autopilot: "Autopilot") -> float:
+    """Altitude above sea level (m)."""
+    return HOME[2] - autopilot.vehicle.position[2]
+
+
+def _scaled(ned: Triple) -> tuple[int, int, int]:
+    """Latitude and longitude (1e-7 degrees) and altitude (mm) of a position (m)."""
+    latitude, longitude, altitude = geodetic(ned)
     return round(1e7 * latitude), round(1e7 * longitude), round(1e3 * altitude)
 
 
@@ -50,10 +55,8 @@ def sys_status(autopilot: "Autopilot") -> Arguments:
 
 def home_position(autopilot: "Autopilot") -> Arguments:
     """HOME_POSITION."""
-    latitude, longitude, altitude = geodetic(autopilot.place((0.0, 0.0, 0.0)))
     level = [1.0, 0.0, 0.0, 0.0]
-    home = round(1e7 * latitude), round(1e7 * longitude), round(1e3 * altitude)
-    return *home, 0.0, 0.0, 0.0, level, 0.0, 0.0, 0.0, autopilot.vehicle.now_us
+    return *_scaled((0.0, 0.0, 0.0)), 0.0, 0.0, 0.0, level, 0.0, 0.0, 0.0, autopilot.vehicle.now_us
 
 
 def extended_sys_state(autopilot: "Autopilot") -> Arguments:
@@ -69,26 +72,35 @@ def gps_raw_int(autopilot: "Autopilot") -> Arguments:
     north, east, _ = autopilot.vehicle.velocity
     speed = min(65_534, round(100 * math.hypot(north, east)))
     course = round(100 * _heading(autopilot)) % 36_000
-    return autopilot.vehicle.now_us, _NO_FIX if lost else _FIX_3D, *_scaled(autopilot), 80, 80, speed, course, 12
+    return (
+        autopilot.vehicle.now_us,
+        _NO_FIX if lost else _FIX_3D,
+        *_scaled(autopilot.vehicle.position),
+        80,
+        80,
+        speed,
+        course,
+        12,
+    )
 
 
 def global_position_int(autopilot: "Autopilot") -> Arguments:
     """GLOBAL_POSITION_INT."""
     speeds = (max(-32_768, min(32_767, round(100 * value))) for value in autopilot.vehicle.velocity)
     above = round(-1e3 * autopilot.vehicle.position[2])
-    return autopilot.ms, *_scaled(autopilot), above, *speeds, round(100 * _heading(autopilot)) % 36_000
+    return autopilot.ms, *_scaled(autopilot.vehicle.position), above, *speeds, round(100 * _heading(autopilot)) % 36_000
 
 
 def vfr_hud(autopilot: "Autopilot") -> Arguments:
     """VFR_HUD."""
     north, east, down = autopilot.vehicle.velocity
     speed = math.hypot(north, east)
-    return speed, speed, round(_heading(autopilot)) % 360, 50, geodetic(autopilot.place())[2], -down
+    return speed, speed, round(_heading(autopilot)) % 360, 50, _above_sea(autopilot), -down
 
 
 def altitude(autopilot: "Autopilot") -> Arguments:
     """ALTITUDE."""
-    above, height = geodetic(autopilot.place())[2], -autopilot.vehicle.position[2]
+    above, height = _above_sea(autopilot), -autopilot.vehicle.position[2]
     return autopilot.vehicle.now_us, above, above, height, height, _NAN, 0.0
 
 
@@ -108,11 +120,10 @@ def local_position_ned(autopilot: "Autopilot") -> Arguments:
 
 
 def highres_imu(autopilot: "Autopilot") -> Arguments:
-    """HIGHRES_IMU."""
+    """HIGHRES_IMU: the true rates and forces, also during a failure; constant magnetic field and pressure."""
     x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.sim.imu())
-    above = geodetic(autopilot.place())[2]
-    field = 0.2, 0.0, 0.4
-    return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, 1013.25, 0.0, above, 25.0, 0x1FFF
+    field, air = (0.2, 0.0, 0.4), (1013.25, 0.0, _above_sea(autopilot), 25.0)
+    return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, 0x1FFF
 
 
 def battery_status(autopilot: "Autopilot") -> Arguments:
@@ -122,7 +133,7 @@ def battery_status(autopilot: "Autopilot") -> Arguments:
 
 
 def estimator_status(autopilot: "Autopilot") -> Arguments:
-    """ESTIMATOR_STATUS: everything is known."""
+    """ESTIMATOR_STATUS: all estimates are valid."""
     return autopilot.vehicle.now_us, 0x3FF, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2
 
 
@@ -140,12 +151,12 @@ STREAMS: tuple[tuple[float, Callable[["Autopilot"], Arguments]], ...] = (
 
 
 class Schedule:
-    """Times at which messages are due."""
+    """Instants at which messages are due."""
 
     def __init__(self) -> None:
         self._due: dict[str, int] = {}
 
-    def hurry(self, name: str) -> None:
+    def request(self, name: str) -> None:
         """Make a message due at once."""
         self._due[name] = 0
 

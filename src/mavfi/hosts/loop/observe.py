@@ -1,4 +1,4 @@
-"""Observation of a running flight: publications, control periods, and what has happened since the last one."""
+"""Observation of a running flight: publications, control periods, and events, alarms and injections."""
 
 import time
 from typing import Any, Protocol
@@ -22,13 +22,13 @@ class Observer(Protocol):
     def published(self, state: State, time_us: int) -> None:
         """A publication, as consumers receive it, and its instant (us)."""
 
-    def tick(self, row: np.ndarray, news: list[Item], status: MissionStatus | None) -> None:
+    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
         """A control period has elapsed.
 
         Args:
             row: Its row in the flight log, see `flight_log.COLUMNS`. Shape (21,).
-            news: Events, alarms and injections since the last one.
-            status: Status at the end of the mission; None = it continues.
+            items: Events, alarms and injections since the last one.
+            status: Status at the end of the mission; None = it has not ended.
         """
 
 
@@ -49,7 +49,7 @@ class Attached:
         began = time.monotonic()
 
         def tick(now: int) -> None:
-            self._observer.tick(loop.record.rows[-1], _news(loop, seen), loop.status)
+            self._observer.tick(loop.record.rows[-1], _new_items(loop, seen), loop.status)
             if self._pace > 0 and loop.status is None:
                 time.sleep(max(0.0, began + 1e-6 * now / self._pace - time.monotonic()))
 
@@ -58,7 +58,7 @@ class Attached:
         self._observer.begin(loop)
 
 
-def _news(loop: Loop, seen: list[int]) -> list[Item]:
+def _new_items(loop: Loop, seen: list[int]) -> list[Item]:
     """Items since the last call; `seen` counts the earlier ones."""
     injections: Any = getattr(loop.taps.injector, "injections", ())
     tables = (injections, loop.record.events, loop.record.alarms)

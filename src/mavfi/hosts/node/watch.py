@@ -8,7 +8,7 @@ import os
 import queue
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -156,10 +156,9 @@ class Watch:
 
 
 def train(
-    kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]],
-    told: Callable[[int], None] | None = None,
-) -> Detector:  # fmt: skip
-    """Train a detector on normal messages (topic and bytes, in order); `told` is called with their number.
+    kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]]
+) -> tuple[Detector, int]:
+    """Train a detector on normal messages (topic and bytes, in order); also returns their number.
 
     Raises:
         BadInputError: See `learn`.
@@ -167,6 +166,4 @@ def train(
     states = [
         state for topic, message in messages if topic in probes and (state := probes[topic].read(message)) is not None
     ]
-    if told is not None:
-        told(len(states))
-    return learn(kind, profile, states, {topic: probe.spec for topic, probe in probes.items()})
+    return learn(kind, profile, [states], {topic: probe.spec for topic, probe in probes.items()}), len(states)

@@ -71,7 +71,7 @@ class Maker:
 
 def write_bag(messages: Iterable[Message], path: Path) -> int:
     """Write a ROS 1 bag, for `rosbag info`, `rosbag play` and rqt; return the number of messages."""
-    with _beside(path) as folder:
+    with _temporary_folder(path) as folder:
         part = folder / "flight.bag"
         with rosbag1.Writer(part) as writer:
             count = _write(writer, messages, Maker(is_ros1=True))
@@ -81,7 +81,7 @@ def write_bag(messages: Iterable[Message], path: Path) -> int:
 
 def write_mcap(messages: Iterable[Message], path: Path) -> int:
     """Write a ROS 2 mcap file, for Foxglove, PlotJuggler and `ros2 bag`; return the number of messages."""
-    with _beside(path) as folder:
+    with _temporary_folder(path) as folder:
         part = folder / "flight"
         with rosbag2.Writer(part, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
             count = _write(writer, messages, Maker(is_ros1=False))
@@ -99,7 +99,7 @@ def write_csv(log: FlightLog, path: Path) -> int:
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[Path]:
+def _temporary_folder(path: Path) -> Iterator[Path]:
     """A temporary folder next to the file, so that the file appears only when complete."""
     with writing(path):
         folder = tempfile.TemporaryDirectory(prefix=".mavfi-", dir=path.absolute().parent)

@@ -32,8 +32,8 @@ from mavfi.states import State
 HOST = "127.0.0.1"
 _PERIOD_S, _SCENERY_PERIOD_S = 0.05, 1.0
 """Shortest wall time between messages (s); of obstacles and map, which are repeated for new viewers."""
-_SHARES = 0.01, 0.01, 0.01, 0.01
-"""Largest shares of wall time spent on motion, point clouds, plans, and obstacles with the map."""
+_SHARE = 0.01
+"""Largest share of wall time spent on each of motion, point clouds, plans, and obstacles with the map."""
 _KINDS = {
     **{message.topic: message.kind for message in tick_messages(np.ones(len(COLUMNS)))},
     "/obstacles": "visualization_msgs/MarkerArray", "/goal": "visualization_msgs/Marker",
@@ -45,15 +45,14 @@ _TOPICS = {"perception.point_cloud": "/points", "planning.path": "/path", "plann
 
 
 class Allowance:
-    """Limits work to a rate and to a share of the wall time; `with` encloses the work.
+    """Limits work to a rate and to `_SHARE` of the wall time; `with` encloses the work.
 
     Args:
-        period_s: Shortest time between the begins of work (s).
-        share: Largest share of the time.
+        period_s: Shortest time between two starts of the work (s).
     """
 
-    def __init__(self, period_s: float, share: float) -> None:
-        self._period_s, self._share = period_s, share
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
         self._begin = self._next = 0.0
 
     def due(self, now: float) -> bool:
@@ -65,7 +64,7 @@ class Allowance:
 
     def __exit__(self, *_: object) -> None:
         spent = time.monotonic() - self._begin
-        self._next = self._begin + max(self._period_s, spent / self._share)
+        self._next = self._begin + max(self._period_s, spent / _SHARE)
 
 
 class LiveView:
@@ -91,8 +90,8 @@ class LiveView:
             raise BadInputError(f"--live: port {port}: cannot be served ({error}); allowed: a free port") from None
         self._maker = Maker(is_ros1=False)
         self._channels = {topic: self._channel(topic, kind) for topic, kind in _KINDS.items()}
-        periods = _PERIOD_S, _PERIOD_S, _PERIOD_S, _SCENERY_PERIOD_S
-        self._motion, self._clouds, self._planning, self._scene = map(Allowance, periods, _SHARES)
+        self._motion, self._clouds, self._planning = (Allowance(_PERIOD_S) for _ in range(3))
+        self._scene = Allowance(_SCENERY_PERIOD_S)
         self._plans: dict[str, tuple[State, int]] = {}
         self._scenery: list[Message] = []
 
@@ -119,10 +118,10 @@ class LiveView:
             with self._clouds:
                 self._send(self._convert(state, time_us))
 
-    def tick(self, row: np.ndarray, news: list[Item], status: MissionStatus | None) -> None:
+    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
         """See `Observer`."""
-        if news or status is not None:
-            lines = [line for item in news if (line := line_of(item)) is not None]
+        if items or status is not None:
+            lines = [line for item in items if (line := line_of(item)) is not None]
             self._send(map(log_message, [*lines, *([] if status is None else [end_line(float(row[0]), status)])]))
         now = time.monotonic()
         if status is not None or self._motion.due(now):

@@ -13,8 +13,6 @@ from mavfi.reports.export.tlog import Payload, motion_messages, packet, text_mes
 from mavfi.states import State
 
 HOST = "127.0.0.1"
-GROUND_STATION_PORT = 14550
-"""UDP port on which ground stations listen."""
 
 
 class Telemetry:
@@ -37,12 +35,12 @@ class Telemetry:
     def published(self, state: State, time_us: int) -> None:
         """See `Observer`."""
 
-    def tick(self, row: np.ndarray, news: list[Item], status: MissionStatus | None) -> None:
+    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
         """See `Observer`."""
         for message in motion_messages(row, self._rows):
             self._send(message)
         self._rows += 1
-        lines = [line for item in news if (line := line_of(item)) is not None]
+        lines = [line for item in items if (line := line_of(item)) is not None]
         if status is not None:
             lines.append(end_line(float(row[0]), status))
         for line in lines:

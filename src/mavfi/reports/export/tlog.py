@@ -20,7 +20,7 @@ Payload = tuple[tuple[int, int], bytes]
 """Message id with CRC_EXTRA, and payload."""
 LONGEST_TEXT = 50
 """Characters of one STATUSTEXT; longer texts are sent in chunks."""
-SEVERITIES = {ERROR: 3, WARN: 4, INFO: 6}
+_SEVERITIES = {ERROR: 3, WARN: 4, INFO: 6}
 """MAV_SEVERITY of each level."""
 _HEARTBEAT, _ATTITUDE, _LOCAL_POSITION, _GLOBAL_POSITION, _TEXT = (0, 50), (30, 39), (32, 185), (33, 104), (253, 83)
 """Message id and CRC_EXTRA, a checksum of the message's definition, from the dialect `common`."""
@@ -42,18 +42,13 @@ def write_tlog(log: FlightLog, path: Path) -> int:
     return len(messages)
 
 
-def text_messages(line: Line, number: int) -> list[Payload]:
-    """The STATUSTEXT messages of a line; chunks of a long text share an id that follows from `number`."""
-    return [(_TEXT, content) for content in text_chunks(line.text, SEVERITIES[line.level], number)]
-
-
-def text_chunks(text: str, severity: int, number: int) -> Iterator[bytes]:
-    """Payloads of the STATUSTEXT messages of one text; chunks of a long text share the id `number`."""
-    content = text.encode("ascii", "replace")
+def text_messages(line: Line, number: int) -> Iterator[Payload]:
+    """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
+    content = line.text.encode("ascii", "replace")
     parts = [content[place : place + LONGEST_TEXT] for place in range(0, len(content), LONGEST_TEXT)] or [b""]
     own = 0 if len(parts) == 1 else number % 65_535 + 1
     for place, part in enumerate(parts):
-        yield struct.pack("<B50sHB", severity, part, own, min(place, 255))
+        yield _TEXT, struct.pack("<B50sHB", _SEVERITIES[line.level], part, own, min(place, 255))
 
 
 def motion_messages(row: np.ndarray, place: int) -> Iterator[Payload]:

@@ -47,10 +47,10 @@ def _message(kind: str, body: bytes) -> bytes:
 def _definitions(log: FlightLog) -> bytes:
     """Flag bits, information, formats, and one subscription per topic."""
     scenario = log.meta.get("scenario", {})
-    told = {"sys_name": "mavfi", "ver_hw": "simulation", "mavfi_status": log.status.label}
-    told |= {"mavfi_environment": str(scenario.get("environment", {}).get("name", ""))}
+    information = {"sys_name": "mavfi", "ver_hw": "simulation", "mavfi_status": log.status.label}
+    information |= {"mavfi_environment": str(scenario.get("environment", {}).get("name", ""))}
     parts = [_message("B", bytes(40))]
-    for key, value in told.items():
+    for key, value in information.items():
         typed = f"char[{len(value.encode())}] {key}".encode()
         parts.append(_message("I", bytes([len(typed)]) + typed + value.encode()))
     parts += [_message("F", f"{name}:{fields}".encode()) for name, fields in FORMATS.items()]

@@ -117,6 +117,19 @@ def test_reposition(flying):
     assert flying.vehicle.position == pytest.approx((10.0, -4.0, -4.0), abs=0.8)
 
 
+def test_reposition_relative_to_home_keeps_coordinates_that_are_left_out(flying):
+    """COMMAND_INT: frame 6 = global, relative altitude; 2^31 - 1 = no coordinate."""
+    missing, north, east = 2**31 - 1, *flying.vehicle.position[:2]
+    flying.send(mavlink.MAVLink_command_int_message(1, 1, 6, 192, 0, 0, -1, 1, 0, NAN, missing, missing, 6.0))
+    flying.wait(8)
+    assert flying.vehicle.position == pytest.approx((north, east, -6.0), abs=0.8)
+
+
+@pytest.mark.parametrize(("number", "result"), [(400, DENIED), (176, DENIED), (420, UNSUPPORTED), (512, DENIED)])
+def test_parameters_that_are_not_given_are_refused(flying, number, result):
+    assert flying.command(number, 0 if number == 400 else NAN, NAN, NAN) == result
+
+
 def offboard(client, mask, seconds, **values):
     given = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"), 0.0) | values
     for _ in range(round(seconds / 0.2)):
@@ -147,20 +160,32 @@ def test_orbit(flying):
     assert math.hypot(north, east) == pytest.approx(5.0, abs=1.0) and down == pytest.approx(-4.0, abs=0.5)
 
 
-def test_a_mission(client):
-    places = [(0.0, 0.0), (6.0, 0.0), (6.0, 6.0)]
-    client.send(mavlink.MAVLink_mission_count_message(1, 1, len(places)))
-    for number, place in enumerate(places):
+def upload(client, items):
+    """Upload a mission of (command, north, east, height above home)."""
+    client.send(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
+    for number, (command, north, east, height) in enumerate(items):
         assert client.of("MISSION_REQUEST_INT")[-1].seq == number
-        latitude, longitude, _ = geodetic((*place, 0.0))
+        latitude, longitude, _ = geodetic((north, east, 0.0))
         client.send(mavlink.MAVLink_mission_item_int_message(
-            1, 1, number, 6, 16, 0, 1, 0, 1, 0, NAN, round(1e7 * latitude), round(1e7 * longitude), 5.0,
+            1, 1, number, 6, command, 0, 1, 0, 1, 0, NAN, round(1e7 * latitude), round(1e7 * longitude), height,
         ))  # fmt: skip
     assert client.of("MISSION_ACK")[-1].type == 0
+
+
+def test_a_mission(client):
+    upload(client, [(16, 0.0, 0.0, 5.0), (16, 6.0, 0.0, 5.0), (21, 6.0, 6.0, 0.0)])
     assert client.command(400, 1) == ACCEPTED and client.command(300) == ACCEPTED
-    client.wait(60, lambda: "Mission finished" in client.texts())
+    client.wait(90, lambda: "Mission finished" in client.texts())
     assert [m.seq for m in client.of("MISSION_ITEM_REACHED")] == [0, 1, 2]
-    assert client.vehicle.position == pytest.approx((6.0, 6.0, -5.0), abs=0.8)
+    assert client.vehicle.landed and not client.vehicle.sim.armed
+    assert client.vehicle.position[:2] == pytest.approx((6.0, 6.0), abs=0.8)
+
+
+def test_all_types_of_missions_are_cleared(client):
+    upload(client, [(16, 0.0, 0.0, 5.0)])
+    client.send(mavlink.MAVLink_mission_clear_all_message(1, 1, 255))
+    client.send(mavlink.MAVLink_mission_request_list_message(1, 1))
+    assert client.of("MISSION_COUNT")[-1].count == 0
 
 
 def test_parameters(client):
@@ -198,6 +223,15 @@ def test_every_type_of_failure_changes_a_value_before_it_is_acknowledged(flying,
 
 def test_ok_without_a_failure_fails(flying):
     assert flying.command(420, GYRO, 0, 0) == FAILED
+
+
+def test_a_failure_without_effect_ends_alone(flying):
+    """A motor that is off cannot be stuck at another value: that failure is refused, the first one stays."""
+    assert flying.command(420, MOTOR, OFF, 1) is None
+    flying.wait(0.1)
+    assert flying.command(420, MOTOR, STUCK, 1) is None
+    flying.wait(1.1)
+    assert flying.result(420) == FAILED and [f.kind for f in flying.autopilot.failures] == ["off"]
 
 
 def test_a_motor_that_is_off_brings_the_vehicle_down(flying):
