@@ -221,6 +221,18 @@ def parse_state(text: str, localization: str = "truth") -> StateRequest:
     return _STATE_PARSERS.get(level, _only_states)(text, rest, localization)
 
 
+def parse_sensor(text: str, seed: int) -> SensorFault:
+    """Parse a failure that begins at a given instant.
+
+    Raises:
+        BadInputError: Another form, or no instant.
+    """
+    request = _parse_sensor(text, text.partition(":")[2], "")
+    if request.drawn:
+        raise BadInputError(f"fault {text!r}: without an instant; allowed: ...@SECONDS")
+    return request.resolve(seed, 0)
+
+
 def _only_states(text: str, _rest: str, _localization: str) -> NoReturn:
     raise BadInputError(f"fault {text!r}: on ROS faults are injected into states; allowed: null, state:STATE...")
 

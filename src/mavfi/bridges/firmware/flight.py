@@ -1,4 +1,4 @@
-"""One mission flown by a firmware, with a register fault in it; bit-reproducible."""
+"""One mission flown by a firmware, with a fault in its registers, or in sensors and motors; bit-reproducible."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,11 +9,13 @@ from mavfi.bridges.firmware.injector import NODE, WALK, FirmwareInjector
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog, KernelEffect
 from mavfi.flight_record import CONTROLLER_LOST
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.mission import Scenario
 from mavfi.sim.controller import find_controller
 
@@ -24,7 +26,7 @@ def register_fault(time_us: int, seed: int, registers: str = "all", **given: Any
 
 
 def fly(
-    scenario: Scenario, fault: RegisterFault | None = None, detector: Detector | None = None, *,
+    scenario: Scenario, fault: RegisterFault | SensorFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False,
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
@@ -48,8 +50,8 @@ def fly(
     loop = new_loop(scenario, profile=profile)
     try:
         controller = cast(BetaflightController, getattr(loop.plant, "controller", None))
-        if fault is not None:
-            controller.injector = FirmwareInjector(fault)
+        if fault is not None and not inject_sensor_fault(loop, fault):
+            controller.injector = FirmwareInjector(cast(RegisterFault, fault))
 
         def note_end(now: int) -> None:
             if controller.lost is not None and CONTROLLER_LOST not in {event.kind for event in loop.record.events}:

@@ -80,6 +80,10 @@ class Failures:
         self.active = [failure for failure in self.active if failure not in ended]
         return bool(ended)
 
+    def remove(self, failure: Failure) -> None:
+        """Remove one failure."""
+        self.active.remove(failure)
+
     def state(self, time_us: int, odometry: np.ndarray) -> np.ndarray:
         """The state that readers believe, as in `sim.simulator.Simulator.odometry`. Shape (13,)."""
         found = self._changed("state", _STATE, time_us, odometry)
