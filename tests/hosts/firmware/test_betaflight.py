@@ -7,6 +7,7 @@ from mavfi.bridges.firmware import build
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.bridges.firmware.host import FirmwareHost
 from mavfi.errors import BadInputError
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, MissionStatus
@@ -49,6 +50,14 @@ def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
     null = fly(scenario(), register_fault(3_000_000, 5, null=True)).log
     assert null.injections[0].activated
     assert null.digest() == golden.log.digest()
+
+
+def test_a_failure_of_a_sensor_reaches_the_firmware(golden):
+    log = fly(scenario(), SensorFault("gyro", "wrong", 3_000_000)).log
+    assert log.injections[0].activated and log.digest() != golden.log.digest()
+    assert (log.rows[:151] == golden.log.rows[:151]).all()
+    null = fly(scenario(), SensorFault("accelerometer", "ok", 3_000_000)).log
+    assert null.injections[0].activated and null.digest() == golden.log.digest()
 
 
 def test_the_velocity_command_is_followed():

@@ -1,4 +1,4 @@
-"""The host `firmware`: missions flown by a real flight controller's firmware, with faults in its registers, or in sensors and motors."""
+"""The host `firmware`: missions flown by a real firmware, with faults in its registers, or in sensors and motors."""
 
 from collections.abc import Mapping
 
