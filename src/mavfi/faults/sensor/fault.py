@@ -45,7 +45,7 @@ UNITS = {
 TYPES = {
     "ok": "no failure: the null fault, through the whole path",
     "off": "no values: readers keep the last one, an image has no measurement, a motor stands still",
-    "stuck": "the value at the begin of the failure",
+    "stuck": "the value at the start of the failure",
     "garbage": "uniform noise",
     "wrong": "a constant error",
     "slow": "an update every 0.5 s",
@@ -67,9 +67,9 @@ class SensorFault(Planned):
     """A failure of a sensor or motor, for all its readers.
 
     Attributes:
-        unit: Key of `UNITS`.
-        kind: Key of `TYPES`.
-        time_us: Begin; `NO_SITE` = the golden run has no such instant.
+        unit: gyro, accelerometer, compass, position, depth_camera or motor.
+        kind: ok, off, stuck, garbage, wrong, slow, delayed, intermittent or drift.
+        time_us: First instant; `NO_SITE` = the golden run has no such instant.
         lasts_s: Duration (s); "inf" = to the end.
         instance: Number of the motor from 1; 0 = all of them.
         stratum: Always "": not drawn by stratum.
