@@ -1,11 +1,11 @@
 """Register faults in a flight controller's firmware: fly them, and write docs/generated/firmware.md.
 
     python -m tools.firmware_faults fly hover --count 400    # appends to out/firmware/hover.jsonl; resumes
-    python -m tools.firmware_faults check square --count 20  # flies some again: same bytes?
+    python -m tools.firmware_faults check square --count 20  # repeats the last ones, and compares digests
     python -m tools.firmware_faults golden sparse --count 20 # golden missions in an environment
     python -m tools.firmware_faults write [DIR]              # the page; DIR: ledger of the campaign `firmware`
 
-Flight i has seed i, whatever the process that flies it, so several may fly shares of them (--first).
+Flight i has seed i, so several processes may each fly a part (--first).
 """
 
 import argparse
@@ -25,6 +25,7 @@ from mavfi.bridges.firmware import patterns
 from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.campaign.analysis.statistics import wilson
+from mavfi.faults.fault import RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
@@ -34,10 +35,11 @@ from tools.markers import DOCS, GENERATED, banner, fill
 OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 _MOST_FUNCTIONS = 12
+_FIRST_MISSION = 10_000
 Row = dict[str, Any]
 
 
-def fault_of(pattern: str, seed: int) -> Any:
+def fault_of(pattern: str, seed: int) -> RegisterFault:
     """The fault of flight number `seed`: its instant is uniform in the flight's middle."""
     span = (round(1e6 * patterns.FIRST_S), round(1e6 * patterns.LAST_S))
     return register_fault(int(stream(seed, "firmware", pattern).integers(*span)), seed)
@@ -69,21 +71,21 @@ def fly_faults(pattern: str, first: int, count: int) -> None:
 
 
 def check(pattern: str, count: int) -> None:
-    """Fly the last faults of a ledger again, and compare bytes."""
+    """Fly the last faults of a ledger again, and compare digests."""
     same = 0
     rows = rows_of(pattern)[-count:]
     for row in rows:
         flight = patterns.fly(pattern, fault_of(pattern, row["seed"]))
-        is_same = flight.digest == row["digest"] and list(flight.lost) == list(row["lost"])
+        is_same = flight.digest == row["digest"] and list(flight.lost) == row["lost"]
         same += is_same
-        print(row["seed"], "same" if is_same else "OTHER", flush=True)
+        print(row["seed"], "same" if is_same else "different", flush=True)
     _append(f"check-{pattern}", {"seed": pattern, "same": same, "n": len(rows)})
 
 
-def golden_missions(environment: str, count: int, first: int = 10_000) -> None:
+def golden_missions(environment: str, count: int) -> None:
     """Golden missions in an environment; the first one twice."""
     known = {row["seed"] for row in rows_of("golden")}
-    for seed in range(first, first + count):
+    for seed in range(_FIRST_MISSION, _FIRST_MISSION + count):
         name = f"{environment}-{seed}"
         if name in known:
             continue
@@ -93,7 +95,7 @@ def golden_missions(environment: str, count: int, first: int = 10_000) -> None:
         row: Row = {"seed": name, "environment": environment, "status": log.status.label, "digest": log.digest()}
         row |= {"flight_s": float(log.column("time")[-1]), "wall_s": round(time.perf_counter() - began, 2)}
         row |= {"load": round(os.getloadavg()[0], 1)}
-        if seed == first:
+        if seed == _FIRST_MISSION:
             row["same"] = fly(scenario).log.digest() == log.digest()
         _append(f"golden-{environment}", row)
         print(row, flush=True)
@@ -185,10 +187,8 @@ def _golden_lines() -> list[str]:
                          f"{np.median([row['wall_s'] for row in own]):.1f} |")  # fmt: skip
     twice = [row["same"] for row in rows if "same" in row]
     load = np.median([row["load"] for row in rows])
-    told = (
-        f"Flown twice: {len(twice)}, with the same digest: {sum(twice)}.  Load of the machine meanwhile: {load:.1f} on "
-    )
-    return [*lines, "", f"{told}{os.cpu_count()} cores.", ""]
+    repeated = f"Flown twice: {len(twice)}, with the same digest: {sum(twice)}."
+    return [*lines, "", f"{repeated}  Load of the machine meanwhile: {load:.1f} on {os.cpu_count()} cores.", ""]
 
 
 def _mission_lines(campaign: Path | None) -> list[str]:
@@ -208,10 +208,18 @@ def _mission_lines(campaign: Path | None) -> list[str]:
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("verb", choices=["fly", "check", "golden", "write"])
-    parser.add_argument("name", nargs="?", default="")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=20)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    for verb, names in (
+        ("fly", tuple(patterns.PATTERNS)),
+        ("check", tuple(patterns.PATTERNS)),
+        ("golden", ENVIRONMENTS),
+    ):
+        one = verbs.add_parser(verb)
+        one.add_argument("name", choices=names)
+        one.add_argument("--count", type=int, default=20)
+        if verb == "fly":
+            one.add_argument("--first", type=int, default=0)
+    verbs.add_parser("write").add_argument("campaign", nargs="?", type=Path)
     asked = parser.parse_args()
     if asked.verb == "fly":
         fly_faults(asked.name, asked.first, asked.count)
@@ -220,7 +228,7 @@ def main() -> None:
     elif asked.verb == "golden":
         golden_missions(asked.name, asked.count)
     else:
-        PAGE.write_text(page(Path(asked.name) if asked.name else None), encoding="utf-8")
+        PAGE.write_text(page(asked.campaign), encoding="utf-8")
         fill(DOCS / "fault-model.md", {"firmware": headline()})
         print(f"wrote {PAGE}")
 

@@ -35,9 +35,6 @@ from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
 from mavfi.states import DETECTORS
 
-_UNOBSERVED = "golden"
-"""Arm of a golden run with which a flight is compared."""
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -161,7 +158,7 @@ def fly_request(
     seed: int,
     label: str,
     bare: Scenario,
-    elsewhere: Host | None = None,
+    own_host: Host | None = None,
 ) -> FlightResult:
     """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
@@ -171,7 +168,7 @@ def fly_request(
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
         bare: The mission without the detector and its mission keys, in which the fault is flown as well.
-        elsewhere: A host with another world; None = the host of the fault.
+        own_host: Flies the mission; None = the host of the fault.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -180,35 +177,33 @@ def fly_request(
     fault, golden = (
         (None, None) if request is None else draw_request(setup.scenario, request, seed, detector, setup.recovery)
     )
-    return _fly_fault(setup, fault, label, bare, golden if elsewhere is None else None, elsewhere)
+    return _fly_fault(setup, fault, label, bare, golden if own_host is None else None, own_host)
 
 
 def _fly_fault(
     setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None,
-    elsewhere: Host | None = None,
+    own_host: Host | None = None,
 ) -> FlightResult:  # fmt: skip
     """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
     if setup.make_detector is None:
-        flight, own = _flown(setup, fault, golden, elsewhere)
+        flight, own = _flown(setup, fault, golden, own_host)
         return FlightResult(setup.scenario, flight, own, fault)
-    flight, own = _flown(setup, fault, None, elsewhere)
+    flight, own = _flown(setup, fault, None, own_host)
     known = golden if bare == setup.scenario else None
     of_detector = getattr(fault, "kernel", "") in DETECTORS  # such faults exist only with the detector
-    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, elsewhere)[0]
+    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, own_host)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 
 
 def _flown(
-    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, elsewhere: Host | None = None
+    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, own_host: Host | None = None
 ) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
-    begin: Any = (elsewhere or host_for(fault)).mission  # each host has flights of its own type
-    if fault is None and golden is None:
-        return begin({"": setup}, fast_forward=False).golden(""), None
-    flights = begin({"": setup, _UNOBSERVED: replace(setup, observers=())}, fast_forward=False)
-    golden = golden or flights.golden(_UNOBSERVED)
+    arms = {"": setup, "golden": replace(setup, observers=())}  # observers see the flight with the fault only
+    flights: Any = (own_host or host_for(fault)).mission(arms, fast_forward=False)  # each host has its own type
     if fault is None:
-        return golden, None
+        return golden or flights.golden(""), None
+    golden = golden or flights.golden("golden")
     flights.know("", golden)
     ((_, flight),) = flights.injected([("", fault)])
     if isinstance(flight, Exception):

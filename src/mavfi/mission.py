@@ -77,7 +77,7 @@ class MissionSpec(Config):
     )
     vehicle: str | None = Field(None, description="A name, or a YAML file; the environment's by default.")
     flight_controller: str = Field(
-        "cascade", description="From velocity to rotor commands: cascade, an entry point, or package:Class."
+        "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
     )
     v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
     depth_noise: float = Field(0.0, ge=0.0, le=1.0, description="Of the depth camera: standard deviation / range.")

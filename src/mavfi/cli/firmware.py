@@ -78,7 +78,7 @@ def setup(
 def register_fault(
     text: str | None, registers: str | None, seed: int | None, *, alone: bool = True
 ) -> RegisterFault | None:
-    """The fault of `--register-fault`; None = none is asked for.  `alone`: neither --fault nor --html is given.
+    """The fault of `--register-fault`; None = no fault.  `alone`: none of --fault, --html, --world is given.
 
     Raises:
         BadInputError: An option is invalid, or has no effect.
@@ -89,12 +89,12 @@ def register_fault(
                 raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
         return None
     if not alone:
-        raise BadInputError("--register-fault: allowed: without --fault and --html")
+        raise BadInputError("--register-fault: allowed: without --fault, --html and --world")
     from mavfi.bridges.firmware.flight import register_fault as fault_at
     from mavfi.bridges.firmware.injector import NODE
     from mavfi.faults.fault import REGISTERS
 
-    node, time_us = instant("--register-fault", text)
+    node, time_us = instant("--register-fault", text, f"{NODE}@10")
     if node != NODE:
         raise BadInputError(f"--register-fault: {text!r}: allowed: {NODE}@SECONDS, e.g. {NODE}@10")
     check_name("--registers", registers or "all", REGISTERS)

@@ -55,7 +55,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     check_file("--html", html, PAGES)
-    in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html))
+    in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html or world))
     from mavfi.cli.progress import compiling
     from mavfi.faults.spec import parse
 
@@ -73,7 +73,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         wanted, make = in_register or request, None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace, fault) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
-            result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault))
+            result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault, mission))
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
@@ -116,19 +116,21 @@ def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[s
     result.log.save(save)
 
 
-def _host(world: str | None, fault: str | None) -> LocalHost | None:
+def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHost | None:
     """The host of a world behind an address; None = the simulator."""
-    from mavfi.hosts.local.mission_flights import LocalHost
-
     if world is None:
         return None
     from mavfi.bridges.airsim.program import world_address
     from mavfi.bridges.airsim.remote import Remote
+    from mavfi.hosts.local.mission_flights import LocalHost
 
     if (fault or "").startswith("instruction:"):
         raise BadInputError(
             f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:"
         )
+    if _is_chosen(mission, "flight_controller"):
+        text = "that of the server flies; allowed: without --world"
+        raise BadInputError(f"--flight-controller: {mission.flight_controller}: {text}")
     host, port = world_address(world)
     return LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
 

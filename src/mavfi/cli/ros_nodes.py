@@ -70,15 +70,15 @@ def cloud_node(text: str) -> CloudNode:
     return cast("CloudNode", text)
 
 
-def instant(option: str, text: str) -> tuple[str, int]:
-    """Parse node and instant, e.g. "octomap@20" (s), to name and microseconds; raises `BadInputError` if invalid."""
+def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, int]:
+    """Parse node and instant (s), as in `example`, to name and microseconds; raises `BadInputError` if invalid."""
     node, separator, seconds = text.partition("@")
     try:
         time_s = float(seconds)
     except ValueError:
         separator, time_s = "", 0.0
     if not separator or not 0.0 <= time_s < _LONGEST_S:
-        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. octomap@20")
+        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. {example}")
     return node, round(1e6 * time_s)
 
 

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.flight_record import FlightRecord, record_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -22,8 +22,6 @@ SHIPPED = {
     "airsim_program": "mavfi.bridges.airsim.host:AirsimProgramHost",
 }  # fmt: skip
 """Class of each host of this package, by name."""
-_HOSTS_OF_NODES = {"firmware": "firmware"}
-"""Host by `RegisterFault.node`."""
 
 
 @dataclass(slots=True)
@@ -64,8 +62,8 @@ class Recorded(Protocol):
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
 
-    Observers are called with the loop before each flight (see `hosts.loop.observe`), by the local host without
-    fast-forward, except for faults in instructions.
+    Observers are called with the loop before each flight (see `hosts.loop.observe`), by the host `firmware`, and by the
+    host `local` without fast-forward, except for faults in instructions.
     """
 
     scenario: Scenario
@@ -176,8 +174,8 @@ def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
 
 
 def host_for(fault: Fault | None) -> Host:
-    """The host that flies a single mission with a fault: that of the process which the fault is in, or `local`."""
-    return find_host(_HOSTS_OF_NODES.get(getattr(fault, "node", ""), "local"))
+    """The host that flies a single mission with a fault."""
+    return find_host("firmware" if isinstance(fault, RegisterFault) else "local")
 
 
 def require_level(host: Host, level: str) -> None:

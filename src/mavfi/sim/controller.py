@@ -20,7 +20,7 @@ _SHIPPED = {
 
 
 class Start(NamedTuple):
-    """Where and with what a controller takes over.
+    """Vehicle and state with which a controller starts.
 
     Attributes:
         vehicle: Airframe.
@@ -40,8 +40,8 @@ class Controller(Protocol):
 
     Attributes:
         period_us: Its period and that of the physics (us): 4000 divided by an integer.
-        rewindable: Whether `save` and `restore` work, and a forked process can have a copy.  Flights of others are not
-            fast-forwarded, and faults in instructions, whose runs are forked, are refused.
+        rewindable: Whether `save` and `restore` work, and a forked process has a copy of its own.  If not, flights are
+            not fast-forwarded, and faults in instructions, whose runs are forked, are refused.
     """
 
     period_us: int

@@ -16,12 +16,11 @@ from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.numerics.vectors import product
 from mavfi.sim.camera import Camera, cast_rays, pixel_directions
-from mavfi.sim.controller import Start, find_controller
 from mavfi.sim.engine import GRAVITY
 from mavfi.sim.environments.world import World
-from mavfi.sim.scene import ACCELEROMETER, STEP_US, build_model
+from mavfi.sim.scene import ACCELEROMETER, STEP_US
 from mavfi.sim.simulator import Simulator
-from mavfi.sim.vehicle import Body, airframe_of, hover_thrusts, turn_rotors
+from mavfi.sim.vehicle import hover_thrusts
 
 GROUND, SCAN = -1, -2
 """`Contact.obstacle` of the ground, and of the voxels of a scan."""
@@ -93,7 +92,6 @@ class Grounded(Simulator):
         """
         self.world = on_the_ground(world, scenario.vehicle.hull_radius) if on_ground else world
         super().__init__(self.world, scenario)
-        self._scenario = scenario
         self._rays: dict[CameraConfig, np.ndarray] = {}
         self.armed, self.resting = not on_ground, False
         self.rotors: Rotors | None = None
@@ -121,17 +119,10 @@ class Grounded(Simulator):
 
     def _advance_rotors(self, time_us: int) -> None:
         """Advance with rotor commands of another source, or with the motors off."""
-        wind, period_us = self._weather.until(1e-6 * time_us), self.controller.period_us
-        limit, off = self._airframe.max_thrust, np.zeros(4)
+        wind, off = self._weather.until(1e-6 * time_us), np.zeros(4)
         while self.time_us < time_us:
-            asked = self.rotors(self.time_us, self.odometry) if self.armed and self.rotors is not None else off
-            wanted = np.clip(np.where(np.isnan(asked), 0.0, asked), 0.0, limit)
-            touched = turn_rotors(
-                self._airframe, self._body, self._voxels, wind, self.time_us, period_us, self._thrusts, wanted,
-                self.odometry,
-            )  # fmt: skip
-            self.collided = self.collided or touched
-            self.time_us += period_us
+            wanted = self.rotors(self.time_us, self.odometry) if self.armed and self.rotors is not None else off
+            self._turn_rotors(wind, wanted)
 
     def _note_contacts(self) -> None:
         """Tell obstacles from the ground; without thrust, the vehicle comes to rest where it touches the ground."""
@@ -221,9 +212,7 @@ class Grounded(Simulator):
         self.controller.close()
         self._thrusts[:] = hover_thrusts(self._airframe) if self.armed else 0.0
         self._setpoint[:], self._expiry_us = 0.0, 0
-        scenario, heading = self._scenario, float(yaw_of(self.odometry[6:10]))
-        make = find_controller(scenario.flight_controller)
-        self.controller = make(Start(scenario.vehicle, self.odometry.copy(), heading, scenario.seed))
+        self.controller = self._make_controller(float(yaw_of(self.odometry[6:10])))
 
     def limit_speed(self, speed: float) -> None:
         """Accept velocity set-points up to a speed (m/s), instead of 1.33 v_max."""
@@ -242,14 +231,8 @@ class Grounded(Simulator):
             upper: Upper corners (m). Shape (n, 3).
         """
         self.world = replace(self.world, lower=lower, upper=upper)
-        kept, period_us = self.snapshot(), self.controller.period_us
-        self._model = build_model(self.world, self._scenario.vehicle, period_us)
-        self._data = mujoco.MjData(self._model)
-        self._body = Body(
-            self._model._address, self._data._address,
-            self._data.qpos, self._data.qvel, self._data.qfrc_applied, self._data.sensordata,
-        )  # fmt: skip
-        self._airframe = airframe_of(self._scenario.vehicle, period_us)
+        kept = self.snapshot()
+        self._build(self.world, self.controller.period_us)
         self.restore(kept)
         mujoco.mj_forward(self._model, self._data)
         self._data.sensordata[:] = kept.sensors

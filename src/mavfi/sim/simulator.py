@@ -28,13 +28,13 @@ _ROUNDING = 1e-12
 """A mixer's sum may exceed a rotor's limit by its rounding error."""
 
 
-def controller_period(name: str, factory: object) -> int:
-    """Period of a flight controller (us), given its name and class.
+def _controller_period(name: str) -> int:
+    """Period of a flight controller (us), given its name.
 
     Raises:
-        BadInputError: It is not 4000 us divided by an integer.
+        BadInputError: It is not known, or its period is not 4000 us divided by an integer.
     """
-    period_us = getattr(factory, "period_us", None)
+    period_us = getattr(find_controller(name), "period_us", None)
     if not isinstance(period_us, int) or period_us < 1 or STEP_US % period_us:
         text = f"its period_us is {period_us!r}; allowed: {STEP_US} divided by an integer"
         raise BadInputError(f"flight controller {name!r}: {text}")
@@ -103,15 +103,9 @@ class Simulator:
             world: The world.
             scenario: Vehicle, camera, localization, wind, speed limit and seed.
         """
-        vehicle = scenario.vehicle
-        make_controller = find_controller(scenario.flight_controller)
-        period_us = controller_period(scenario.flight_controller, make_controller)
-        self._model = build_model(world, vehicle, period_us)
-        self._data = mujoco.MjData(self._model)
-        self._body = Body(
-            self._model._address, self._data._address,
-            self._data.qpos, self._data.qvel, self._data.qfrc_applied, self._data.sensordata,
-        )  # fmt: skip
+        vehicle, self._scenario = scenario.vehicle, scenario
+        period_us = _controller_period(scenario.flight_controller)
+        self._build(world, period_us)
         self._airframe = airframe_of(vehicle, period_us)
         self._thrusts = hover_thrusts(self._airframe)
         self._voxels = world.voxels
@@ -128,11 +122,25 @@ class Simulator:
         self.odometry = np.zeros(13)
         self.collided = False
         self.rejected_commands = 0
-        yaw = self._face(world.goal - world.start)
-        self.controller: Controller = build(
-            "flight controller", scenario.flight_controller, make_controller,
-            Start(vehicle, self.odometry.copy(), yaw, scenario.seed),
+        self.controller = self._make_controller(self._face(world.goal - world.start))
+
+    def _build(self, world: World, period_us: int) -> None:
+        """Model and data of MuJoCo for the vehicle in a world."""
+        self._model = build_model(world, self._scenario.vehicle, period_us)
+        self._data = mujoco.MjData(self._model)
+        self._body = Body(
+            self._model._address, self._data._address,
+            self._data.qpos, self._data.qvel, self._data.qfrc_applied, self._data.sensordata,
         )  # fmt: skip
+
+    def _make_controller(self, heading: float) -> Controller:
+        """A new flight controller, which starts from the present state."""
+        name, start = self._scenario.flight_controller, self.odometry.copy()
+        controller: Controller = build(
+            "flight controller", name, find_controller(name),
+            Start(self._scenario.vehicle, start, heading, self._scenario.seed),
+        )  # fmt: skip
+        return controller
 
     def _face(self, way: np.ndarray) -> float:
         yaw = float(atan2(way[1], way[0]))
@@ -200,7 +208,11 @@ class Simulator:
     def _step(self, wind: Wind) -> None:
         """Advance by one period of the controller."""
         setpoint = self._setpoint if self.time_us < self._expiry_us else np.zeros(4)
-        wanted = self.controller.rotors(self.time_us, setpoint, self.odometry, self._data.sensordata[ACCELEROMETER])
+        force = self._data.sensordata[ACCELEROMETER]
+        self._turn_rotors(wind, self.controller.rotors(self.time_us, setpoint, self.odometry, force))
+
+    def _turn_rotors(self, wind: Wind, wanted: np.ndarray) -> None:
+        """Advance by one period of the controller with rotor commands (N), limited as by an ESC. Shape (4,)."""
         limit = self._airframe.max_thrust * (1.0 + _ROUNDING)
         wanted = np.clip(np.where(np.isnan(wanted), 0.0, wanted), 0.0, limit)
         period_us = self.controller.period_us

@@ -1,15 +1,22 @@
 """Betaflight's real firmware flies parts of missions; skipped where it is not installed (docs/firmware.md)."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
-from mavfi.bridges.firmware import build
+from mavfi.bridges.firmware import betaflight, build
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.bridges.firmware.host import FirmwareHost
+from mavfi.bridges.firmware.injector import CALLS, WALK
+from mavfi.bridges.firmware.process import Firmware
 from mavfi.errors import BadInputError
 from mavfi.faults.sensor.fault import SensorFault
+from mavfi.flight_log import Injection
+from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.observe import Attached
 from mavfi.mission import MissionSpec, MissionStatus
 
 
@@ -37,9 +44,19 @@ def test_a_whole_mission_succeeds(golden):
 
 
 def test_calls_of_the_clock_stay_below_the_bound_of_the_draw(golden):
-    from mavfi.bridges.firmware.injector import CALLS
-
     assert 100 < golden.extra["most_calls"] <= CALLS
+
+
+def test_instructions_between_two_calls_stay_below_the_bound_of_the_draw():
+    needed, longest = build.installed(), 0
+    with closing(Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})) as firmware:
+        betaflight.arm(firmware, betaflight.AT_REST)
+        for call in range(CALLS):
+            channels = None if call % 4 else betaflight.ARMED
+            packets = betaflight.packets(firmware.now_ns, betaflight.AT_REST, channels)
+            assert not firmware.run(packets, betaflight.PERIOD_NS, (call, 10**9))  # counts, and never stops
+            longest = max(longest, firmware.instructions)
+    assert 1_000 < longest <= WALK
 
 
 def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
@@ -58,6 +75,24 @@ def test_a_failure_of_a_sensor_reaches_the_firmware(golden):
     assert (log.rows[:151] == golden.log.rows[:151]).all()
     null = fly(scenario(), SensorFault("accelerometer", "ok", 3_000_000)).log
     assert null.injections[0].activated and null.digest() == golden.log.digest()
+
+
+def test_observers_receive_the_injection():
+    class Observer:
+        def begin(self, loop):
+            self.items = []
+
+        def published(self, state, time_us):
+            pass
+
+        def tick(self, row, news, status):
+            self.items += news
+
+    observer, fault = Observer(), register_fault(1_000_000, 5)
+    setup = ArmSetup(scenario(), observers=(Attached(observer),))
+    [(_, flight)] = FirmwareHost().mission({"": setup}).injected([("", fault)])
+    assert flight.log.injections[0].activated
+    assert [item for item in observer.items if isinstance(item, Injection)] == flight.log.injections
 
 
 def test_the_velocity_command_is_followed():

@@ -23,7 +23,7 @@ def test_the_fault_is_that_of_the_options():
 
 @pytest.mark.parametrize(
     ("given", "complaint"),
-    [(("octomap@10", None, None), "allowed: firmware@SECONDS"), (("firmware@x", None, None), "--register-fault"),
+    [(("octomap@10", None, None), "allowed: firmware@SECONDS"), (("firmware@x", None, None), "e.g. firmware@10"),
      (("firmware@1", "mmx", None), "--registers"), (("firmware@1", None, -1), "--register-seed"),
      ((None, "fp", None), "with --register-fault only"), ((None, None, 3), "with --register-fault only")],
 )  # fmt: skip
@@ -35,7 +35,9 @@ def test_bad_options_are_refused(given, complaint):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [(["fly", "--strike", "firmware@1", "--fault", "null"], "allowed: without --fault"),
-     (["firmware", "setup", "--betaflight", "/nonexistent"], "holds no betaflight_"),
+     (["fly", "--strike", "firmware@1", "--world", "airsim://127.0.0.1:1"], "allowed: without --fault, --html and"),
+     (["fly", "--flight-controller", "betaflight", "--world", "airsim://127.0.0.1:1"], "that of the server flies"),
+     (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
      (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
      (["fly", "--strike", "firmware@1"], "flight_controller: cascade: has no registers of its own")],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The vehicle on the ground, armed and not; contacts told apart; pose, wind, obstacles and cameras at run time."""
+"""The vehicle on the ground, armed and not; contacts; pose, wind, obstacles and cameras at run time."""
 
 import math
 

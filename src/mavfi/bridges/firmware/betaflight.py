@@ -29,7 +29,7 @@ DISARMED = (CENTRE, CENTRE, LOW, CENTRE, *(LOW,) * (CHANNELS - 4))
 """Sticks in the middle, throttle and switches down: roll, pitch, throttle, yaw, auxiliary 1 to 12."""
 ARMED = (CENTRE, CENTRE, LOW, CENTRE, HIGH, *(LOW,) * (CHANNELS - 5))
 RC_FROM_NS, ARM_FROM_NS, ARMED_BY_NS = 3_000_000_000, 6_000_000_000, 10_000_000_000
-"""Time from the start until RC is sent (earlier packets are forgotten), the arm switch is up, the rotors must turn."""
+"""Time from the start until RC is sent (earlier packets are ignored), the arm switch is up, the rotors must turn."""
 ANGLE_LIMIT = math.radians(60.0)
 """Roll and pitch angle at full stick, Betaflight's default (rad)."""
 YAW_RATE = math.radians(120.0)
@@ -49,8 +49,8 @@ _ARM, _ANGLE = 0, 1
 _HEAD = 5
 _MOST_PERIODS = 60_000
 _MSP_WALL_S, _ATTEMPTS = 4.0, 5
-"""Patience with the serial port (s).  While it boots, the firmware may lose the port that it has just opened, by a race
-of its own threads; then it is started once more."""
+"""Time limit of an answer on the serial port (s), and number of starts.  A race of its threads at boot may cost the
+firmware the port that it has just opened; then it is started again."""
 
 
 def packets(now_ns: int, state: Sequence[float], channels: Sequence[int] | None) -> bytes:
@@ -144,7 +144,7 @@ class _Console:
 
     def __init__(self, firmware: Firmware, connection: socket.socket) -> None:
         self._firmware, self._connection = firmware, connection
-        firmware.hear()
+        firmware.wait()
 
     def ask(self, code: int, data: bytes = b"") -> bytes:
         """Send a request, and run until the reply is complete."""
@@ -156,8 +156,7 @@ class _Console:
                 content = reply(buffer, code)
                 if content is not None:
                     return content
-            self._firmware.tell(packets(self._firmware.now_ns, AT_REST, None), PERIOD_NS)
-            self._firmware.hear()
+            self._firmware.run(packets(self._firmware.now_ns, AT_REST, None), PERIOD_NS)
         raise _SilentError(f"the firmware did not answer the MSP request {code} within {_MSP_WALL_S:g} s")
 
 
@@ -214,11 +213,10 @@ def arm(firmware: Firmware, state: Sequence[float]) -> None:
     Raises:
         MavfiError: It ended, or does not arm.
     """
-    firmware.hear()
+    firmware.wait()
     while not max(firmware.motors) > 0.0:
         since = firmware.now_ns - FIRST_NS
         if since > ARMED_BY_NS:
-            raise MavfiError("the firmware does not arm")
+            raise MavfiError(f"the firmware does not arm within {1e-9 * ARMED_BY_NS:g} s of its time")
         rc = None if since < RC_FROM_NS else DISARMED if since < ARM_FROM_NS else ARMED
-        firmware.tell(packets(firmware.now_ns, state, rc), BOOT_PERIOD_NS)
-        firmware.hear()
+        firmware.run(packets(firmware.now_ns, state, rc), BOOT_PERIOD_NS)

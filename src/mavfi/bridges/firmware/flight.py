@@ -1,7 +1,8 @@
 """One mission flown by a firmware, with a fault in its registers, or in sensors and motors; bit-reproducible."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 from mavfi.bridges.firmware.controller import BetaflightController
@@ -10,14 +11,15 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.sensor.fault import SensorFault
-from mavfi.flight_log import FlightLog, KernelEffect
+from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import CONTROLLER_LOST
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.record import Record
 from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.mission import Scenario
-from mavfi.sim.controller import find_controller
 
 
 def register_fault(time_us: int, seed: int, registers: str = "all", **given: Any) -> RegisterFault:  # noqa: ANN401
@@ -27,11 +29,11 @@ def register_fault(time_us: int, seed: int, registers: str = "all", **given: Any
 
 def fly(
     scenario: Scenario, fault: RegisterFault | SensorFault | None = None, detector: Detector | None = None, *,
-    recovery: Recovery = INLINE, profile: bool = False,
+    recovery: Recovery = INLINE, profile: bool = False, observers: Sequence[Callable[[Loop], None]] = (),
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
 
-    A firmware that ends or hangs leaves the rotors without commands: the vehicle falls, the pipeline flies on.
+    If the firmware ends or hangs, the rotors receive no commands: the vehicle falls, the pipeline continues.
 
     Args:
         scenario: The mission; its flight controller is a firmware.
@@ -39,43 +41,33 @@ def fly(
         detector: The detector; None = none.
         recovery: The recovery policy for its alarms.
         profile: Whether to record the publication times of each state.
+        observers: Called with the loop before the flight, see `hosts.loop.observe`.
 
     Raises:
         BadInputError: Another flight controller, or the scenario cannot be flown.
     """
-    made: Any = find_controller(scenario.flight_controller)
-    if not issubclass(made, BetaflightController):
-        text = "has no registers of its own; allowed: betaflight"
-        raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
     loop = new_loop(scenario, profile=profile)
     try:
-        controller = cast(BetaflightController, getattr(loop.plant, "controller", None))
+        controller = getattr(loop.plant, "controller", None)
+        if not isinstance(controller, BetaflightController):
+            text = "has no registers of its own; allowed: betaflight"
+            raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
         if fault is not None and not inject_sensor_fault(loop, fault):
-            controller.injector = FirmwareInjector(cast(RegisterFault, fault))
-
-        def note_end(now: int) -> None:
-            if controller.lost is not None and CONTROLLER_LOST not in {event.kind for event in loop.record.events}:
-                loop.record.note(
-                    now, CONTROLLER_LOST, {"effect": controller.lost.effect, "why": controller.lost.detail}
-                )
-
-        loop.before_tick.append(note_end)
+            loop.taps.injector = controller.injector = FirmwareInjector(cast(RegisterFault, fault))
+        loop.before_tick.append(partial(_note_loss, loop.record, controller))
         watch(loop, detector, recovery)
+        for attach in observers:
+            attach(loop)
         flight = loop.fly()
     finally:
         loop.plant.close()
-    return replace(flight, log=_with_fault(flight, controller), extra=_extra(controller))
+    lost, extra = controller.lost, {"node": NODE, "most_calls": controller.most_calls}
+    log = flight.log if lost is None else replace(flight.log, kernel=KernelEffect(lost.effect, lost.detail))
+    return replace(flight, log=log, extra=extra)
 
 
-def _with_fault(flight: Flight, controller: BetaflightController) -> FlightLog:
-    """The flight's log, with the injection and the end of the firmware."""
-    lost, injector = controller.lost, controller.injector
-    return replace(
-        flight.log,
-        injections=[*flight.log.injections, *([] if injector is None else [injector.record()])],
-        kernel=None if lost is None else KernelEffect(lost.effect, lost.detail),
-    )
-
-
-def _extra(controller: BetaflightController) -> Mapping[str, Any]:
-    return {"node": NODE, "most_calls": controller.most_calls}
+def _note_loss(record: Record, controller: BetaflightController, now: int) -> None:
+    """Record the end of the firmware, once."""
+    lost = controller.lost
+    if lost is not None and all(event.kind != CONTROLLER_LOST for event in record.events):
+        record.note(now, CONTROLLER_LOST, {"effect": lost.effect, "why": lost.detail})

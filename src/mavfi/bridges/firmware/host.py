@@ -16,7 +16,7 @@ CONTROLLERS = ("betaflight",)
 
 
 class FirmwareHost:
-    """Flies each mission in this process, with the firmware as a process of its own in lock-step."""
+    """Flies each mission in this process, in lock-step with the firmware's process."""
 
     name = "firmware"
     levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
@@ -52,4 +52,7 @@ class FirmwareFlights(ArmFlights):
 
     def _fly(self, arm: str, fault: RegisterFault | SensorFault | None, *, profile: bool = False) -> Flight:
         setup = self._arms[arm]
-        return fly(setup.scenario, fault, self._detector(arm), recovery=setup.recovery, profile=profile)
+        return fly(
+            setup.scenario, fault, self._detector(arm), recovery=setup.recovery, profile=profile,
+            observers=setup.observers,
+        )  # fmt: skip

@@ -19,6 +19,7 @@ from mavfi.faults.register.injector import flip_here, injection_of
 from mavfi.faults.register.ptrace import TargetGoneError, Tracee
 from mavfi.faults.register.target import not_permitted
 from mavfi.flight_log import Injection
+from mavfi.states import State
 
 NODE = "firmware"
 """`RegisterFault.node` of a fault in a firmware."""
@@ -30,35 +31,42 @@ _STOP_LIMIT_S = 10.0
 
 
 class FirmwareInjector:
-    """Injects one fault.
+    """Injects one fault; the injector tap of its flight, whose publications pass unchanged.
 
     Attributes:
         fault: The fault; neither its symbol nor its thread can be chosen.
-        injection: The injection; None = not yet.
+        injections: The injection; empty = not yet.
     """
+
+    spent = True
 
     def __init__(self, fault: RegisterFault) -> None:
         if fault.symbol or fault.thread:
             text = "allowed: none; faults are uniform over the instructions of the main thread"
             raise BadInputError(f"firmware: symbol {fault.symbol!r}, thread {fault.thread}: {text}")
         self.fault = fault
-        self.injection: Injection | None = None
+        self.injections: list[Injection] = []
         self._choices = random.Random(f"{fault.seed}/firmware")
         self._periods = 0
 
+    def __call__(self, state: State, time_us: int) -> State:
+        """The unchanged publication."""
+        del time_us
+        return state
+
     def stop_at(self, time_us: int) -> tuple[int, int]:
-        """Where the firmware has to stop in the next period, see `Firmware.tell`."""
-        if self.injection is not None or time_us < self.fault.time_us:
+        """Where the firmware has to stop in the next period, see `Firmware.run`."""
+        if self.injections or time_us < self.fault.time_us:
             return NEVER
         self._periods += 1
         return self._choices.randrange(CALLS), self._choices.randrange(self.fault.walk)
 
     def inject(self, firmware: Firmware, time_us: int) -> None:
-        """Inject into a firmware that has stopped there, at an instant of the flight, and let it continue.
+        """Inject into a firmware that has stopped there, at an instant of the flight, and run it to the period's end.
 
         Raises:
             BadInputError: It may not be traced.
-            FirmwareLostError: It has ended.
+            FirmwareLostError: It ended or hangs.
         """
         call, walked = firmware.calls - 1, firmware.instructions
         space = AddressSpace(firmware.pid)
@@ -77,19 +85,20 @@ class FirmwareInjector:
                     "node": NODE, "kernel": NODE, "call": call, "walked": walked, "periods": self._periods,
                     "replayable": bool(fixed_addresses()),
                 }  # fmt: skip
-                self.injection = replace(injection_of(done, space, self.fault, details), time_s=1e-6 * time_us)
+                self.injections = [replace(injection_of(done, space, self.fault, details), time_s=1e-6 * time_us)]
             tracee.detach()
         except TargetGoneError as error:
-            raise firmware.end(error.code) from None
+            raise firmware.loss(error.code) from None
         finally:
             os.close(memory)
             space.close()
+        firmware.wait()
 
-    def record(self) -> Injection:
+    def finish(self) -> list[Injection]:
         """The injection, or that of a fault that was not injected."""
         fault = self.fault
         missed = Injection(fault.level, fault.site, 1e-6 * fault.time_us, None, None, None, activated=False)
-        return self.injection or missed
+        return self.injections or [missed]
 
 
 def _stopped(firmware: Firmware) -> Tracee:
@@ -101,7 +110,7 @@ def _stopped(firmware: Firmware) -> Tracee:
     tracee.interrupt(_STOP_LIMIT_S)
     tracee.set_breakpoint(firmware.address)
     tracee.resume()
-    firmware.go_on()
+    firmware.resume()
     tracee.wait(_STOP_LIMIT_S)
     tracee.clear_breakpoint()
     return tracee

@@ -83,7 +83,7 @@ def fly(pattern: str, fault: RegisterFault | None = None) -> PatternFlight:
     return PatternFlight(
         rows[:, :3], tilt, plant.collided or not np.isfinite(rows).all(),
         ("", "") if lost is None else (lost.effect, lost.detail), hashlib.sha256(rows.tobytes()).hexdigest(),
-        None if injector is None else injector.record(),
+        None if injector is None else injector.finish()[0],
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""A firmware process in lock-step: it runs to a named instant of virtual time, and waits for the next packets there.
+"""A firmware process in lock-step: it runs to a given instant of virtual time, and waits there for the next packets.
 
 The process opens no port, and ends with this one; any number run side by side.  See `lockstep.c`.
 """
@@ -29,7 +29,7 @@ _FOLLOW_EVERY = 64
 _POLL_S = 1
 _HANG_CPU_S, _HANG_WALL_S = 2.0, 20.0
 """A period takes 0.1 ms of processor time; one that took this long, or waited this long, never ends."""
-_LAST_WORDS_S = 2.0
+_EXIT_WAIT_S = 2.0
 _LIBC = ctypes.CDLL(None)
 _CPU_FIELDS = slice(11, 13)  # utime and stime, counted from the state, in /proc/PID/stat
 
@@ -69,13 +69,13 @@ class Firmware:
         now_ns: Virtual time at which it waits.
         motors: Its last motor commands, 0 to 1, in its own order. Length 4.
         calls: Number of its main thread's calls of the shim in this period.
-        instructions: Number of instructions counted in this period, see `tell`.
+        instructions: Number of instructions counted in this period, see `run`.
         address: Address of the next instruction, if it has stopped at one.
         shim: Its preloaded library.
     """
 
     def __init__(self, program: Path, shim: Path, files: Mapping[str, bytes], msp: socket.socket | None = None) -> None:
-        """Start the program; it waits for its first packets after `hear`.
+        """Start the program; after `wait` it expects its first packets.
 
         Args:
             program: The firmware's binary.
@@ -104,8 +104,8 @@ class Firmware:
         self.motors: tuple[float, ...] = (0.0,) * 4
         self._periods, self._cpu = 0, -1
 
-    def tell(self, packets: bytes, period_ns: int, stop_at: tuple[int, int] = NEVER) -> None:
-        """Let it run the next period.
+    def run(self, packets: bytes, period_ns: int, stop_at: tuple[int, int] = NEVER) -> bool:
+        """Run the next period; True = its main thread has stopped at an instruction before the end.
 
         Args:
             packets: Sensor and RC packets, `struct to_firmware` of `lockstep.c` from `has_rc` on.
@@ -114,12 +114,13 @@ class Firmware:
                 instruction after it; both from 0.  If the next call comes first, it does not stop.
 
         Raises:
-            FirmwareLostError: The process has ended.
+            FirmwareLostError: The process ended or hangs.
         """
         self._periods += 1
         if self._periods % _FOLLOW_EVERY == 0:
             self._follow()
         self._send(_HEAD.pack(self.now_ns + period_ns, *stop_at) + packets)
+        return self.wait()
 
     def _follow(self) -> None:
         """Move its threads to this process's CPU: the two never run at once, and a switch between CPUs costs more."""
@@ -131,25 +132,25 @@ class Firmware:
             for thread in os.listdir(f"/proc/{self.pid}/task"):
                 os.sched_setaffinity(int(thread), {cpu})
 
-    def go_on(self) -> None:
-        """Let it continue from the instruction at which it has stopped."""
+    def resume(self) -> None:
+        """Let it continue from the instruction at which it has stopped, for `wait`."""
         self._send(b"\0")
 
     def _send(self, content: bytes) -> None:
         try:
             self._socket.send(content)
         except OSError:
-            raise self.end() from None
+            raise self.loss() from None
 
-    def hear(self) -> bool:
-        """Wait until the current period is over; True = it has stopped at an instruction instead.
+    def wait(self) -> bool:
+        """Wait until the current period is over; True = it has stopped at an instruction before.
 
         Raises:
             FirmwareLostError: The process ended or hangs.
         """
         data = self._receive()
         if len(data) < _REPORT.size:
-            raise self.end()
+            raise self.loss()
         self.now_ns, self.calls, self.instructions, self.address, what, _, *motors = _REPORT.unpack(data)
         self.motors = tuple(motors)
         return bool(what == _ARRIVED)
@@ -164,11 +165,11 @@ class Firmware:
                 if self._cpu_s() - cpu > _HANG_CPU_S or time.monotonic() > end:
                     raise FirmwareLostError("hang") from None
 
-    def end(self, code: int | None = None) -> FirmwareLostError:
-        """How the process ended, given its exit code (negative = signal) if somebody else has waited for it."""
+    def loss(self, code: int | None = None) -> FirmwareLostError:
+        """How the process ended, given its exit code (negative = signal) if a tracer has waited for it."""
         if code is None:
             try:
-                code = self._process.wait(_LAST_WORDS_S)
+                code = self._process.wait(_EXIT_WAIT_S)
             except subprocess.TimeoutExpired:
                 return FirmwareLostError("hang")
         return FirmwareLostError("crash", signal.Signals(-code).name if code < 0 else f"exit code {code}")

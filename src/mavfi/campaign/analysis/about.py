@@ -21,7 +21,10 @@ from mavfi.campaign.sequential import Precision
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
-_NAMED = ("grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness", "protection")
+_NAMED = (
+    "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness",
+    "protection",
+)  # fmt: skip
 """Keys of a mission that are listed when they differ from their defaults."""
 
 
@@ -74,13 +77,15 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             how = f"types {', '.join(sampling.types)}, from a uniform instant {lasts}"
             return {"each": "unit", **_flights(campaign, "unit", how)}
         case RegisterSampling():
-            return {"each": "kind of registers", **_trials(campaign, sampling)}
+            each = "kind of registers"
+            if campaign.node is None:
+                return {"each": each, **_flights(campaign, each, "uniform over the firmware's instructions")}
+            return {"each": each, **_trials(campaign, sampling, campaign.node.command[0])}
 
 
-def _trials(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
+def _trials(campaign: Campaign, sampling: RegisterSampling, command: str) -> dict[str, Any]:
     where = f"from the next call of {sampling.symbol!r} on" if sampling.symbol else "from a random instant on"
-    what = "node under test" if campaign.node is None else campaign.node.command[0]
-    line = f"{what} · one bit per trial, {where}, after up to {sampling.walk} instructions"
+    line = f"{command} · one bit per trial, {where}, after up to {sampling.walk} instructions"
     title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
     return {"profile": "", "title": title, "lines": [line]}
 

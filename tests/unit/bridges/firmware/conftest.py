@@ -27,5 +27,5 @@ def programs(tmp_path_factory):
 def firmware(programs):
     """A miniature firmware at its first instant."""
     with closing(Firmware(*programs, {})) as running:
-        running.hear()
+        running.wait()
         yield running

@@ -43,7 +43,7 @@ def test_a_state_that_is_not_finite_is_no_json():
         state(0.0, (math.nan, 0, 0), (0, 0, 0), (0, 0, 0), (1, 0, 0, 0), (0, 0, 0))
 
 
-def test_repeated_lost_and_restarted_frames_are_told_apart():
+def test_repeated_lost_and_restarted_frames_are_counted():
     frames = Frames()
     assert [frames.is_new(count) for count in (7, 8, 8, 8, 9, 12, 0, 1)] == [
         True, True, False, False, True, True, True, True,

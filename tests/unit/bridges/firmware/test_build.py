@@ -1,7 +1,8 @@
-"""Where the firmware is found, and what is said if something is missing."""
+"""Where the firmware is found, and the message if something is missing."""
 
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -33,7 +34,7 @@ def test_the_binary_is_found_in_an_environment_a_package_or_the_sources(tmp_path
 
 
 def test_a_folder_without_it_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match="holds no betaflight_"):
+    with pytest.raises(BadInputError, match="contains no betaflight_"):
         build.find_binary(tmp_path)
 
 
@@ -51,6 +52,7 @@ def test_without_a_firmware_the_remedy_is_named(cache, monkeypatch):
 
 
 def test_the_chosen_binary_is_remembered_and_the_variable_comes_first(cache, tmp_path, monkeypatch):
+    monkeypatch.setattr(build, "_installed", lambda found: None)
     first, second = binary(tmp_path / "first"), binary(tmp_path / "second")
     assert build.choose(tmp_path / "first") == first
     assert build.program() == first
@@ -58,6 +60,16 @@ def test_the_chosen_binary_is_remembered_and_the_variable_comes_first(cache, tmp
     assert build.program() == second
     monkeypatch.setenv(build.VARIABLE, str(first))
     assert build.program() == first
+    monkeypatch.setenv(build.VARIABLE, "/nonexistent")
+    with pytest.raises(BadInputError, match=f"{build.VARIABLE}: /nonexistent: contains no"):
+        build.program()
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+def test_another_program_is_refused_and_not_remembered(cache):
+    with pytest.raises(BadInputError, match="true: does not run as Betaflight's simulator"):
+        build.choose(Path(shutil.which("true")))
+    assert not (cache / "betaflight").exists()
 
 
 def test_a_missing_compiler_is_named(cache, monkeypatch):

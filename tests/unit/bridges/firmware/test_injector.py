@@ -28,19 +28,17 @@ def fly(programs, planned):
     """Motors of each period, the injection, and how the firmware ended."""
     found, motors = FirmwareInjector(planned), []
     with closing(Firmware(*programs, {})) as firmware:
-        firmware.hear()
+        firmware.wait()
         try:
             for period in range(PERIODS):
                 state = (0.01 * period, *betaflight.AT_REST[1:])
                 packets = betaflight.packets(firmware.now_ns, state, (1500,) * 16)
-                firmware.tell(packets, betaflight.PERIOD_NS, found.stop_at(1000 * period))
-                if firmware.hear():
+                if firmware.run(packets, betaflight.PERIOD_NS, found.stop_at(1000 * period)):
                     found.inject(firmware, 1000 * period)
-                    firmware.hear()
                 motors.append(firmware.motors)
         except FirmwareLostError as lost:
-            return motors, found.record(), (lost.effect, lost.detail)
-    return motors, found.record(), None
+            return motors, found.finish()[0], (lost.effect, lost.detail)
+    return motors, found.finish()[0], None
 
 
 def test_draws_are_uniform_over_the_instructions_of_a_period():
@@ -56,10 +54,6 @@ def test_draws_are_uniform_over_the_instructions_of_a_period():
 @pytest.fixture(scope="session")
 def golden(programs):
     return fly(programs, fault(0, time_us=10**9))[0]
-
-
-def what(injection):
-    return {key: value for key, value in injection.to_json().items()}
 
 
 @pytest.mark.parametrize("seed", range(6))

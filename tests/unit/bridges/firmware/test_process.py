@@ -11,15 +11,14 @@ from mavfi.bridges.firmware import betaflight, process
 from mavfi.bridges.firmware.process import FIRST_NS, Firmware, FirmwareLostError
 
 CRASH, HANG, EXIT = 1, 2, 3
-"""Last RC channel by which the miniature is told to misbehave."""
+"""Values of the last RC channel, on which the miniature misbehaves."""
 
 
 def run(firmware, periods=1, rate=0.0, channels=None, stop_at=process.NEVER):
     motors = []
     for _ in range(periods):
         state = (rate, *betaflight.AT_REST[1:])
-        firmware.tell(betaflight.packets(firmware.now_ns, state, channels), betaflight.PERIOD_NS, stop_at)
-        firmware.hear()
+        firmware.run(betaflight.packets(firmware.now_ns, state, channels), betaflight.PERIOD_NS, stop_at)
         motors.append(firmware.motors)
     return motors
 
@@ -47,7 +46,7 @@ def test_two_processes_give_the_same_bytes(programs):
     motors = []
     for _ in range(2):
         with closing(Firmware(*programs, {})) as firmware:
-            firmware.hear()
+            firmware.wait()
             motors.append(run(firmware, 50, 0.3, misbehave(0)))
     assert motors[0] == motors[1]
     assert len(set(motors[0])) > 1  # its clock is in them
@@ -92,9 +91,8 @@ def test_close_ends_the_process_and_deletes_its_files(programs):
         os.kill(firmware.pid, 0)
 
 
-def test_a_period_of_any_length_can_be_told(firmware):
-    firmware.tell(betaflight.packets(0, betaflight.AT_REST, None), 25 * betaflight.PERIOD_NS)
-    assert not firmware.hear()
+def test_a_period_may_have_any_length(firmware):
+    assert not firmware.run(betaflight.packets(0, betaflight.AT_REST, None), 25 * betaflight.PERIOD_NS)
     assert firmware.now_ns - FIRST_NS >= 25 * betaflight.PERIOD_NS
 
 

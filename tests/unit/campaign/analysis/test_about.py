@@ -48,6 +48,13 @@ def test_trials_on_a_node():
     assert found["lines"] == ["/bin/n · one bit per trial, from the next call of 'f' on, after up to 64 instructions"]
 
 
+def test_registers_of_a_firmware():
+    found = described(host="firmware", mission={"flight_controller": "betaflight"}, sampling={"level": "register"})
+    assert found["title"].startswith("campaign tiny · autopilot profile published")
+    assert found["lines"][0].endswith("faults per kind of registers, uniform over the firmware's instructions")
+    assert found["lines"][1] == "mission: flight_controller betaflight"
+
+
 def test_policies_and_rules_that_are_not_the_defaults_are_named():
     assert len(described(mission={"dead_node": "restart"})["lines"]) == 1, "the older name of the default"
     found = described(mission={"dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2})
