@@ -45,7 +45,8 @@ def flown(kind: str) -> float:
         ready = multiprocessing.Event()
         viewer = multiprocessing.Process(target=watch, args=(view.address, ready))
         viewer.start()
-        ready.wait(30)
+        if not ready.wait(30):
+            raise SystemExit("the viewer did not subscribe within 30 s")
         time.sleep(0.2)  # the subscription arrives
     seconds = _seconds((Attached(view),))
     view.close()

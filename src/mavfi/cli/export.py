@@ -1,4 +1,4 @@
-"""`mavfi export`: a flight as a file of ROS, PX4, MAVLink or a table; the runs of a campaign as a table."""
+"""`mavfi export`: a flight as a ROS, PX4, MAVLink or CSV file; the runs of a campaign as a table."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def export(
 ) -> None:
     """Export a flight, or the runs of a campaign, for other tools; ROS is not required.
 
-    Files of ROS also have the publications (point cloud, map, path, trajectory) and the golden path: the flight is
-    flown again for them.
+    ROS files also have the publications (point cloud, map, path, trajectory) and the golden path, for which the flight
+    is flown again.
 
     Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
 

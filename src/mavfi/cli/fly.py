@@ -52,9 +52,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
     _check_dead_node(mission, fault)
-    check_file("--save", save, FLIGHTS)
-    check_file("--picture", picture, PICTURES)
-    check_file("--html", html, PAGES)
+    observing.check_options(live, live_port, mavlink, pace, fault)
+    for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
+        check_file(option, path, endings)
     in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html or world))
     from mavfi.cli.progress import compiling
     from mavfi.faults.spec import parse
@@ -71,7 +71,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
         wanted, make = in_register or request, None if watching is None else lambda: watching
-        with observing.observing(live, live_port, mavlink, pace, fault) as observers:
+        with observing.observing(live, live_port, mavlink, pace) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
             result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault, mission))
     if save is not None:
@@ -126,7 +126,7 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
 
     if (fault or "").startswith("instruction:"):
         raise BadInputError(
-            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:"
+            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:, sensor:"
         )
     if _is_chosen(mission, "flight_controller"):
         text = "that of the server flies; allowed: without --world"

@@ -26,17 +26,21 @@ Pace = Annotated[
 ]
 
 
-@contextmanager
-def observing(
-    live: bool, live_port: int, mavlink: int | None, pace: float, fault: str | None
-) -> Iterator[tuple[Callable[[Any], None], ...]]:
-    """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
+def check_options(live: bool, live_port: int, mavlink: int | None, pace: float, fault: str | None) -> None:
+    """Refuse values of these options that are not allowed, before the flight."""
     check_number("--live-port", live_port, 0, _LAST_PORT)
     check_number("--mavlink", mavlink, 1, _LAST_PORT)
     check_number("--pace", pace, 0, 1000)
     if (live or mavlink is not None) and (fault or "").startswith("instruction"):
         option = "--live" if live else "--mavlink"
         raise BadInputError(f"{option}: faults in instructions fly in a forked process; allowed: null, state, memory")
+
+
+@contextmanager
+def observing(
+    live: bool, live_port: int, mavlink: int | None, pace: float
+) -> Iterator[tuple[Callable[[Any], None], ...]]:
+    """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
     if not live and mavlink is None:
         yield ()
         return
@@ -44,7 +48,7 @@ def observing(
 
     views = list(_views(live, live_port, mavlink))
     try:
-        # one of them waits for the pace
+        # only the first waits for the pace
         yield tuple(Attached(view, pace if place == 0 else 0.0) for place, view in enumerate(views))
     finally:
         for view in views:

@@ -1,4 +1,4 @@
-"""Recorded flights: readers, one module for each file format, and detectors trained on them and judging them."""
+"""Recorded flights: readers, one module per file format, and detectors trained on and applied to them."""
 
 from mavfi.flight_logs.reader import FlightLogReader, Layout, LoggedMessage, Number, open_flight_log
 

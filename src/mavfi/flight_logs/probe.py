@@ -9,15 +9,15 @@ from mavfi.faults.message.definition import AbsentError
 from mavfi.flight_logs.reader import Layout
 from mavfi.states import State, StateSpec
 
-MOST_FIELDS = 64
+_MOST_FIELDS = 64
 LONGEST_LIST = 16
+"""Longer lists in messages are left out."""
 
 
 @dataclass(frozen=True)
 class Probe:
     """Extracts the monitored fields of a topic's messages, as a state of `spec`."""
 
-    topic: str
     definition: Layout
     spec: StateSpec
 
@@ -46,11 +46,9 @@ def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]
     if not wanted:
         fields = {topic: definition.numbers(message, LONGEST_LIST) for topic, (definition, message) in first.items()}
     count = sum(map(len, fields.values()))
-    if not 0 < count <= MOST_FIELDS:
-        raise BadInputError(f"--fields: {count} numbers in {', '.join(first)}; allowed: 1 to {MOST_FIELDS}, name them")
-    return {
-        topic: Probe(topic, first[topic][0], foreign_spec(topic, paths)) for topic, paths in fields.items() if paths
-    }
+    if not 0 < count <= _MOST_FIELDS:
+        raise BadInputError(f"--fields: {count} numbers in {', '.join(first)}; allowed: 1 to {_MOST_FIELDS}, name them")
+    return {topic: Probe(first[topic][0], foreign_spec(topic, paths)) for topic, paths in fields.items() if paths}
 
 
 def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:

@@ -1,4 +1,4 @@
-"""What a reader of recorded flights is, and which formats there are."""
+"""Readers of recorded flights: their interface, and the known formats."""
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
 
 GROUP = "mavfi.flight_logs"
-"""Entry points of this group are readers by file name extension: classes that are made with a path."""
+"""Entry points of this group are readers by file name extension: classes constructed with a path."""
 _SHIPPED = {
     "bag": "mavfi.flight_logs.bag:BagReader", "mcap": "mavfi.flight_logs.mcap:McapReader",
     "ulg": "mavfi.flight_logs.ulog:UlogReader", "tlog": "mavfi.flight_logs.tlog:TlogReader",
@@ -20,7 +20,7 @@ _SHIPPED = {
 
 
 class Number(Protocol):
-    """Where a message holds a number."""
+    """Location of a number in a message."""
 
     @property
     def offset(self) -> int:
@@ -31,7 +31,7 @@ class Number(Protocol):
 
 
 class Layout(Protocol):
-    """What the messages of a topic hold.
+    """Numbers in the messages of a topic.
 
     Attributes:
         kind: Name of their type.
@@ -54,9 +54,9 @@ class LoggedMessage:
     """One message of a recorded flight.
 
     Attributes:
-        topic: Who published it, by topic.
-        time_us: When it was recorded (us, by the clock of the file).
-        layout: What it holds.
+        topic: Its topic.
+        time_us: Time of recording (us, by the clock of the file).
+        layout: Layout of its numbers.
         data: Its bytes.
     """
 

@@ -26,7 +26,7 @@ class UlogReader:
     the vehicle was on the ground (`vehicle_land_detected`), messages of these times are left out.
     """
 
-    recommended = {  # what flight software computes, from estimate to actuator, in old and new versions of PX4
+    recommended = {  # outputs of flight software, from estimate to actuators, in old and new versions of PX4
         "vehicle_attitude": _indexed("q", 4),
         "vehicle_angular_velocity": _indexed("xyz", 3),
         "vehicle_local_position": ("x", "y", "z", "vx", "vy", "vz"),

@@ -15,7 +15,7 @@ from mavfi.flight_logs.probe import LONGEST_LIST, Probe
 from mavfi.flight_logs.reader import LoggedMessage, check_topics, open_flight_log
 from mavfi.states import Field, State
 
-EVENT_GAP_US = 1_000_000
+_EVENT_GAP_US = 1_000_000
 """Alarms that follow each other within this time are one event (us)."""
 BIT_CLASSES = ("sign", "exponent", "mantissa")
 _LONGEST_GAP_US = 1_000_000
@@ -41,16 +41,12 @@ class Recording:
     onset_us: int | None = None
     recommended: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
-    def until(self, time_us: int | None) -> "Recording":
-        """The part before an instant (us); None = all."""
-        if time_us is None:
-            return self
-        return replace(self, messages=[message for message in self.messages if message.time_us < time_us])
-
     @property
     def normal(self) -> "Recording":
         """The part before the known fault."""
-        return self.until(self.onset_us)
+        if self.onset_us is None:
+            return self
+        return replace(self, messages=[message for message in self.messages if message.time_us < self.onset_us])
 
     def split(self, share: float) -> tuple["Recording", "Recording"]:
         """The first share of its messages, and the rest."""
@@ -112,7 +108,7 @@ def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[
         names = _candidates(topic, first, wanted, recordings[0].recommended)
         usable = [name for name in names if all(_is_finite(group[topic], name) for group in groups)]
         if usable:
-            probes[topic] = Probe(topic, first.layout, foreign_spec(topic, usable))
+            probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
     _check_wanted(wanted, probes)
     if not probes:
         raise BadInputError(
@@ -208,9 +204,9 @@ class Judged:
 
     @property
     def events(self) -> int:
-        """Alarms, with those within `EVENT_GAP_US` of each other counted as one."""
+        """Alarms, with those within `_EVENT_GAP_US` of each other counted as one."""
         times = [alarm.time_us for alarm in self.alarms]
-        return len(times) and 1 + sum(b - a > EVENT_GAP_US for a, b in zip(times, times[1:], strict=False))
+        return len(times) and 1 + sum(b - a > _EVENT_GAP_US for a, b in zip(times, times[1:], strict=False))
 
 
 class LogWatch:

@@ -96,6 +96,20 @@ def test_the_command_reads_every_format(files, ending, capsys):
     assert {name: rate["n"] for name, rate in found["flips"].items()} == {"sign": 2, "exponent": 2, "mantissa": 2}
 
 
+def test_several_logs_that_are_split_are_all_counted(files, capsys):
+    logs = [str(files("csv", name)) for name in ("a", "b")]
+    assert run(["watch", *logs, "--split", "0.5", "--fields", "vx,vy", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["trained_on"] == 600 and found["fields"] == {"row": ["vx", "vy"]}
+
+
+def test_a_fault_in_an_element_that_a_message_lacks_is_refused(files, capsys):
+    log = str(files("mcap", "a"))
+    assert run(["watch", log, "--train", log, "--fault", "/tf:transforms[5].transform.translation.x"]) == 2
+    err = capsys.readouterr().err
+    assert "--fault: field transforms[5].transform.translation.x: transforms has 1 elements" in err
+
+
 def test_the_answer_comes_first(files, capsys):
     log = str(files("csv", "a"))
     assert run(["watch", log, "--split", "0.8", "--fields", "vx,vy", "--detector", "autoencoder"]) == 0

@@ -77,10 +77,13 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             how = f"types {', '.join(sampling.types)}, from a uniform instant {lasts}"
             return {"each": "unit", **_flights(campaign, "unit", how)}
         case RegisterSampling():
-            each = "kind of registers"
-            if campaign.node is None:
-                return {"each": each, **_flights(campaign, each, "uniform over the firmware's instructions")}
-            return {"each": each, **_trials(campaign, sampling, campaign.node.command[0])}
+            return {"each": "kind of registers", **_registers(campaign, sampling)}
+
+
+def _registers(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
+    if campaign.node is None:
+        return _flights(campaign, "kind of registers", "uniform over the firmware's instructions")
+    return _trials(campaign, sampling, campaign.node.command[0])
 
 
 def _trials(campaign: Campaign, sampling: RegisterSampling, command: str) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from mavfi.faults.fault import RegisterFault, fault_from_json
 from mavfi.faults.message.definition import Definition
 from mavfi.faults.register import inject
 from mavfi.flight_log import Injection
+from mavfi.flight_logs.probe import LONGEST_LIST
 from mavfi.hosts.node.bench import Bench, Drive
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.hosts.ros1.folder import own_path
@@ -37,7 +38,6 @@ _PACE_S = 0.005
 _DYING_S = 0.5
 """Time limit from the end of a process's connections to its own (s)."""
 _MOST_DIFFERENCES = 4
-_LONGEST_LIST = 16
 
 
 @dataclass
@@ -185,7 +185,7 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
     """Sample of numeric differences between two messages; empty if they differ otherwise, e.g. in length."""
     found = []
     try:
-        for path in definition.numbers(golden, _LONGEST_LIST):
+        for path in definition.numbers(golden, LONGEST_LIST):
             before, after = (definition.locate(data, path).value(data) for data in (golden, output))
             if struct.pack("<d", before) != struct.pack("<d", after):
                 found.append({"field": path, "before": repr(before), "after": repr(after)})

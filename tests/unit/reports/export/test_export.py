@@ -206,6 +206,19 @@ def test_a_flight_that_cannot_be_repeated_is_exported_without_publications(fligh
 
 
 @pytest.mark.parametrize(
+    ("change", "text"),
+    [({"models": 3}, "key 'models'"), ({"detector": None}, "key 'detector'"), ({"fault": 3}, "key 'fault'")],
+)
+def test_a_saved_request_of_a_wrong_type_is_one_line(flight, tmp_path, change, text, capsys):
+    saved = tmp_path / "flight.npz"
+    meta = {**flight.log.meta, "request": {"mission": {"seed": 3}, **change}}
+    FlightLog(flight.log.rows, flight.log.status, meta=meta).save(saved)
+    assert run(["export", str(saved), "--to", str(tmp_path / "flight.bag")]) == 0
+    err = capsys.readouterr().err
+    assert f"cannot be flown again (request: {text}" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (["{}/flight.npz", "--to", "x.txt"], "--to: x.txt: allowed"),
