@@ -1,13 +1,20 @@
 """Write the documentation derived from code: the state table, ROS graph and topics, and the reference pages."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
+from mavfi.bridges.mavlink.autopilot import TYPES as MAVLINK_TYPES
+from mavfi.bridges.mavlink.autopilot import UNITS as MAVLINK_UNITS
+from mavfi.errors import BadInputError
+from mavfi.faults.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
 from mavfi.faults.strata import WORD_BITS
+from mavfi.hosts.host import GROUP, SHIPPED
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
+from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.hosts.ros1.definitions import type_name
 from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, WORLD, Graph
@@ -17,6 +24,7 @@ from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
+from mavfi.plugins import load_object
 from mavfi.states import STACKS, STATES, Field, StateSpec
 from tools import build_reference
 from tools.markers import DOCS, between
@@ -105,6 +113,49 @@ def ros_graph() -> str:
     return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
 
 
+def unit_text(name: str, unit: Unit) -> str:
+    """One row of the table of units."""
+    error = f"{unit.error:+.0%}" if unit.relative else f"{unit.error:.3g}"
+    low = "0" if unit.relative else f"−{unit.spread:.3g}"
+    label = f"`{name}`, `{name}1` to `{name}{unit.instances}`" if unit.instances > 1 else f"`{name}`"
+    return f"| {label} | {unit.readers} | {error} | {low} to {unit.spread:.3g} |"
+
+
+def _executed(unit: str, host: str, controller: str = "cascade", localization: str = "truth") -> bool:
+    """Whether a host executes failures of a unit in missions with a flight controller and localization."""
+    if SensorFault.level not in load_object("host", host, GROUP, SHIPPED).levels:
+        return False
+    try:
+        check_read(unit, controller, localization)
+    except BadInputError:
+        return False
+    return True
+
+
+def sensor_table() -> str:
+    """Units, types of failures, and which of them each host executes."""
+    columns: dict[str, Callable[[str], bool]] = {
+        "`local`": lambda unit: _executed(unit, "local"),
+        "`local`, estimator": lambda unit: _executed(unit, "local", localization="estimator"),
+        "`firmware`": lambda unit: _executed(unit, "firmware", "betaflight"),
+        "`airsim_program`": lambda unit: _executed(unit, "airsim_program", ""),
+        "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
+        "`ros1`": lambda unit: _executed(unit, "ros1"), "`node`": lambda unit: _executed(unit, "node"),
+    }  # fmt: skip
+    absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
+    rows = [
+        "| unit | what changes | `wrong` | `garbage` |", "|---|---|---|---|",
+        *(unit_text(name, unit) for name, unit in UNITS.items()), "",
+        "| type | readers receive |", "|---|---|",
+        *(f"| `{kind}` | {text} |" for kind, text in TYPES.items() if kind != NULL), "",
+        "| executed by | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns),
+    ]  # fmt: skip
+    for unit in UNITS:
+        rows.append(f"| `{unit}` | " + " | ".join("yes" if of(unit) else "no" for of in columns.values()) + " |")
+    rows += ["", f"MAVLink has no command for {', '.join(f'`{kind}`' for kind in absent)}; `ok` ends failures there."]
+    return "\n".join(rows)
+
+
 def ros_page() -> str:
     """The ROS page with its generated parts."""
     page = (DOCS / "ros.md").read_text(encoding="utf-8")
@@ -117,6 +168,7 @@ def pages() -> dict[Path, str]:
     """Every generated page with its current content."""
     fault_model = DOCS / "fault-model.md"
     model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
+    model = between(model, "sensors", sensor_table())
     return {
         DOCS / "ros.md": ros_page(),
         fault_model: between(model, "memory", memory_table()),

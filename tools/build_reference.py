@@ -59,6 +59,8 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `memory:planner` | one bit of what the kernel remembers, at an instant of the golden flight |
 | `memory:planner.acted_seq` | of the words with this name, or the end or a part of it |
 | `memory:waypoint.points[33]:bit=62@20.0` | bit 62 of word 33 of an array, before the steps at 20 s |
+| `sensor:gyro:drift@10` | the gyro's error grows from 10 s on ([types](../fault-model.md#sensors-and-motors)) |
+| `sensor:motor2:off:lasts=0.5` | motor 2 stands still for 0.5 s, from an instant of the golden flight on |
 | `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
 | `instruction:pid:which=floating_point` | of this class of instructions ([fault model](../fault-model.md)) |
 | `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random` |

@@ -14,7 +14,7 @@ _PUBLIC = {
     "MissionSpec": "mavfi.mission", "Scenario": "mavfi.mission", "MissionStatus": "mavfi.mission",
     "StateFault": "mavfi.faults.fault", "InstructionFault": "mavfi.faults.fault", "MessageFault": "mavfi.faults.fault",
     "MemoryFault": "mavfi.faults.fault", "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault",
-    "Fault": "mavfi.faults.fault",
+    "Fault": "mavfi.faults.fault", "SensorFault": "mavfi.faults.sensor.fault",
     "Injection": "mavfi.flight_log", "FlightLog": "mavfi.flight_log", "FlightRecord": "mavfi.flight_record",
     "Effect": "mavfi.outcomes", "QoF": "mavfi.qof", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
     "Campaign": "mavfi.campaign.config", "Study": "mavfi.campaign.study", "Runs": "mavfi.campaign.analysis.runs",
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from mavfi.faults.fault import MessageFault as MessageFault
     from mavfi.faults.fault import RegisterFault as RegisterFault
     from mavfi.faults.fault import StateFault as StateFault
+    from mavfi.faults.sensor.fault import SensorFault as SensorFault
     from mavfi.flight_log import FlightLog as FlightLog
     from mavfi.flight_log import Injection as Injection
     from mavfi.flight_record import FlightRecord as FlightRecord

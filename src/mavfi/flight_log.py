@@ -42,9 +42,9 @@ class Injection:
     """Record of one injection, at any level.
 
     Attributes:
-        level: "state", "memory", "instruction", "message" or "register".
+        level: "state", "memory", "instruction", "message", "register" or "sensor".
         site: Site as text: "planning.waypoint.x", "memory:planner.decisions.acted_seq", "octomap.insert_scan",
-            "joint_states.position[0]", "xmm0".
+            "joint_states.position[0]", "xmm0", "gyro drift".
         time_s: Time in the flight (s); for messages and registers outside a flight, since the tool's start (s).
         bit: Index of the bit; None for a null fault, or if a whole value was replaced.
         before: Value before; None = not activated, or not a number.

@@ -11,11 +11,12 @@ HOMES = ("campaign/samplers/", "hosts/", "campaign/analysis/")
 """Samplers draw faults of a level, hosts inject them, views show them."""
 KINDS = {
     "StateFault", "MemoryFault", "InstructionFault", "RegisterFault", "MessageFault", "StateRequest", "MemoryRequest",
-    "InstructionRequest",
+    "InstructionRequest", "SensorFault", "SensorRequest",
 }  # fmt: skip
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
+    "bridges/airsim/boundary.py": 2,  # a host of its own: faults in calls, and in the vehicle behind them
     "campaign/config.py": 1,  # keys that go together: groups with their scheme
     "faults/register/tracer.py": 1,  # an order to this process is of its level
 }

@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata
 from mavfi.campaign.message_sampling import MessageSampling
+from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.config import Config, config_root, load, parse
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
@@ -153,7 +154,8 @@ Sampling = Annotated[
     | Annotated[MemorySampling, Tag("memory")]
     | Annotated[InstructionSampling, Tag("instruction")]
     | Annotated[RegisterSampling, Tag("register")]
-    | Annotated[MessageSampling, Tag("message")],
+    | Annotated[MessageSampling, Tag("message")]
+    | Annotated[SensorSampling, Tag("sensor")],
     Discriminator(_level_of),
 ]
 """How faults are drawn; `level` selects the model."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault
     from mavfi.bridges.airsim.program import Ended
     from mavfi.bridges.airsim.server import Server
+    from mavfi.faults.sensor.fault import SensorFault
 
 OF_THE_PIPELINE = (
     "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
@@ -27,7 +28,9 @@ _CLOCKS = ("real", "steps")
 
 Fault = Annotated[
     str | None,
-    typer.Option(metavar="SPEC", help=r"CALL.PATH[:bit=B]\[@SECONDS], e.g. moveByVelocity.vx:bit=62@10."),
+    typer.Option(
+        metavar="SPEC", help=r"CALL.PATH[:bit=B]\[@SECONDS], e.g. moveByVelocity.vx:bit=62@10; or sensor:gyro:off@9."
+    ),
 ]
 FaultSeed = Annotated[int | None, typer.Option(help="Draws the bit that the fault does not name; 0 by default.")]
 Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
@@ -92,7 +95,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     from mavfi.cli.progress import compiling
 
     msgpack()
-    boundary = Boundary(_planned(fault, fault_seed))
+    boundary = Boundary.of(_planned(fault, fault_seed))
     with compiling():
         from mavfi.bridges.airsim.clock import Real, Steps
         from mavfi.bridges.airsim.program import make_api
@@ -121,13 +124,13 @@ def _serve(server: Server, port: int, once: bool) -> None:
         vehicle.sim.close()
     hit = "collision" if vehicle.has_ever_collided else "no collision"
     out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
-    if server.boundary.planned is not None:
+    if server.boundary.faulty:
         out.print(_line(server.boundary), markup=False)
     for text, count in server.errors.items():
         out.print(f"refused {count} x: {text}", markup=False)
 
 
-def _planned(fault: str | None, seed: int | None) -> BoundaryFault | None:
+def _planned(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault | None:
     """Read the fault; None without one."""
     if seed is not None:
         check_seed("--fault-seed", seed)
@@ -187,7 +190,7 @@ def run(  # noqa: PLR0913 - one parameter per option
         if planned is None and watch is None:
             _report(program, golden, None, as_json)
             return
-        injected = run_program(program, mission, Boundary(planned, watch=watch))
+        injected = run_program(program, mission, Boundary.of(planned, watch=watch))
     _report(program, golden, injected, as_json)
 
 
@@ -195,7 +198,7 @@ def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_js
     """Print how a program ended, the effect of a fault first."""
     from mavfi.bridges.airsim.program import effect_on, shown
 
-    faulty = injected is not None and injected.boundary.planned is not None
+    faulty = injected is not None and injected.boundary.faulty
     effect = effect_on(golden, injected) if faulty and injected is not None else None
     if as_json:
         found = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
@@ -226,8 +229,11 @@ def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_js
 
 def _line(boundary: Boundary) -> str:
     """The injection in one line, or that there was none."""
-    found = boundary.injection
+    found = boundary.injected
     if found is None:
-        return "fault: not activated: no such number passed the boundary"
+        reason = "no such number passed the boundary" if boundary.failure is None else "nothing changed for its readers"
+        return f"fault: not activated: {reason}"
+    if boundary.failure is not None:
+        return f"{found.time_s:8.3f} s  fault: {found.site}: {found.before} → {found.after}"
     where = f"{found.details['call']} {found.details['path']}".strip()
     return f"{found.time_s:8.3f} s  fault in {where} bit {found.bit}: {found.before} → {found.after}"

@@ -127,7 +127,7 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
 
     if (fault or "").startswith("instruction:"):
         raise BadInputError(
-            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:"
+            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:, sensor:"
         )
     if _is_chosen(mission, "flight_controller"):
         text = "that of the server flies; allowed: without --world"

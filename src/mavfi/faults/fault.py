@@ -11,10 +11,11 @@ from typing import Any, ClassVar, Literal, Self, get_args
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
+from mavfi.faults.planned import NO_SITE as NO_SITE
+from mavfi.faults.planned import Planned
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.states import KERNELS, STATES, find_state
 
-NO_SITE = -1
-"""`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
 MODELS: tuple[Model, ...] = get_args(Model)
 RESTART_S = 0.57
@@ -44,33 +45,7 @@ class FaultSite:
 
 
 @dataclass(frozen=True, slots=True)
-class _Planned:
-    """Common base of all levels."""
-
-    level: ClassVar[str]
-
-    @property
-    def has_site(self) -> bool:
-        """Whether there is a value to change, as far as known before the run."""
-        return getattr(self, "time_us", 0) != NO_SITE
-
-    @property
-    def bit_class(self) -> str:
-        """Meaning of the bit, e.g. "exponent"; "" if unknown."""
-        return ""
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
-        return checked(cls, data, f"fault of level {cls.level}")
-
-
-@dataclass(frozen=True, slots=True)
-class StateFault(_Planned):
+class StateFault(Planned):
     """A bit of a field in one publication of an inter-kernel state, or in several publications.
 
     Attributes:
@@ -129,7 +104,7 @@ class StateFault(_Planned):
     def to_json(self) -> dict[str, Any]:
         """Plain data; keys of `LIFETIME` with default values are omitted."""
         own = {name: value for name, value in LIFETIME.items() if getattr(self, name) == value}
-        data = {name: value for name, value in _Planned.to_json(self).items() if name not in own}
+        data = {name: value for name, value in Planned.to_json(self).items() if name not in own}
         return data | ({"lasts_s": "inf"} if data.get("lasts_s") == float("inf") else {})
 
     @classmethod
@@ -143,7 +118,7 @@ class StateFault(_Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class MemoryFault(_Planned):
+class MemoryFault(Planned):
     """One bit of a word in a kernel's memory, at an instant.
 
     Attributes:
@@ -193,7 +168,7 @@ class MemoryFault(_Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class InstructionFault(_Planned):
+class InstructionFault(Planned):
     """The result of one dynamic instruction in one call of a compiled function, once.
 
     Attributes:
@@ -276,7 +251,7 @@ class InstructionFault(_Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class MessageFault(_Planned):
+class MessageFault(Planned):
     """A number in messages of a ROS topic.
 
     Attributes:
@@ -316,7 +291,7 @@ class MessageFault(_Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class RegisterFault(_Planned):
+class RegisterFault(Planned):
     """One bit of a register that an instruction of a live process reads or writes, once.
 
     Attributes:
@@ -382,10 +357,10 @@ class RegisterFault(_Planned):
         return None
 
 
-Fault = StateFault | MemoryFault | InstructionFault | MessageFault | RegisterFault
+Fault = StateFault | MemoryFault | InstructionFault | MessageFault | RegisterFault | SensorFault
 """A planned fault of any level."""
 LEVELS: dict[str, type[Fault]] = {
-    kind.level: kind for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault)
+    kind.level: kind for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault, SensorFault)
 }
 
 

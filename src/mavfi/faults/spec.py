@@ -11,13 +11,14 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, InstructionFault, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
 from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
 
 FORM = (
     "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
-    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], "
+    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], sensor:UNIT[NUMBER]:TYPE[:lasts=S][@SECONDS], "
     "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
 )
 _PATTERN = re.compile(
@@ -25,6 +26,10 @@ _PATTERN = re.compile(
     r"(:lasts=(?P<lasts>inf|\d+(\.\d*)?))?(:share=(?P<share>\d+(\.\d*)?))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
 )
 _MEMORY = re.compile(r"(?P<path>[^:@]+)(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?")
+_SENSOR = re.compile(
+    r"(?P<unit>[a-z_]+)(?P<instance>\d+)?:(?P<kind>\w+)(:lasts=(?P<lasts>inf|\d+(\.\d*)?))?"
+    r"(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
+)
 _INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
 _ONE_INSTRUCTION = re.compile(
     r"(?P<kernel>\w+)\.(?P<entry>\w+):call=(?P<call>\d+):index=(?P<index>\d+)"
@@ -161,7 +166,33 @@ class InstructionSite:
         )
 
 
-Request = StateRequest | MemoryRequest | InstructionRequest | InstructionSite
+@dataclass(frozen=True, slots=True)
+class SensorRequest:
+    """A failure of a sensor or motor as requested by the user.
+
+    Attributes:
+        fault: The failure.
+        drawn: Whether its begin is drawn from the golden run.
+    """
+
+    fault: SensorFault
+    drawn: bool
+
+    def resolve(self, seed: int, flight_time_us: int, *address: int | str) -> SensorFault:
+        """The failure; an instant that is not given is uniform over a flight of some length (us)."""
+        if not self.drawn:
+            return dataclasses.replace(self.fault, seed=seed)
+        random = stream(seed, "sensor", self.fault.unit, self.fault.kind, *address)
+        return dataclasses.replace(self.fault, seed=seed, time_us=int(random.integers(flight_time_us)))
+
+    @staticmethod
+    def text_of(fault: SensorFault) -> str:
+        """The text of a failure; inverse of `parse`."""
+        lasts = "" if fault.lasts_s == float("inf") else f":lasts={fault.lasts_s}"
+        return f"sensor:{fault.device}:{fault.kind}{lasts}@{fault.time_us / 1e6}"
+
+
+Request = StateRequest | MemoryRequest | InstructionRequest | InstructionSite | SensorRequest
 
 
 def parse(text: str, localization: str = "truth") -> Request:
@@ -169,7 +200,8 @@ def parse(text: str, localization: str = "truth") -> Request:
 
     Args:
         text: `null` (the empty mask on the way-point in force), `state:` and a site, `memory:` and a kernel with an
-            optional name in its memory, or `instruction:` and a kernel, or one of its instructions.
+            optional name in its memory, `instruction:` and a kernel, or one of its instructions, or `sensor:`, a
+            unit and a type of failure.
         localization: "truth" or "estimator", which determines the existing states.
 
     Raises:
@@ -189,6 +221,18 @@ def parse_state(text: str, localization: str = "truth") -> StateRequest:
     return _STATE_PARSERS.get(level, _only_states)(text, rest, localization)
 
 
+def parse_sensor(text: str, seed: int) -> SensorFault:
+    """Parse a failure that begins at a given instant.
+
+    Raises:
+        BadInputError: Another form, or no instant.
+    """
+    request = _parse_sensor(text, text.partition(":")[2], "")
+    if request.drawn:
+        raise BadInputError(f"fault {text!r}: without an instant; allowed: ...@SECONDS")
+    return request.resolve(seed, 0)
+
+
 def _only_states(text: str, _rest: str, _localization: str) -> NoReturn:
     raise BadInputError(f"fault {text!r}: on ROS faults are injected into states; allowed: null, state:STATE...")
 
@@ -204,7 +248,9 @@ def _parse_null(text: str, rest: str, localization: str) -> StateRequest:
 
 
 def _refuse_register(text: str, _rest: str, _localization: str) -> NoReturn:
-    raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, memory, instruction")
+    raise BadInputError(
+        f"fault {text!r}: registers are injected by mavfi inject; allowed: state, memory, instruction, sensor"
+    )
 
 
 def _parse_memory(text: str, rest: str, localization: str) -> MemoryRequest:
@@ -226,6 +272,21 @@ def _instant(text: str, seconds: str | None) -> int | None:
     if not float(seconds) < _LONGEST:
         raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
     return round(float(seconds) * 1e6)
+
+
+def _parse_sensor(text: str, rest: str, localization: str) -> SensorRequest:
+    del localization
+    match = _SENSOR.fullmatch(rest)
+    if match is None:
+        _not_understood(text, rest, "")
+    instant = _instant(text, match["time"])
+    try:
+        fault = SensorFault(
+            match["unit"], match["kind"], instant or 0, float(match["lasts"] or "inf"), int(match["instance"] or 0)
+        )
+    except BadInputError as error:
+        raise BadInputError(f"fault {text!r}: {error}") from None
+    return SensorRequest(fault, drawn=instant is None)
 
 
 def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest | InstructionSite:
@@ -313,5 +374,6 @@ _PARSERS: dict[str, Callable[[str, str, str], Request]] = {
     "memory": _parse_memory,
     "instruction": _parse_instruction,
     "register": _refuse_register,
+    "sensor": _parse_sensor,
 }
 """By level; arguments are the whole text, its part after the level, and the localization."""

@@ -16,11 +16,12 @@ from mavfi.plugins import load_object
 
 GROUP = "mavfi.hosts"
 """Entry-point group of hosts: classes whose constructor arguments are host-specific keys of a campaign."""
-_SHIPPED = {
+SHIPPED = {
     "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
     "node": "mavfi.hosts.node.host:NodeHost", "firmware": "mavfi.bridges.firmware.host:FirmwareHost",
     "airsim_program": "mavfi.bridges.airsim.host:AirsimProgramHost",
 }  # fmt: skip
+"""Class of each host of this package, by name."""
 
 
 @dataclass(slots=True)
@@ -186,7 +187,7 @@ def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
     Raises:
         BadInputError: The host is unknown or cannot be imported.
     """
-    host: Host = load_object("host", name, GROUP, _SHIPPED)(**(options or {}))
+    host: Host = load_object("host", name, GROUP, SHIPPED)(**(options or {}))
     return host
 
 

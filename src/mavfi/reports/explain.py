@@ -153,6 +153,7 @@ _ABSENT = {
     "state": ("published", "no such publication came"),
     "memory": ("remembered", "the kernel did not remember such a word then"),
     "instruction": ("executed", "the instruction was not executed"),
+    "sensor": ("read", "no reader received another value than without it"),
 }
 """By level: verb for a site missing in the golden run, and reason for a fault that was not activated."""
 

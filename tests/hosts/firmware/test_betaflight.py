@@ -11,6 +11,7 @@ from mavfi.bridges.firmware.host import FirmwareHost
 from mavfi.bridges.firmware.injector import CALLS, WALK
 from mavfi.bridges.firmware.process import Firmware
 from mavfi.errors import BadInputError
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import Injection
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.loop.assemble import new_loop
@@ -66,6 +67,14 @@ def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
     null = fly(scenario(), register_fault(3_000_000, 5, null=True)).log
     assert null.injections[0].activated
     assert null.digest() == golden.log.digest()
+
+
+def test_a_failure_of_a_sensor_reaches_the_firmware(golden):
+    log = fly(scenario(), SensorFault("gyro", "wrong", 3_000_000)).log
+    assert log.injections[0].activated and log.digest() != golden.log.digest()
+    assert (log.rows[:151] == golden.log.rows[:151]).all()
+    null = fly(scenario(), SensorFault("accelerometer", "ok", 3_000_000)).log
+    assert null.injections[0].activated and null.digest() == golden.log.digest()
 
 
 def test_observers_receive_the_injection():

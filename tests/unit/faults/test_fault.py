@@ -26,6 +26,7 @@ from mavfi.faults.fault import (
     StateFault,
     fault_from_json,
 )
+from mavfi.faults.sensor.fault import TYPES, UNITS, SensorFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.states import KERNELS, STATES
 
@@ -63,7 +64,11 @@ register_faults = st.builds(
     RegisterFault, st.sampled_from(REGISTERS), st.sampled_from(ACCESSES), st.text(), st.integers(0, 2**22),
     st.integers(1, LONGEST_WALK), st.floats(0, LONGEST_TIMEOUT, exclude_min=True), st.booleans(), st.text(), seed=seeds,
 )  # fmt: skip
-faults = state_faults | memory_faults | instruction_faults | message_faults | register_faults
+sensor_faults = st.builds(
+    SensorFault, st.sampled_from(list(UNITS)), st.sampled_from(list(TYPES)), st.just(NO_SITE) | st.integers(0, 10**9),
+    st.floats(0, exclude_min=True), seed=seeds,
+)  # fmt: skip
+faults = state_faults | memory_faults | instruction_faults | message_faults | register_faults | sensor_faults
 
 
 @given(faults)
@@ -84,7 +89,7 @@ def test_every_fault_says_level_site_weight_and_seed(fault):
 
 def test_levels_are_those_of_the_union():
     assert tuple(LEVELS.values()) == get_args(Fault)
-    assert list(LEVELS) == ["state", "memory", "instruction", "message", "register"]
+    assert list(LEVELS) == ["state", "memory", "instruction", "message", "register", "sensor"]
 
 
 def test_a_fault_is_data():
@@ -105,6 +110,8 @@ def test_sites_as_text():
     assert StateFault(FaultSite("control.command", "vx")).site == "control.command.vx"
     assert MemoryFault("planner", "decisions.acted_seq").site == "memory:planner.decisions.acted_seq"
     assert MemoryFault("waypoint", "points", 12).site == "memory:waypoint.points[12]"
+    assert SensorFault("motor", "off", instance=2).site == "motor2 off"
+    assert SensorFault("gyro", "drift").site == "gyro drift"
     assert InstructionFault("m.f", "sha", 1, kernel="pid", entry="track").site == "pid.track"
     assert InstructionFault("m.f", "sha", 1).site == "m.f"
     assert MessageFault("/joints", "position[0]").site == "/joints.position[0]"

@@ -3,7 +3,8 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite
-from mavfi.faults.spec import InstructionRequest, MemoryRequest, parse
+from mavfi.faults.sensor.fault import SensorFault
+from mavfi.faults.spec import InstructionRequest, MemoryRequest, SensorRequest, parse, parse_sensor
 from mavfi.flight_log import Profile
 from mavfi.states import STACKS
 
@@ -113,6 +114,11 @@ def test_no_site_without_a_publication():
         ),
         ("instruction:pid:which=left", "instructions 'left': not understood; allowed: all, floating_point"),
         ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
+        ("sensor:radar:off@3", "'radar': not known; allowed: gyro, accelerometer, compass, position, depth_camera"),
+        ("sensor:gyro:shy@3", "'shy': not known; allowed: ok, off, stuck"),
+        ("sensor:motor5:off@3", "instance 5: allowed: 1 to 4"),
+        ("sensor:gyro", "allowed: null, state:"),
+        ("sensor:gyro:off:lasts=0@3", "lasts_s: 0.0: allowed: above 0"),
         ("register:1234", "registers are injected by mavfi inject; allowed: state, memory"),
     ],
 )
@@ -142,6 +148,18 @@ def test_faults_in_memory_name_kernel_and_word():
         "collision_check", "trajectories[1].x[12]", None, 500_000
     )
     assert parse("memory:state_estimation.filter", "estimator") == MemoryRequest("state_estimation", "filter")
+
+
+def test_failures_name_unit_type_duration_and_instant():
+    for text in ("sensor:gyro:drift@10.0", "sensor:motor2:off:lasts=5.0@0.5", "sensor:depth_camera:stuck@3.25"):
+        request = parse(text)
+        fault = request.resolve(7, 0)
+        assert not request.drawn and fault.seed == 7 and SensorRequest.text_of(fault) == text
+    drawn = {parse("sensor:position:wrong").resolve(seed, 5_000_000).time_us for seed in range(100)}
+    assert parse("sensor:position:wrong").drawn and 0 <= min(drawn) < max(drawn) < 5_000_000 and len(drawn) > 90
+    assert parse_sensor("sensor:motor:off@2", 3) == SensorFault("motor", "off", 2_000_000, seed=3)
+    with pytest.raises(BadInputError, match="without an instant"):
+        parse_sensor("sensor:motor:off", 3)
 
 
 def test_faults_in_instructions_name_kernel_class_and_model():

@@ -4,6 +4,8 @@ A fault is text, `CALL.PATH[:bit=B][@SECONDS]` or `CALL.PATH:bit=B#N`: a bit of 
 name at or after an instant, or in its N-th.  PATH leads through the arguments by name (`moveByVelocity.vx`,
 `moveOnPath.path.0.x_val`) or, after `return`, through the returned value (`simGetVehiclePose.return.position.z_val`);
 `arguments#K` and `return#K` are the K-th number of all.
+
+A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, changes what calls measure and do.
 """
 
 import random
@@ -18,6 +20,9 @@ from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MessageFault
+from mavfi.faults.sensor.failures import Failure
+from mavfi.faults.sensor.fault import SensorFault
+from mavfi.faults.spec import parse_sensor
 from mavfi.flight_log import AlarmRecord, Injection
 
 ARGUMENTS, RETURN = "arguments", "return"
@@ -52,12 +57,14 @@ class BoundaryFault:
         return keys_of(rest) if side == RETURN else (CALLS[self.fault.topic].arguments.index(side), *keys_of(rest))
 
 
-def parse_fault(text: str, seed: int = 0) -> BoundaryFault:
+def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     """Read a fault; a bit that is not given is drawn from the seed.
 
     Raises:
         BadInputError: It has another form, or names a call, argument or bit that does not exist.
     """
+    if text.startswith(f"{SensorFault.level}:"):
+        return parse_sensor(text, seed)
     found = _TEXT.fullmatch(text)
     if found is None:
         raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
@@ -97,16 +104,37 @@ class Boundary:
         planned: The fault; None = none.
         keeps: Whether calls are recorded.
         watch: A detector, or a recording to train one; None = none.
-        injection: The injection that happened; None = none so far.
+        failure: The failure of a sensor or motor of the vehicle; None = none.
+        injection: The injection into a call that happened; None = none so far.
         passed: Every call so far, if `keeps`.
     """
 
     planned: BoundaryFault | None = None
     keeps: bool = False
     watch: "BoundaryWatch | Recording | None" = None
+    failure: Failure | None = None
     injection: Injection | None = None
     passed: list[Passed] = field(default_factory=list)
     _count: int = 0
+
+    @classmethod
+    def of(
+        cls, fault: BoundaryFault | MessageFault | SensorFault | None, watch: "BoundaryWatch | Recording | None" = None
+    ) -> "Boundary":
+        """The boundary with a fault, in a call or in the vehicle behind it."""
+        if isinstance(fault, SensorFault):
+            return cls(watch=watch, failure=Failure(fault))
+        return cls(BoundaryFault(fault) if isinstance(fault, MessageFault) else fault, watch=watch)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether there is a fault."""
+        return self.planned is not None or self.failure is not None
+
+    @property
+    def injected(self) -> Injection | None:
+        """The injection that happened, into a call or the vehicle."""
+        return self.injection if self.failure is None else self.failure.injection
 
     def arguments(self, name: str, given: list[Any], now_us: int) -> list[Any]:
         """Arguments of a call, perhaps changed; `given` is changed in place."""

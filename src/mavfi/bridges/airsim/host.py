@@ -10,12 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault, Passed
+from mavfi.bridges.airsim.boundary import Boundary, Passed
 from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.bridges.airsim.program import Ended, client_version, run_program
 from mavfi.bridges.airsim.server import msgpack
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, MessageFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Recorded, one_by_one
@@ -57,7 +58,7 @@ class AirsimProgramHost:
     """Runs of a client program."""
 
     name = "airsim_program"
-    levels = frozenset({"message"})
+    levels = frozenset({"message", "sensor"})
     deterministic = True
     in_process = False
 
@@ -115,7 +116,7 @@ class ProgramRuns:
         """See `one_by_one`."""
 
         def run(arm: str, fault: Fault) -> ProgramResult:
-            mission, boundary = self._missions[arm], Boundary(BoundaryFault(cast(MessageFault, fault)))
+            mission, boundary = self._missions[arm], Boundary.of(cast(MessageFault | SensorFault, fault))
             ended = run_program(mission.program, mission.spec, boundary)
             return ProgramResult(record_of_program(ended, self._golden.get(arm)))
 
@@ -127,7 +128,7 @@ def record_of_program(ended: Ended, golden: Ended | None = None) -> FlightRecord
 
     A program that still runs when its time is up hangs, if the error-free one (`golden`) ended.
     """
-    injection = ended.boundary.injection
+    injection = ended.boundary.injected
     injections = () if injection is None else (injection,)
     extra = {"how": ended.how, "calls": sum(ended.calls.values()), "refused": sum(ended.errors.values())}
     late = golden is not None and ended.how == "time is up" and golden.how == "ended"

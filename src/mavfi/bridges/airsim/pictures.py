@@ -12,6 +12,7 @@ from mavfi.numerics.rotations import rotation_matrix
 
 SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED = 0, 1, 2, 3, 4, 5, 7
 _KINDS = (SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED)
+DEPTH = (PLANAR, PERSPECTIVE, VISUAL, DISPARITY)
 _WHITE_M = 100.0
 """Distance shown in white in a depth picture (m)."""
 _BASELINE_M = 0.25

@@ -87,7 +87,7 @@ class Ended:
 
 def effect_on(golden: Ended, injected: Ended) -> str:
     """What a fault did to a program: masked, deviates, collision, program crash, hang, or not activated."""
-    if injected.boundary.injection is None:
+    if injected.boundary.injected is None:
         return "not activated"
     if injected.how not in ("ended", "time is up"):
         return injected.how
@@ -239,7 +239,7 @@ def world_address(text: str) -> tuple[str, int]:
 
 def shown(ended: Ended) -> dict[str, Any]:
     """A run as plain data."""
-    injection, watch = ended.boundary.injection, ended.boundary.watch
+    injection, watch = ended.boundary.injected, ended.boundary.watch
     return {
         "how": ended.how, "reason": ended.reason, "collision": ended.collided, "digest": ended.digest,
         "seconds": round(ended.seconds, 6), "calls": ended.calls, "errors": ended.errors,

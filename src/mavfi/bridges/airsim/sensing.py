@@ -46,12 +46,13 @@ _THRUST_COEFFICIENT, _PROPELLER_M = 0.109919, 0.2286
 """Thrust coefficient and diameter of AirSim's propeller (RotorParams: GWS 9x5, measured by UIUC)."""
 
 
-def kinematics(api: Api) -> dict[str, Any]:
-    """KinematicsState."""
-    v = api.vehicle
+def kinematics(api: Api, odometry: np.ndarray) -> dict[str, Any]:
+    """KinematicsState of a state of the vehicle."""
+    position, orientation, velocity, rates = api.vehicle.in_ned(odometry)
     return {
-        **pose(v.position, v.orientation), "linear_velocity": vector(v.velocity), "angular_velocity": vector(v.rates),
-        "linear_acceleration": vector(flipped(v.sim.acceleration())), "angular_acceleration": vector((0, 0, 0)),
+        **pose(position, orientation), "linear_velocity": vector(velocity), "angular_velocity": vector(rates),
+        "linear_acceleration": vector(flipped(api.vehicle.sim.acceleration())),
+        "angular_acceleration": vector((0, 0, 0)),
     }  # fmt: skip
 
 
@@ -79,7 +80,7 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
     switches = {f"switch{n}": 0 for n in range(1, 9)}
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
-        "collision": collision(api), "kinematics_estimated": kinematics(api),
+        "collision": collision(api), "kinematics_estimated": kinematics(api, api.vehicle.believed),
         "gps_location": geo_point(api.vehicle.position), "timestamp": api.vehicle.stamp,
         "landed_state": LANDED if api.vehicle.landed else FLYING,
         "rc_data": {
@@ -92,16 +93,16 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
 
 @call("simGetGroundTruthKinematics")
 def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return kinematics(api)
+    return kinematics(api, api.vehicle.sim.odometry)
 
 
 @call("simGetGroundTruthEnvironment")
 def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    v = api.vehicle
-    height = geo_point(v.position)["altitude"]
+    position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
+    height = geo_point(position)["altitude"]
     kelvin = 288.15 - 0.0065 * height
     return {
-        "position": vector(v.position), "geo_point": geo_point(v.position), "gravity": vector((0.0, 0.0, GRAVITY)),
+        "position": vector(position), "geo_point": geo_point(position), "gravity": vector((0.0, 0.0, GRAVITY)),
         "air_pressure": _pressure(height), "temperature": kelvin,
         "air_density": _pressure(height) / (287.053 * kelvin),
     }  # fmt: skip
@@ -109,7 +110,8 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
 
 @call("simGetVehiclePose")
 def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return pose(api.vehicle.position, api.vehicle.orientation)
+    position, orientation, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
+    return pose(position, orientation)
 
 
 @call("simGetCollisionInfo")
@@ -133,7 +135,7 @@ def _rotor_speed(thrust: float) -> float:
 # ---- motion sensors --------------------------------------------------------------------------------------------------
 @call("getImuData")
 def _(api: Api, imu_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
-    sample = api.vehicle.sim.imu()
+    sample = api.vehicle.imu()
     return {
         "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
         "angular_velocity": vector(flipped(sample[3:])), "linear_acceleration": vector(flipped(sample[:3])),
@@ -223,12 +225,14 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
     return api.cameras[known]
 
 
-def view(api: Api, name: Any) -> pictures.View:  # noqa: ANN401 - a client's
-    """What a camera sees now."""
+def view(api: Api, name: Any, kind: int) -> pictures.View:  # noqa: ANN401 - a client's
+    """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
     found, (width, height) = find_camera(api, name), api.pixels
     config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
     placed = mount(found.position, found.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, placed)
+    if kind in pictures.DEPTH:
+        ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
     return pictures.View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
 
 
@@ -240,7 +244,7 @@ def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
 
 @call("simGetImage")
 def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = "") -> bytes:
-    return pictures.encoded(api, view(api, camera_name), image_type)
+    return pictures.encoded(api, view(api, camera_name, image_type), image_type)
 
 
 @call("simGetImages")
@@ -255,7 +259,7 @@ def _response(api: Api, request: Any) -> dict[str, Any]:
         as_float, compress = bool(request["pixels_as_float"]), bool(request["compress"])
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
-    seen = view(api, name)
+    seen = view(api, name, kind)
     position, orientation = _camera_pose(api, name)
     return {
         "image_data_uint8": b"" if as_float else pictures.encoded(api, seen, kind, compress),

@@ -59,6 +59,8 @@ class Server:
         self, api: Api, clock: Real | Steps, boundary: Boundary | None = None, *, single: bool = False
     ) -> None:
         self.api, self.clock, self.boundary = api, clock, boundary or Boundary()
+        if self.boundary.failure is not None:
+            api.vehicle.failures.active.append(self.boundary.failure)
         self._msgpack = msgpack()
         self._pack = self._msgpack.Packer(use_bin_type=True, use_single_float=single).pack
         self._waiting: dict[int, tuple[Reply, str, list[Any]]] = {}

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from mavfi.bridges.airsim.frames import Triple, flipped, turned
+from mavfi.faults.sensor.failures import Failures
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.sensor_faults import FailingController
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.numerics.rotations import yaw_of
 from mavfi.sim.environments import build_world
@@ -27,6 +29,7 @@ _LANDED_HEIGHT = 0.1
 """Height below which a vehicle at rest counts as landed (m)."""
 
 Task = Generator[None, None, Any]
+Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,8 @@ class Ended:
 class ApiVehicle:
     """One vehicle in one world, under the API.
 
+    Its state is what its sensors measure, failures included; tasks fly by it.
+
     Args:
         spec: The mission, of which environment, seed, vehicle, wind and speed limit count.
         on_ground: Whether it starts on the ground with the motors idle, and NED has its origin there; else it hovers at
@@ -52,6 +57,7 @@ class ApiVehicle:
         origin: Origin of NED in the world (m). Shape (3,).
         landed: Whether it stands on the ground.
         api: Whether a program controls it.
+        failures: Failures of its sensors and motors; they outlast a reset.
         ended: Tasks that ended; the owner removes them.
 
     Raises:
@@ -67,6 +73,7 @@ class ApiVehicle:
         self._base_us, self._collided_before = 0, False
         self.ended: list[Ended] = []
         self._task: Task | None = None
+        self.failures = Failures()
         self._number, self._task_us = 0, 0
         self._digest = hashlib.sha256()
         self.load(spec)
@@ -115,24 +122,38 @@ class ApiVehicle:
         return EPOCH_NS + 1000 * self.now_us
 
     @property
+    def believed(self) -> np.ndarray:
+        """The state that its sensors measure, as in `Simulator.odometry`. Shape (13,)."""
+        return self.failures.state(self.now_us, self.sim.odometry)
+
+    def in_ned(self, odometry: np.ndarray) -> tuple[Triple, Quaternion, Triple, Triple]:
+        """Position (m), orientation, velocity (m/s) and rates (rad/s) of a state."""
+        place, velocity, rates = odometry[:3] - self.origin, odometry[3:6], odometry[10:13]
+        return flipped(place), turned(odometry[6:10]), flipped(velocity), flipped(rates)
+
+    @property
     def position(self) -> Triple:
         """NED (m)."""
-        return flipped(self.sim.odometry[:3] - self.origin)
+        return flipped(self.believed[:3] - self.origin)
 
     @property
     def velocity(self) -> Triple:
         """NED (m/s)."""
-        return flipped(self.sim.odometry[3:6])
+        return flipped(self.believed[3:6])
 
     @property
-    def orientation(self) -> tuple[float, float, float, float]:
+    def orientation(self) -> Quaternion:
         """Body FRD to NED. w x y z."""
-        return turned(self.sim.odometry[6:10])
+        return turned(self.believed[6:10])
 
     @property
     def rates(self) -> Triple:
         """FRD (rad/s)."""
-        return flipped(self.sim.odometry[10:13])
+        return flipped(self.believed[10:13])
+
+    def imu(self) -> np.ndarray:
+        """Specific force (m/s^2) and rates (rad/s), body frame (z up), with noise. Shape (6,)."""
+        return self.failures.imu(self.now_us, self.sim.imu())
 
     @property
     def yaw(self) -> float:
@@ -176,6 +197,7 @@ class ApiVehicle:
             upto = min(until_us, self.now_us + TICK_US)
             if self._task is not None:
                 upto = min(upto, self._task_us)
+            self._let_controller_fail()
             self.sim.advance(upto - self._base_us)
             self._digest.update(self.sim.odometry.tobytes())
             if self.sim.armed and self.sim.height > _AIRBORNE:
@@ -184,6 +206,12 @@ class ApiVehicle:
                 self.landed = True
             if self._task is not None and self.now_us >= self._task_us:
                 self._act()
+
+    def _let_controller_fail(self) -> None:
+        """With failures, the flight controller reads and commands through them; `Grounded` renews it now and then."""
+        sim = self.sim
+        if self.failures.active and not isinstance(sim.controller, FailingController):
+            sim.controller = FailingController(sim.controller, self.failures, sim.max_thrust, self._base_us)
 
     def _act(self) -> None:
         """One period of the task."""

@@ -1,15 +1,16 @@
-"""One mission flown by a firmware, with a register fault in it; bit-reproducible."""
+"""One mission flown by a firmware, with a fault in its registers, or in sensors and motors; bit-reproducible."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from mavfi.bridges.firmware.controller import BetaflightController
 from mavfi.bridges.firmware.injector import NODE, WALK, FirmwareInjector
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import CONTROLLER_LOST
 from mavfi.hosts.host import Flight
@@ -17,6 +18,7 @@ from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.record import Record
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.mission import Scenario
 
 
@@ -26,7 +28,7 @@ def register_fault(time_us: int, seed: int, registers: str = "all", **given: Any
 
 
 def fly(
-    scenario: Scenario, fault: RegisterFault | None = None, detector: Detector | None = None, *,
+    scenario: Scenario, fault: RegisterFault | SensorFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, observers: Sequence[Callable[[Loop], None]] = (),
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
@@ -50,8 +52,8 @@ def fly(
         if not isinstance(controller, BetaflightController):
             text = "has no registers of its own; allowed: betaflight"
             raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
-        if fault is not None:
-            loop.taps.injector = controller.injector = FirmwareInjector(fault)
+        if fault is not None and not inject_sensor_fault(loop, fault):
+            loop.taps.injector = controller.injector = FirmwareInjector(cast(RegisterFault, fault))
         loop.before_tick.append(partial(_note_loss, loop.record, controller))
         watch(loop, detector, recovery)
         for attach in observers:

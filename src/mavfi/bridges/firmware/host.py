@@ -1,4 +1,4 @@
-"""The host `firmware`: missions flown by a real flight controller's firmware, with faults in its registers."""
+"""The host `firmware`: missions flown by a real firmware, with faults in its registers, or in sensors and motors."""
 
 from collections.abc import Mapping
 
@@ -6,6 +6,7 @@ from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.flight import fly
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
@@ -18,7 +19,7 @@ class FirmwareHost:
     """Flies each mission in this process, in lock-step with the firmware's process."""
 
     name = "firmware"
-    levels: frozenset[str] = frozenset({RegisterFault.level})
+    levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
     deterministic = True
     in_process = True
 
@@ -49,7 +50,7 @@ class FirmwareHost:
 class FirmwareFlights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def _fly(self, arm: str, fault: RegisterFault | None, *, profile: bool = False) -> Flight:
+    def _fly(self, arm: str, fault: RegisterFault | SensorFault | None, *, profile: bool = False) -> Flight:
         setup = self._arms[arm]
         return fly(
             setup.scenario, fault, self._detector(arm), recovery=setup.recovery, profile=profile,

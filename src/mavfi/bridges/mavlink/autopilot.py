@@ -9,7 +9,6 @@ from mavfi.bridges.airsim.attitude import Vertical, at_attitude, at_rates
 from mavfi.bridges.airsim.tasks import land
 from mavfi.bridges.airsim.vehicle import Task
 from mavfi.bridges.mavlink import telemetry
-from mavfi.bridges.mavlink.failures import TYPES, UNITS, Failure
 from mavfi.bridges.mavlink.flying import (
     FOREVER_S,
     MavVehicle,
@@ -23,11 +22,18 @@ from mavfi.bridges.mavlink.flying import (
 )
 from mavfi.bridges.mavlink.mission import Mission, place_of
 from mavfi.bridges.mavlink.parameters import Parameters
+from mavfi.errors import BadInputError
+from mavfi.faults.sensor.failures import Failure
+from mavfi.faults.sensor.fault import NULL, SensorFault
 from mavfi.flight_logs.ned import Triple, euler, local
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 """MAV_RESULT; 1 = temporarily rejected."""
 INFO, ERROR = 6, 3
+UNITS = {0: "gyro", 1: "accelerometer", 2: "compass", 4: "position", 101: "motor"}
+"""Units of `SensorFault` by FAILURE_UNIT, which has no depth camera."""
+TYPES = dict(enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")))
+"""Its types by FAILURE_TYPE, which has no drift."""
 PROOF_US = 1_000_000
 """Time within which a failure must change a value (us)."""
 LONGEST_TEXT = 50
@@ -81,8 +87,7 @@ class Autopilot:
     @property
     def failures(self) -> list[Failure]:
         """Active failures."""
-        failing = self.vehicle.failing
-        return [] if failing is None else failing.failures
+        return self.vehicle.failures.active
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def step(self, until_us: int) -> None:
@@ -273,28 +278,29 @@ class Autopilot:
         """MAV_CMD_INJECT_FAILURE: acknowledged once a value has changed; failed if none has within a second."""
         unit, kind = UNITS.get(_integer(message.param1)), TYPES.get(_integer(message.param2))
         instance = 0 if math.isnan(message.param3) else _integer(message.param3)
-        if unit is None or kind is None or not 0 <= instance <= (4 if unit == "motor" else 0):
+        if unit is None or kind is None:
             return UNSUPPORTED
-        if kind == "ok":
-            failing = self.vehicle.failing
-            return ACCEPTED if failing is not None and failing.clear(unit, instance) else FAILED
+        try:
+            fault = SensorFault(unit, kind, self.vehicle.now_us, instance=instance, seed=self.vehicle.spec.seed)
+        except BadInputError:
+            return UNSUPPORTED
+        if kind == NULL:
+            return ACCEPTED if self.vehicle.failures.end(unit, instance) else FAILED
         if not self.vehicle.sim.armed:
             return REJECTED
-        failure = Failure(unit, kind, instance, self.vehicle.now_us)
-        self.vehicle.fail(failure)
-        self._pending.append((failure, message))
+        self._pending.append((self.vehicle.failures.begin(fault), message))
         return None
 
     def _prove_failures(self) -> None:
         """Acknowledge failures that were activated, or were not in time."""
         for failure, message in list(self._pending):
-            if failure.activated_us is not None:
-                self.text(f"fault: {failure.site}: {failure.before:.4g} -> {failure.after:.4g}", ERROR)
+            if failure.injection is not None:
+                before, after = failure.injection.before, failure.injection.after
+                self.text(f"fault: {failure.fault.site}: {before:.4g} -> {after:.4g}", ERROR)
                 self._acknowledge(message, ACCEPTED)
-            elif self.vehicle.now_us - failure.since_us >= PROOF_US:
-                failing = self.vehicle.failing
-                if failing is not None:
-                    failing.remove(failure)
+            elif self.vehicle.now_us - failure.fault.time_us >= PROOF_US:
+                if failure in self.failures:
+                    self.vehicle.failures.remove(failure)
                 self._acknowledge(message, FAILED)
             else:
                 continue

@@ -3,14 +3,11 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim.frames import flipped, turned
 from mavfi.bridges.airsim.tasks import Yaw, fly_path, land
 from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
-from mavfi.bridges.mavlink.failures import FailingController, Failure
 from mavfi.flight_logs.ned import Triple
 
 HOLD_S = 0.06
@@ -26,51 +23,11 @@ _YAW_GAIN, _YAW_RATE = 2.5, 1.5
 
 
 class MavVehicle(ApiVehicle):
-    """An `ApiVehicle` that starts disarmed; during failures, state and tasks use what the controller receives."""
+    """An `ApiVehicle` that starts disarmed."""
 
     def _begin(self) -> None:
         super()._begin()
         self.sim.arm(False)
-
-    @property
-    def failing(self) -> FailingController | None:
-        """The flight controller with failures; None = there were none since the motors were switched on."""
-        controller: Any = self.sim.controller
-        return controller if isinstance(controller, FailingController) else None
-
-    @property
-    def _believed(self) -> np.ndarray:
-        """Odometry, as in `Simulator.odometry`. Shape (13,)."""
-        failing = self.failing
-        return self.sim.odometry if failing is None or not failing.failures else failing.odometry
-
-    @property
-    def position(self) -> Triple:
-        """NED (m)."""
-        return flipped(self._believed[:3] - self.origin)
-
-    @property
-    def velocity(self) -> Triple:
-        """NED (m/s)."""
-        return flipped(self._believed[3:6])
-
-    @property
-    def orientation(self) -> tuple[float, float, float, float]:
-        """Body FRD to NED. w x y z."""
-        return turned(self._believed[6:10])
-
-    @property
-    def rates(self) -> Triple:
-        """FRD (rad/s)."""
-        return flipped(self._believed[10:13])
-
-    def fail(self, failure: Failure) -> None:
-        """Start a failure."""
-        if self.failing is None:
-            sim = self.sim
-            sim.controller = FailingController(sim.controller, sim.odometry, sim.max_thrust, self.spec.seed)
-        assert self.failing is not None  # set above
-        self.failing.add(failure)
 
 
 @dataclass(frozen=True, slots=True)

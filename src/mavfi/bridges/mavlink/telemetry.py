@@ -49,7 +49,7 @@ def heartbeat(autopilot: "Autopilot") -> Arguments:
 
 def sys_status(autopilot: "Autopilot") -> Arguments:
     """SYS_STATUS; sensors that are off are unhealthy."""
-    off = sum({_SENSORS[failure.unit] for failure in autopilot.failures if failure.kind == "off"})
+    off = sum({_SENSORS[failure.fault.unit] for failure in autopilot.failures if failure.fault.kind == "off"})
     return _HEALTHY, _HEALTHY, _HEALTHY & ~off, 300, _CENTIVOLTS, -1, _PERCENT, 0, 0, 0, 0, 0, 0
 
 
@@ -68,7 +68,7 @@ def extended_sys_state(autopilot: "Autopilot") -> Arguments:
 
 def gps_raw_int(autopilot: "Autopilot") -> Arguments:
     """GPS_RAW_INT; without a fix while the position is off."""
-    lost = any(failure.unit == "position" and failure.kind == "off" for failure in autopilot.failures)
+    lost = any(failure.fault.unit == "position" and failure.fault.kind == "off" for failure in autopilot.failures)
     north, east, _ = autopilot.vehicle.velocity
     speed = min(65_534, round(100 * math.hypot(north, east)))
     course = round(100 * _heading(autopilot)) % 36_000
@@ -120,8 +120,8 @@ def local_position_ned(autopilot: "Autopilot") -> Arguments:
 
 
 def highres_imu(autopilot: "Autopilot") -> Arguments:
-    """HIGHRES_IMU: the true rates and forces, also during a failure; constant magnetic field and pressure."""
-    x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.sim.imu())
+    """HIGHRES_IMU; constant magnetic field and pressure."""
+    x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.imu())
     field, air = (0.2, 0.0, 0.4), (1013.25, 0.0, _above_sea(autopilot), 25.0)
     return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, 0x1FFF
 

@@ -16,6 +16,7 @@ from mavfi.campaign.config import (
 )
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.campaign.sequential import Precision
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
@@ -71,11 +72,18 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             line = f"{what} · one bit per run, in a number of a call{calls}, uniform over calls"
             title = f"campaign {campaign.name} · AirSim program in {', '.join(campaign.environments)}"
             return {"each": "side of the calls", "profile": "", "title": title, "lines": [line]}
+        case SensorSampling():
+            lasts = "to the end" if sampling.lasts_s == "inf" else f"for {sampling.lasts_s:g} s"
+            how = f"types {', '.join(sampling.types)}, from a uniform instant {lasts}"
+            return {"each": "unit", **_flights(campaign, "unit", how)}
         case RegisterSampling():
-            each = "kind of registers"
-            if campaign.node is None:
-                return {"each": each, **_flights(campaign, each, "uniform over the firmware's instructions")}
-            return {"each": each, **_trials(campaign, sampling, campaign.node.command[0])}
+            return {"each": "kind of registers", **_registers(campaign, sampling)}
+
+
+def _registers(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
+    if campaign.node is None:
+        return _flights(campaign, "kind of registers", "uniform over the firmware's instructions")
+    return _trials(campaign, sampling, campaign.node.command[0])
 
 
 def _trials(campaign: Campaign, sampling: RegisterSampling, command: str) -> dict[str, Any]:

@@ -29,7 +29,7 @@ _HEALS_WITH_MEMORY = (
     "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
     "a map or a path that an earlier one did, nor a kernel that died"
 )
-STATE, MEMORY, INSTRUCTION = "state", "memory", "instruction"
+STATE, MEMORY, INSTRUCTION, SENSOR = "state", "memory", "instruction", "sensor"
 TOTAL = ("environment", ALL)
 SETTING = ("environment", "setting")
 
@@ -38,6 +38,11 @@ SETTING = ("environment", "setting")
 def of_states(runs: Runs) -> bool:
     """Whether faults in inter-kernel states were injected."""
     return has(runs.injected, level=STATE)
+
+
+def of_sensors(runs: Runs) -> bool:
+    """Whether sensors or motors failed."""
+    return has(runs.injected, level=SENSOR)
 
 
 def of_values(runs: Runs) -> bool:
@@ -208,14 +213,16 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
 
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """Register a view over all environments, and one by environment for campaigns with several."""
-    applies = more.pop("applies", of_states)
-    columns: dict[str, Any] = {"measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
-    columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY)))
+    applies, headings = more.pop("applies", of_states), more.pop("headings", ())
+    measures = more.pop("measures", (m.leading_success, m.other_success, m.hurt))
+    columns: dict[str, Any] = {"measures": measures, "notes": _slow_note}
+    columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY, SENSOR)))
     register(
-        View(name, title, (*by, "setting"), applies=applies, **columns, **more),
+        View(name, title, (*by, "setting"), applies=applies, headings=headings, **columns, **more),
         View(
             f"{name}_and_environment", f"{title}, each environment", ("environment", *by, "setting"),
-            applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1, **columns, **more,
+            applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1,
+            headings=headings and ("environment", *headings), **columns, **more,
         ),
     )  # fmt: skip
 
@@ -223,6 +230,12 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
 _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
 _by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
 _by("by_state", "Success by inter-kernel state", ("state",))
+_of_failures: dict[str, Any] = {
+    "applies": of_sensors,
+    "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
+}
+_by("by_unit", "Success by failing sensor or motor", ("state",), headings=("unit", "setting"), **_of_failures)
+_by("by_failure", "Success by type of failure", ("field",), headings=("type", "setting"), **_of_failures)
 _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values)
 _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
 _by("by_every_field", "Success by field", ("state", "field"), applies=lambda _: False)

@@ -8,6 +8,7 @@ import polars as pl
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
 from mavfi.mission import MissionStatus
@@ -90,6 +91,8 @@ def _site_columns(fault: Fault) -> dict[str, Any]:
             }  # fmt: skip
         case MessageFault():
             return {"state": fault.topic, "field": fault.field}
+        case SensorFault():
+            return {"state": fault.unit, "field": fault.kind}
         case RegisterFault():
             return {"register": fault.registers, "symbol": fault.symbol, "kernel": fault.node}
 

@@ -31,6 +31,10 @@ def sampler_for(campaign: "Campaign") -> Sampler:
         from mavfi.campaign.samplers.message import MessageSampler
 
         return MessageSampler(campaign)
+    if level == "sensor":
+        from mavfi.campaign.samplers.sensor import SensorSampler
+
+        return SensorSampler(campaign)
     from mavfi.campaign.samplers.state import StateSampler
 
     return StateSampler(campaign)

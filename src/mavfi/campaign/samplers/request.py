@@ -5,10 +5,12 @@ from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, RegisterFault, StateFault
-from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, StateRequest
+from mavfi.faults.sensor.fault import RANDOM, SensorFault
+from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, SensorRequest, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.mission import Scenario
 from mavfi.states import DETECTORS
 
@@ -16,7 +18,7 @@ from mavfi.states import DETECTORS
 def draw_request(
     scenario: Scenario, request: Request | RegisterFault, seed: int, detector: Detector | None = None,
     recovery: Recovery = INLINE,
-) -> tuple[StateFault | MemoryFault | InstructionFault | RegisterFault, Flight | None]:  # fmt: skip
+) -> tuple[Fault, Flight | None]:  # fmt: skip
     """Draw a fault; also returns the golden flight (without a detector) if one was flown for the draw.
 
     The detector is flown only if the fault is in one of its own instructions.
@@ -30,6 +32,8 @@ def draw_request(
         return draw_state(scenario, request, seed)
     if isinstance(request, MemoryRequest):
         return draw_memory(scenario, request, seed)
+    if isinstance(request, SensorRequest):
+        return draw_sensor(scenario, request, seed)
     own = detector if request.kernel in DETECTORS else None
     if isinstance(request, InstructionSite):
         return instruction_fault(scenario, request, own), None
@@ -49,8 +53,19 @@ def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[St
     return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
 
 
+def draw_sensor(scenario: Scenario, request: SensorRequest, seed: int) -> tuple[SensorFault, Flight | None]:
+    """Draw the begin of a failure; also returns the golden flight if one was flown for the draw."""
+    check_read(request.fault.unit, scenario.flight_controller, scenario.localization.kind)
+    if not request.drawn:
+        return request.resolve(seed, 0), None
+    golden = fly(scenario)
+    return request.resolve(seed, round(1e6 * golden.record().flight_time_s)), golden
+
+
 def seed_of(fault: Fault) -> int | None:
-    """The seed that a fault needs besides its text, to choose among publications; None = none."""
+    """The seed that a fault needs besides its text, for random choices during the flight; None = none."""
+    if isinstance(fault, SensorFault):
+        return fault.seed if fault.kind in RANDOM else None
     return fault.seed if isinstance(fault, StateFault) and fault.share < 1.0 else None
 
 
@@ -58,6 +73,8 @@ def text_of(fault: Fault) -> str | None:
     """The text that names a fault in full, for `mavfi fly --fault`; None = it is in no mission of this host."""
     if isinstance(fault, InstructionFault) and fault.kernel:
         return InstructionSite.text_of(fault)
+    if isinstance(fault, SensorFault):
+        return SensorRequest.text_of(fault)
     bit = "" if fault.bit is None else f":bit={fault.bit}"
     if isinstance(fault, MemoryFault):
         index = "" if fault.index is None else f"[{fault.index}]"

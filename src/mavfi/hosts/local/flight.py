@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import MemoryFault, StateFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector
@@ -12,14 +13,18 @@ from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.hosts.loop.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.sim.simulator import Simulator
 
+LocalFault = StateFault | MemoryFault | SensorFault
+"""Faults of one flight; those in instructions share theirs."""
+
 
 def fly(  # noqa: PLR0913 - each is independent
-    scenario: Scenario, fault: StateFault | MemoryFault | None = None, detector: Detector | None = None, *,
+    scenario: Scenario, fault: LocalFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN, observers: Sequence[Callable[[Loop], None]] = (),
     make_plant: MakePlant = Simulator,
@@ -41,15 +46,16 @@ def fly(  # noqa: PLR0913 - each is independent
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
     loop = new_loop(scenario, profile=profile, functions=functions, make_plant=make_plant)
-    if isinstance(fault, StateFault):
-        loop.taps.injector = StateInjector(fault)
-    in_memory = MemoryInjector(loop, fault) if isinstance(fault, MemoryFault) else None
-    loop.taps.injector = in_memory or loop.taps.injector
-    watch(loop, detector, recovery)
-    loop.taps.recorders.extend(recorders)
-    for attach in observers:
-        attach(loop)
     try:
+        if isinstance(fault, StateFault):
+            loop.taps.injector = StateInjector(fault)
+        in_memory = MemoryInjector(loop, fault) if isinstance(fault, MemoryFault) else None
+        loop.taps.injector = in_memory or loop.taps.injector
+        inject_sensor_fault(loop, fault)
+        watch(loop, detector, recovery)
+        loop.taps.recorders.extend(recorders)
+        for attach in observers:
+            attach(loop)
         flight = loop.fly()
     finally:
         loop.plant.close()

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
-from mavfi.hosts.local.flight import fly
+from mavfi.hosts.local.flight import LocalFault, fly
 from mavfi.hosts.local.forks import fly_from_checkpoints
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.plant import MakePlant
@@ -28,7 +28,7 @@ class LocalHost:
     """
 
     name = "local"
-    levels = frozenset({"state", "memory", "instruction"})
+    levels = frozenset({"state", "memory", "instruction", "sensor"})
     deterministic = True
     in_process = True
 
@@ -65,7 +65,7 @@ class LocalFlights(ArmFlights):
         self._scratch = True
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        """See `MissionFlights.injected`: state and memory faults in list order, then instruction faults by arm."""
+        """See `MissionFlights.injected`: faults in instructions come last, by arm."""
         batches: dict[str, list[tuple[int, InstructionFault]]] = {}
         for place, (arm, fault) in enumerate(runs):
             if isinstance(fault, InstructionFault):
@@ -93,7 +93,7 @@ class LocalFlights(ArmFlights):
     def _from_take_off(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
         setup = self._arms[arm]
         if not self._simulated:
-            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, in this world")
+            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
         return fly_instruction_faults(
             setup.scenario, faults, self._detector(arm), self._golden.get(arm), setup.recovery
         ).flights  # fmt: skip
@@ -131,15 +131,15 @@ class LocalFlights(ArmFlights):
         self._forward[key] = forward
         return found
 
-    def _fly(self, arm: str, fault: StateFault | MemoryFault | None, *, profile: bool = False) -> Flight:
+    def _fly(self, arm: str, fault: LocalFault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
 
-        Excluded are also null faults, whose purpose is to exercise the injector, and memory faults, which checkpoints
-        do not contain.
+        Excluded are also null faults, whose purpose is to exercise the injector, and faults in memory, sensors and
+        motors, which checkpoints do not contain.
         """
         setup, detector = self._arms[arm], self._detector(arm)
         found = None
-        if not isinstance(fault, MemoryFault) and (fault is None or fault.bit is not None):
+        if fault is None or (isinstance(fault, StateFault) and fault.bit is not None):
             found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
         return found or fly(
             setup.scenario,

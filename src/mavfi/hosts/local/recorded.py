@@ -2,11 +2,11 @@
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction import fly_with_publications
 from mavfi.hosts.instruction.case import Published
-from mavfi.hosts.local.flight import fly
+from mavfi.hosts.local.flight import LocalFault, fly
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.states import State
@@ -22,8 +22,8 @@ def fly_recorded(
     """
     if isinstance(fault, InstructionFault):
         return fly_with_publications(scenario, fault, detector, recovery)
-    if not isinstance(fault, StateFault | MemoryFault | None):
-        raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, memory, instruction")
+    if not isinstance(fault, LocalFault | None):
+        raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, memory, instruction, sensor")
     seen: list[Published] = []
 
     def note(state: State, time_us: int) -> None:

@@ -181,7 +181,8 @@ def _signed(share: float, _: float) -> str:
 
 
 # ---- sites -------------------------------------------------------------------------------------------------------
-_SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "message": "site", "register": "site"}
+_SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "message": "site", "register": "site",
+          "sensor": "state"}  # fmt: skip
 """Column to compare by, for each fault level."""
 
 

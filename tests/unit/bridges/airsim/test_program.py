@@ -11,6 +11,7 @@ import pytest
 
 from mavfi.bridges.airsim.boundary import Boundary, parse_fault
 from mavfi.bridges.airsim.config import ProgramConfig, pixels
+from mavfi.bridges.airsim.pictures import PERSPECTIVE
 from mavfi.bridges.airsim.program import client_version, effect_on, make_api, run_program
 from mavfi.bridges.airsim.sensing import SKY, view
 from mavfi.errors import BadInputError
@@ -27,7 +28,7 @@ SPEC = MissionSpec(environment="sparse", seed=7)
 
 def run(path, *arguments, fault=None, **options):
     program = ProgramConfig(script=str(path), arguments=arguments, **options)
-    return run_program(program, SPEC, Boundary(None if fault is None else parse_fault(fault)))
+    return run_program(program, SPEC, Boundary.of(None if fault is None else parse_fault(fault)))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def test_a_program_goes_through_the_api():
     ended = run(PROGRAMS / "everything.py")
     assert (ended.how, ended.reason) == ("ended", "")
     found = json.loads(ended.output.splitlines()[-1])
-    ranges = view(make_api(SPEC), "0").ranges
+    ranges = view(make_api(SPEC), "0", PERSPECTIVE).ranges
     own = np.where(np.isfinite(ranges), ranges, np.float32(SKY))
     assert found.pop("depth") == hashlib.sha256(own.tobytes()).hexdigest()
     assert np.abs(np.array(found.pop("at")) - (0, 4, -4)).max() < 0.5
@@ -72,12 +73,14 @@ def test_programs_in_the_style_of_airsim_s_examples_fly(name, arguments):
         ("moveToPosition.x:bit=51", "deviates"),
         ("moveToPosition.yaw_mode.none:bit=51", "not activated"),
         ("armDisarm.arm:bit=0", "deviates"),  # the motors stay off
+        ("sensor:position:wrong@3", "deviates"),
+        ("sensor:depth_camera:off@3", "not activated"),  # the program takes no image
     ],
 )
 def test_what_a_fault_does_to_a_program(box, fault, effect):
     injected = run(EXAMPLES / "box.py", fault=fault)
     assert effect_on(box, injected) == effect
-    assert (injected.boundary.injection is not None) == (effect != "not activated")
+    assert (injected.boundary.injected is not None) == (effect != "not activated")
 
 
 def test_the_worst_that_a_fault_does_comes_first(box):

@@ -8,8 +8,16 @@ import pytest
 
 mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink (extra mavlink) is not installed")
 
-from mavfi.bridges.mavlink.autopilot import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Autopilot, Mode  # noqa: E402
-from mavfi.bridges.mavlink.failures import TYPES  # noqa: E402
+from mavfi.bridges.mavlink.autopilot import (  # noqa: E402
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    REJECTED,
+    TYPES,  # noqa: E402
+    UNSUPPORTED,
+    Autopilot,
+    Mode,
+)
 from mavfi.bridges.mavlink.flying import MavVehicle  # noqa: E402
 from mavfi.bridges.mavlink.server import Server  # noqa: E402
 from mavfi.cli.commands import run  # noqa: E402
@@ -214,9 +222,9 @@ def test_every_type_of_failure_changes_a_value_before_it_is_acknowledged(flying,
         failure = flying.autopilot.failures[-1]
         flying.wait(1.5, lambda: flying.result(420) is not None)
         assert flying.result(420) == ACCEPTED, failure
-        assert failure.activated_us >= failure.since_us and failure.before != failure.after
-        assert flying.texts()[0].startswith(f"fault: {failure.site}: ")
-        flying.autopilot.failures[-1].activated_us = None
+        found = failure.injection
+        assert found.time_s >= 1e-6 * failure.fault.time_us and found.before != found.after
+        assert flying.texts()[0].startswith(f"fault: {failure.fault.site}: ")
         assert flying.command(420, unit, 0, 0) == ACCEPTED and not flying.autopilot.failures
         flying.vehicle.place((0.0, 0.0, -6.0), (1.0, 0.0, 0.0, 0.0))
 
@@ -231,7 +239,7 @@ def test_a_failure_without_effect_ends_alone(flying):
     flying.wait(0.1)
     assert flying.command(420, MOTOR, STUCK, 1) is None
     flying.wait(1.1)
-    assert flying.result(420) == FAILED and [f.kind for f in flying.autopilot.failures] == ["off"]
+    assert flying.result(420) == FAILED and [f.fault.kind for f in flying.autopilot.failures] == ["off"]
 
 
 def test_a_motor_that_is_off_brings_the_vehicle_down(flying):

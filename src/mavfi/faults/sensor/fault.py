@@ -1,0 +1,126 @@
+"""The planned failure of a sensor or motor.
+
+It is a level of its own: a `MessageFault` is one flipped bit of a number on a topic or call, and knows no time; a
+failure changes all values of a device, for all its readers, as a function of time.
+"""
+
+from dataclasses import dataclass
+from math import inf, pi
+from typing import Any, ClassVar, Literal
+
+from mavfi.errors import BadInputError
+from mavfi.faults.planned import Planned
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A device that can fail.
+
+    Attributes:
+        error: Error of type `wrong`, in the unit's own unit; with `relative`, a share of the value.
+        spread: Largest value of type `garbage`, uniform in both directions; with `relative`, from 0 on.
+        relative: Whether values are amounts, which are never negative.
+        lost: What readers receive in place of a lost value; None = they keep the last one.
+        instances: Number of such devices.
+        readers: What the failure changes.
+    """
+
+    error: float
+    spread: float
+    relative: bool = False
+    lost: float | None = None
+    instances: int = 1
+    readers: str = ""
+
+
+UNITS = {
+    "gyro": Unit(0.5, 3.0, readers="body rates (rad/s)"),
+    "accelerometer": Unit(2.0, 20.0, readers="specific force (m/s²)"),
+    "compass": Unit(0.5 * pi, pi, readers="heading (rad)"),
+    "position": Unit(10.0, 50.0, readers="position (m) and velocity (m/s)"),
+    "depth_camera": Unit(0.5, 20.0, relative=True, lost=float("nan"), readers="ranges of the image (m)"),
+    "motor": Unit(-0.4, 1.0, relative=True, lost=0.0, instances=4, readers="commanded thrust (share of the largest)"),
+}
+"""Devices by name. The error of a position is along x."""
+TYPES = {
+    "ok": "no failure: the null fault, through the whole path",
+    "off": "no values: readers keep the last one, an image has no measurement, a motor stands still",
+    "stuck": "the value at the start of the failure",
+    "garbage": "uniform noise",
+    "wrong": "a constant error",
+    "slow": "an update every 0.5 s",
+    "delayed": "the value of 0.2 s ago",
+    "intermittent": "half of all blocks of 0.1 s are lost, as with off",
+    "drift": "an error that grows in proportion to time, to that of wrong within 10 s",
+}
+"""Types of failures: MAVLink's FAILURE_TYPE (https://mavlink.io/en/messages/common.html#FAILURE_TYPE), and drift."""
+NULL = "ok"
+RANDOM = ("garbage", "intermittent")
+"""Types that draw values by the seed."""
+FAILING = tuple(kind for kind in TYPES if kind != NULL)
+SLOW_US, DELAY_US, BLOCK_US, DRIFT_US = 500_000, 200_000, 100_000, 10_000_000
+"""Period of `slow`, delay of `delayed`, block of `intermittent`, and time in which `drift` reaches `wrong`."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFault(Planned):
+    """A failure of a sensor or motor, for all its readers.
+
+    Attributes:
+        unit: gyro, accelerometer, compass, position, depth_camera or motor.
+        kind: ok, off, stuck, garbage, wrong, slow, delayed, intermittent or drift.
+        time_us: First instant; `NO_SITE` = the golden run has no such instant.
+        lasts_s: Duration (s); "inf" = to the end.
+        instance: Number of the motor from 1; 0 = all of them.
+        stratum: Always "": not drawn by stratum.
+        weight: Always 1.
+        seed: Seed of the draw, and of the random values of `garbage` and `intermittent`.
+
+    Raises:
+        BadInputError: Unknown unit or type, or a number out of range.
+    """
+
+    level: ClassVar[Literal["sensor"]] = "sensor"
+    unit: str
+    kind: str
+    time_us: int = 0
+    lasts_s: float = inf
+    instance: int = 0
+    stratum: str = ""
+    weight: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for value, known in ((self.unit, UNITS), (self.kind, TYPES)):
+            if value not in known:
+                raise BadInputError(f"sensor fault: {value!r}: not known; allowed: {', '.join(known)}")
+        most = UNITS[self.unit].instances
+        if not 0 <= self.instance <= (most if most > 1 else 0):
+            allowed = f"1 to {most}, 0 = all" if most > 1 else "none"
+            raise BadInputError(f"fault in {self.unit}: instance {self.instance}: allowed: {allowed}")
+        if not self.lasts_s > 0.0:
+            raise BadInputError(f"fault in {self.site}: lasts_s: {self.lasts_s}: allowed: above 0")
+
+    @property
+    def device(self) -> str:
+        """Unit and instance as text, e.g. "motor2"."""
+        return f"{self.unit}{self.instance or ''}"
+
+    @property
+    def site(self) -> str:
+        """Device and type as text."""
+        return f"{self.device} {self.kind}"
+
+    @property
+    def bit(self) -> None:
+        """None: whole values are changed."""
+        return None
+
+    @property
+    def end_us(self) -> float:
+        """End of the failure (us), exclusive."""
+        return self.time_us + 1e6 * self.lasts_s
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; an endless duration as text, since JSON has no infinity."""
+        return Planned.to_json(self) | ({"lasts_s": "inf"} if self.lasts_s == inf else {})
