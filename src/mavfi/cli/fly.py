@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 DEFAULT_PROFILE = "paper"
 
+World = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451.")
+]
+
 
 @options.with_mission_options
 def fly(  # noqa: PLR0913 - one parameter per option
@@ -41,10 +45,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     live_port: observing.LivePort = 8765,
     mavlink: observing.Mavlink = None,
     pace: observing.Pace = 1.0,
-    world: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451."),
-    ] = None,
+    world: World = None,
 ) -> None:
     """Fly one mission and report its result; with a fault, compare it with the golden run.
 
@@ -59,7 +60,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.cli.progress import compiling
     from mavfi.faults.spec import parse
 
-    request = None if fault is None else parse(fault, mission.localization)
+    wanted = in_register if fault is None else parse(fault, mission.localization)
     host = _host(world, fault, mission)
     with compiling(instrumented=fault is not None and fault.startswith("instruction")):
         from mavfi.api import fly_request
@@ -71,7 +72,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
-        wanted, make = in_register or request, None if watching is None else lambda: watching
+        make = None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
             result = fly_request(setup, wanted, fault_seed or 0, label, bare, host)
