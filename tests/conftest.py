@@ -8,6 +8,9 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ["MAVFI_ALLOW_PLUGINS"] = "all"
 os.environ.pop("COLUMNS", None)  # processes of xdist have it: output is as wide as in a file
+# Workers of xdist fork hundreds of times: with their heap in large pages a fork copies few page tables.
+os.environ.setdefault("PYTHONMALLOC", "malloc")
+os.environ.setdefault("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
 
 import pytest
 from hypothesis import settings
@@ -39,9 +42,11 @@ _MISSIONS = "tests/hosts"
 
 def pytest_ignore_collect(collection_path, config):
     """`-m alone` imports no other file: that takes longer than most of these tests."""
+    if not config.option.markexpr.startswith("alone") or not collection_path.is_file():
+        return None
     name = collection_path.relative_to(config.rootpath).as_posix()
-    other = collection_path.is_file() and not name.startswith(_ALONE)
-    return True if other and config.option.markexpr.startswith("alone") else None
+    own = name.startswith(_ALONE) or "mark.alone" in collection_path.read_text(encoding="utf-8")
+    return None if own else True
 
 
 def pytest_collection_modifyitems(config, items):
