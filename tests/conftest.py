@@ -1,16 +1,15 @@
 """What all tests share: one thread per process, and property tests that are the same on every machine."""
 
+import ctypes
 import gc
 import os
+from pathlib import Path
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # before numpy is loaded: sums keep their order
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ["MAVFI_ALLOW_PLUGINS"] = "all"
 os.environ.pop("COLUMNS", None)  # processes of xdist have it: output is as wide as in a file
-# Workers of xdist fork hundreds of times: with their heap in large pages a fork copies few page tables.
-os.environ.setdefault("PYTHONMALLOC", "malloc")
-os.environ.setdefault("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1")
 
 import pytest
 from hypothesis import settings
@@ -30,6 +29,20 @@ def pytest_collection_finish():
     """What all tests have imported is not looked at by each collection of garbage: 1 s each time."""
     gc.collect()
     gc.freeze()
+
+
+_MADV_COLLAPSE, _LARGE = 25, 1 << 21  # madvise(2), of Linux 6.1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _heap_in_large_pages():
+    """A process that has imported all tests forks often: in large pages there are few tables to copy each time."""
+    madvise = ctypes.CDLL(None).madvise
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+        bounds, access, *_, name = f"{line} -".split()[:6]
+        low, high = (int(bound, 16) for bound in bounds.split("-"))
+        if access == "rw-p" and high - low >= _LARGE and name in ("-", "[heap]"):
+            madvise(ctypes.c_void_p(low), ctypes.c_size_t(high - low), _MADV_COLLAPSE)
 
 
 _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
