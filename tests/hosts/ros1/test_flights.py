@@ -126,7 +126,9 @@ def test_a_flight_with_other_options_of_a_mission():
     same(there(scenario), fly_here(scenario).log)
 
 
+@pytest.mark.long
 def test_a_flight_with_a_fault_and_an_observer():
+    """As is the one with an injected estimate."""
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
