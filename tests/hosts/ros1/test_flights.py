@@ -214,7 +214,6 @@ class Hanging(Scripted):
             time.sleep(3600)
 
 
-@pytest.mark.alone
 def test_a_hung_node_is_ended_and_restarted():
     fly_here(short())  # what is compiled at its first use must not look like hanging
     log = there(short(), None, Hanging(), patience_s=8.0)
@@ -287,7 +286,6 @@ def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
         there(short(), None, Scripted("control.command", n=10, stage="propulsion"))
 
 
-@pytest.mark.alone
 def test_debians_tools_see_the_flight(tmp_path):
     """As the page docs/ros.md shows them."""
     told = {}
