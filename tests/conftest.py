@@ -1,7 +1,9 @@
 """What all tests share: one thread per process, and property tests that are the same on every machine."""
 
+import ctypes
 import gc
 import os
+from pathlib import Path
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # before numpy is loaded: sums keep their order
@@ -29,6 +31,20 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+_MADV_COLLAPSE, _LARGE = 25, 1 << 21  # madvise(2), of Linux 6.1
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _heap_in_large_pages():
+    """A process that has imported all tests forks often: in large pages there are few tables to copy each time."""
+    madvise = ctypes.CDLL(None).madvise
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+        bounds, access, *_, name = f"{line} -".split()[:6]
+        low, high = (int(bound, 16) for bound in bounds.split("-"))
+        if access == "rw-p" and high - low >= _LARGE and name in ("-", "[heap]"):
+            madvise(ctypes.c_void_p(low), ctypes.c_size_t(high - low), _MADV_COLLAPSE)
+
+
 _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
 
@@ -39,9 +55,11 @@ _MISSIONS = "tests/hosts"
 
 def pytest_ignore_collect(collection_path, config):
     """`-m alone` imports no other file: that takes longer than most of these tests."""
+    if not config.option.markexpr.startswith("alone") or not collection_path.is_file():
+        return None
     name = collection_path.relative_to(config.rootpath).as_posix()
-    other = collection_path.is_file() and not name.startswith(_ALONE)
-    return True if other and config.option.markexpr.startswith("alone") else None
+    own = name.startswith(_ALONE) or "mark.alone" in collection_path.read_text(encoding="utf-8")
+    return None if own else True
 
 
 def pytest_collection_modifyitems(config, items):

@@ -44,7 +44,7 @@ class Campaign:
 
     def __init__(self, level, folder):
         self.level, self.folder, self.ledger, self.scratch = level, folder, folder / "ledger", folder / "tmp"
-        self.scratch.mkdir(parents=True)
+        self.scratch.mkdir(parents=True, exist_ok=True)
         content = {"name": level, "environments": ["sparse"], "first_seed": 7, "mission": SHORT, **CAMPAIGNS[level]}
         (folder / "campaign.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
         self.seen = {}

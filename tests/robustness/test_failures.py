@@ -23,7 +23,7 @@ def reference(tmp_path_factory):
 def test_a_campaign_whose_system_calls_fail_ends_well_or_says_what_failed(reference, tmp_path):
     draw = random.Random(4)
     failed = 0
-    for number in range(5):
+    for number in range(3):
         point = failures.draw_point(reference, draw)
         _, count, wrong = failures.disturbed("instruction", tmp_path / str(number), reference, point)
         assert wrong == [], point

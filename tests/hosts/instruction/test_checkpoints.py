@@ -54,8 +54,10 @@ def both_ways(faults, arm="", make=lambda: None, **options):
 @pytest.mark.parametrize(
     ("which", "arm"),
     [
-        ("all", ""), ("all", "gaussian"), ("address", ""), ("address", "gaussian"),
-        *(pytest.param(which, "nervous", marks=pytest.mark.long) for which in ("all", "address")),
+        ("all", ""), ("address", "gaussian"),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (
+            ("all", "gaussian"), ("address", ""), ("all", "nervous"), ("address", "nervous"),
+        )),
     ],
 )  # fmt: skip
 def test_records_are_those_of_flights_from_take_off(which, arm):
@@ -64,7 +66,9 @@ def test_records_are_those_of_flights_from_take_off(which, arm):
     assert len({record.kernel.effect for record in slow}) >= 3
 
 
-@pytest.mark.parametrize("policy", ["end", "latched", "readback", pytest.param("recompute", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "policy", ["readback", *(pytest.param(name, marks=pytest.mark.long) for name in ("end", "latched", "recompute"))]
+)
 def test_nodes_that_die_come_back_as_after_a_flight_from_take_off(policy):
     dying = [fault for fault in drawn("address", 4) if fault.kernel in ("rrt_connect", "collision_check", "pid")]
     fast, slow = both_ways(dying, dead_node=policy)

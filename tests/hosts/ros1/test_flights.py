@@ -126,7 +126,9 @@ def test_a_flight_with_other_options_of_a_mission():
     same(there(scenario), fly_here(scenario).log)
 
 
+@pytest.mark.long
 def test_a_flight_with_a_fault_and_an_observer():
+    """As is the one with an injected estimate."""
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
@@ -212,7 +214,6 @@ class Hanging(Scripted):
             time.sleep(3600)
 
 
-@pytest.mark.alone
 def test_a_hung_node_is_ended_and_restarted():
     fly_here(short())  # what is compiled at its first use must not look like hanging
     log = there(short(), None, Hanging(), patience_s=8.0)
@@ -285,7 +286,6 @@ def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
         there(short(), None, Scripted("control.command", n=10, stage="propulsion"))
 
 
-@pytest.mark.alone
 def test_debians_tools_see_the_flight(tmp_path):
     """As the page docs/ros.md shows them."""
     told = {}

@@ -112,7 +112,7 @@ def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
 # ---- strikes --------------------------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_each_strike_flips_the_bit_that_was_drawn_and_no_other(call):
-    outcomes = [call.inject(fault) for fault in call.draw(np.random.default_rng(SEED), 25)]
+    outcomes = [call.inject(fault) for fault in call.draw(np.random.default_rng(SEED), 12)]
     assert all(outcome.activated and outcome.before ^ outcome.after == 1 << outcome.fault.bit for outcome in outcomes)
     assert len({outcome.how for outcome in outcomes}) > 1
     assert len({outcome.fault.register.name for outcome in outcomes}) > 3
@@ -120,7 +120,7 @@ def test_each_strike_flips_the_bit_that_was_drawn_and_no_other(call):
 
 @pytest.mark.slow
 def test_an_injector_that_flips_nothing_masks_everything(call):
-    outcomes = [call.inject(fault, null=True) for fault in call.draw(np.random.default_rng(SEED), 25)]
+    outcomes = [call.inject(fault, null=True) for fault in call.draw(np.random.default_rng(SEED), 12)]
     assert {outcome.how for outcome in outcomes} == {"masked"}
     assert not any(outcome.activated for outcome in outcomes)
 

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -86,3 +88,9 @@ def closure(factor):
         return x * factor
 
     return scaled
+
+
+@kernel_jit
+def solved(matrix, right):
+    """Calls LAPACK."""
+    return np.linalg.solve(matrix, right)

@@ -63,7 +63,7 @@ def read_mcap(path):
     return [(m.channel.topic, m.log_time_ns, m.ros_msg) for m in reading.read_ros2_messages(str(path))]
 
 
-@pytest.fixture(params=["bag", "mcap"])
+@pytest.fixture(scope="module", params=["bag", "mcap"])
 def messages(request):
     path, written = request.getfixturevalue(request.param)
     found = read_bag(path) if request.param == "bag" else read_mcap(path)
