@@ -280,6 +280,9 @@ class Autopilot:
             return ACCEPTED if failing is not None and failing.clear(unit, instance) else FAILED
         if not self.vehicle.sim.armed:
             return REJECTED
+        for same in self.failures:  # a repeated command, which would change nothing
+            if (same.unit, same.kind, same.instance) == (unit, kind, instance):
+                return None if same.activated_us is None else ACCEPTED
         failure = Failure(unit, kind, instance, self.vehicle.now_us)
         self.vehicle.fail(failure)
         self._pending.append((failure, message))
