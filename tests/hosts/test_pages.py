@@ -34,18 +34,23 @@ SAYS = {
     "--fault mavfi_fault:active": r"known faults followed by an alarm: 100 % \[21, 100\] of 1, delay",
 }
 """What a command must say, by a part of it."""
-PLANNED = ("campaign run firmware", "campaigns/hardening.yaml")
+PLANNED = ("campaign run firmware", "campaign run hardening")
 """Campaigns of many minutes: planned, not flown."""
 ELSEWHERE = {
     "firmware setup": "tests/unit/cli/test_firmware.py",
     "report out/firmware-campaign": "tests/unit/cli/test_firmware.py",
     "mavfi harden out/hardening": "tests/unit/cli/test_harden.py",
     "--protection plan.yaml": "tests/hosts/instruction/test_protected.py",
-    "python examples/harden_kernel.py": "tests/unit/campaign/hardening/test_kernel.py",
     "python failure.py": "tests/unit/bridges/mavlink/test_mavsdk.py",
 }
 """Commands that need the ledger of such a campaign, or an absent client: the tests of the same on a smaller scale."""
-LONG = ("airsim run --environment", "--fault moveByVelocityZ", "airsim_box", "--flight-controller", "ten_percent --fault")
+LONG = (
+    "airsim run --environment",
+    "--fault moveByVelocityZ",
+    "airsim_box",
+    "--flight-controller",
+    "ten_percent --fault",
+)
 NEEDS = {"airsim": "cosysairsim", "mavlink": "pymavlink", ".tlog": "pymavlink", ".ulg": "pyulog", "--live": "foxglove"}
 """Packages that a command needs, by a part of it."""
 ASK = "import cosysairsim as airsim; print(airsim.MultirotorClient().getMultirotorState().landed_state)"
