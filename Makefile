@@ -146,7 +146,7 @@ train: setup  ## train the detectors that are shipped
 readme: setup  ## put the results of `make reproduce` into README.md and docs/results.md
 	@$(BIN)/python -m tools.build_readme $(OUT)
 
-pictures: setup  ## draw the pictures of the documentation from flights and kernel runs
+pictures: setup  ## draw the pictures of the documentation from flights and kernel runs (LOGS=folder)
 	@for script in tools/draw_*.py; do echo "$$script"; $(BIN)/python -m tools.$$(basename $$script .py) || exit 1; done
 
 docs: setup  ## write the pages and tables that are derived from the code

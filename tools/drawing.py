@@ -154,10 +154,19 @@ def save(figure: Figure, name: str, folder: Path = FOLDER) -> None:
     Raises:
         ValueError: The file is too large for the repository.
     """
-    path, drawn = folder / name, BytesIO()
+    drawn = BytesIO()
     figure.savefig(drawn, dpi=_DOTS_PER_INCH)
-    with Image.open(drawn) as image:  # a small palette shrinks the file; re-encoding drops the writer's metadata
-        image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, "PNG", optimize=True)
+    with Image.open(drawn) as image:
+        compress(image, folder / name)
+
+
+def compress(image: Image.Image, path: Path) -> None:
+    """Write a PNG with a small palette, which shrinks the file, and without the metadata of its writer.
+
+    Raises:
+        ValueError: The file is too large for the repository.
+    """
+    image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, "PNG", optimize=True)
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise ValueError(f"{path}: {size:,} bytes; allowed: {LARGEST_FILE:,}")

@@ -4,25 +4,20 @@ import json
 import re
 import shlex
 import sys
-from pathlib import Path
 
 import pytest
 
 from mavfi.cli import run
+from tests.pages import DOCS, commands, files
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
-BLOCK = re.compile(r"^```(?:python|yaml|xml)\n(?:# |<!-- )(\S+)(?: -->)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"^    mavfi (.+)$", re.MULTILINE)
-
-
-def page():
-    return PAGE.read_text(encoding="utf-8")
+PAGE = "extending.md"
+COMMANDS = [command.removeprefix("mavfi ") for command in commands(PAGE) if command.startswith("mavfi ")]
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty working directory with the page's files in it."""
-    for name, content in BLOCK.findall(page()):
+    for name, content in files(PAGE):
         (tmp_path / name).write_text(content, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("MAVFI_ALLOW_PLUGINS")
@@ -35,13 +30,12 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_every_block_names_its_file():
-    assert page().count("\n```python\n") + page().count("\n```yaml\n") + page().count("\n```xml\n") == len(
-        BLOCK.findall(page())
-    )
+    page = (DOCS / PAGE).read_text(encoding="utf-8")
+    assert sum(page.count(f"\n```{language}\n") for language in ("python", "yaml", "xml")) == len(files(PAGE))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [c for c in COMMAND.findall(page()) if c.startswith("fly")])
+@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("fly")])
 def test_the_commands_of_the_page_fly(folder, capsys, command):
     assert run([*shlex.split(command), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
@@ -57,7 +51,7 @@ def test_the_commands_of_the_page_fly(folder, capsys, command):
 
 @pytest.mark.slow
 def test_a_campaign_takes_all_of_it(folder, capsys):
-    (command,) = (c for c in COMMAND.findall(page()) if c.startswith("campaign"))
+    (command,) = (c for c in COMMANDS if c.startswith("campaign"))
     assert run([*shlex.split(command), "--workers", "1"]) == 0
     capsys.readouterr()
     assert run(["campaign", "status", "mine", "--json"]) == 0

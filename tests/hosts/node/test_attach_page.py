@@ -10,7 +10,8 @@ import pytest
 
 from tests.hosts.node import test_node_campaign
 from tests.hosts.node.conftest import until
-from tests.hosts.ros1.pages import arguments, commands, environment
+from tests.hosts.ros1.needs import environment
+from tests.pages import arguments, commands
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ALL = commands("ros-attach.md")

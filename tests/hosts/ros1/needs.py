@@ -1,5 +1,7 @@
 """What tests on real ROS need; elsewhere they are skipped, saying why."""
 
+import os
+
 import pytest
 
 from mavfi.hosts.ros1 import finder
@@ -9,6 +11,12 @@ ros = [
     pytest.mark.ros,
     pytest.mark.skipif(bool(ABSENT), reason=f"ROS is not installed ({', '.join(ABSENT[:1])} is missing): `make ros`"),
 ]
+
+
+def environment():
+    """Variables of a shell in which ROS's own tools are found."""
+    tools = finder.find_file("usr/bin/roslaunch").parent
+    return {**os.environ, **finder.environment(), "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
 
 
 def generated(folder):

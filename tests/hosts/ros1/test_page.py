@@ -15,8 +15,8 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import install
-from tests.hosts.ros1.needs import ros
-from tests.hosts.ros1.pages import DOCS, arguments, commands, environment
+from tests.hosts.ros1.needs import environment, ros
+from tests.pages import DOCS, arguments, commands
 
 pytestmark = [*ros, pytest.mark.slow]
 ALL = commands("ros.md")

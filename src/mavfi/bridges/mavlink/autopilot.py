@@ -288,6 +288,9 @@ class Autopilot:
             return ACCEPTED if self.vehicle.failures.end(unit, instance) else FAILED
         if not self.vehicle.sim.armed:
             return REJECTED
+        for same in self.failures:  # a repeated command, which would change nothing
+            if (same.fault.unit, same.fault.kind, same.fault.instance) == (unit, kind, instance):
+                return None if same.injection is None else ACCEPTED
         self._pending.append((self.vehicle.failures.begin(fault), message))
         return None
 

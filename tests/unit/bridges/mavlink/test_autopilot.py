@@ -242,6 +242,15 @@ def test_a_failure_without_effect_ends_alone(flying):
     assert flying.result(420) == FAILED and [f.fault.kind for f in flying.autopilot.failures] == ["off"]
 
 
+def test_a_repeated_command_is_acknowledged_and_starts_no_second_failure(flying):
+    """Programs repeat a command whose answer is late."""
+    flying.command(420, MOTOR, OFF, 1)
+    flying.wait(0.1)
+    assert flying.result(420) == ACCEPTED
+    assert flying.command(420, MOTOR, OFF, 1) == ACCEPTED
+    assert len(flying.autopilot.failures) == 1
+
+
 def test_a_motor_that_is_off_brings_the_vehicle_down(flying):
     flying.command(420, MOTOR, OFF, 1)
     flying.wait(3)

@@ -1,7 +1,7 @@
 """Unmodified programs for MAVSDK fly the vehicle, in wall time, each in a network namespace of its own.
 
 MAVSDK's server listens on all addresses; in a namespace nobody else can reach it.  Needs `MAVSDK_PYTHON`, a Python with
-mavsdk 3.17, and `MAVSDK_EXAMPLES`, the folder `examples` of github.com/mavlink/MAVSDK-Python.
+mavsdk 3.17; the examples need `MAVSDK_EXAMPLES`, the folder `examples` of github.com/mavlink/MAVSDK-Python.
 """
 
 import json
@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from tests.pages import files
 
 pytest.importorskip("pymavlink", reason="pymavlink (extra mavlink) is not installed")
 
@@ -35,9 +37,7 @@ FLYING = {  # seconds, and a line that the program prints at its end
 pytestmark = [
     pytest.mark.long,
     pytest.mark.alone,
-    pytest.mark.skipif(
-        not PYTHON or not Path(EXAMPLES).is_dir(), reason="MAVSDK_PYTHON and MAVSDK_EXAMPLES are not set"
-    ),
+    pytest.mark.skipif(not PYTHON, reason="MAVSDK_PYTHON is not set"),
     pytest.mark.skipif(
         subprocess.run([*NAMESPACE, "true"], capture_output=True, check=False).returncode != 0,
         reason="network namespaces are not permitted",
@@ -45,11 +45,10 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("name", FLYING)
-def test_an_example_flies(name, tmp_path):
-    seconds, last = FLYING[name]
-    told = tmp_path / "server.json"
-    words = [sys.executable, PYTHON, str(Path(EXAMPLES) / f"{name}.py"), str(seconds), str(told)]
+def fly(program, seconds, last, folder):
+    """Run a program with a vehicle for some time (s); it must print a line."""
+    told = folder / "server.json"
+    words = [sys.executable, PYTHON, str(program), str(seconds), str(told)]
     done = subprocess.run(
         [*NAMESPACE, "sh", "-c", SCRIPT, "sh", *words],
         capture_output=True,
@@ -60,3 +59,16 @@ def test_an_example_flies(name, tmp_path):
     assert last in done.stdout, done.stdout + done.stderr
     end = json.loads(told.read_text())
     assert end["messages"] > 5 and not end["collided"]
+
+
+@pytest.mark.skipif(not EXAMPLES, reason="MAVSDK_EXAMPLES is not set")
+@pytest.mark.parametrize("name", FLYING)
+def test_an_example_flies(name, tmp_path):
+    fly(Path(EXAMPLES) / f"{name}.py", *FLYING[name], tmp_path)
+
+
+def test_the_program_of_the_page_loses_a_motor(tmp_path):
+    ((name, text),) = files("mavlink.md")
+    program = tmp_path / name
+    program.write_text(text, encoding="utf-8")
+    fly(program, 40, "motor 1 off: at 0.0 m", tmp_path)

@@ -1,0 +1,60 @@
+"""Commands and files of the documentation's pages, as they stand there, and how a user runs them."""
+
+import os
+import re
+import select
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+from tests.architecture.source import ROOT
+
+DOCS = ROOT / "docs"
+_PROGRAMS = ("make", "mavfi", "python", "rosbag", "$FLIGHT/join")
+_FILE = re.compile(r"^```(?:python|yaml|xml)\n(?:# |<!-- )(\S+)(?: -->)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_COMMENT = re.compile(r"\s+# .*$")
+
+
+def commands(page):
+    """Indented lines that begin with a program, without comments, and lines of a terminal behind its prompt."""
+    lines = (DOCS / page).read_text(encoding="utf-8").splitlines()
+    found = [_COMMENT.sub("", line.strip()) for line in lines if line.startswith("    ")]
+    found += [line[2:] for line in lines if line.startswith("$ ")]
+    return [line for line in found if line and line.split()[0] in _PROGRAMS]
+
+
+def files(page):
+    """Names and contents of the blocks that name their file in the first line."""
+    return _FILE.findall((DOCS / page).read_text(encoding="utf-8"))
+
+
+def arguments(command, variables):
+    """The command for a new process: `mavfi` is this one, variables are set."""
+    for name, value in variables.items():
+        command = command.replace(f"${name}", str(value))
+    program, *rest = shlex.split(command)
+    return [sys.executable, "-m", "mavfi", *rest] if program == "mavfi" else [program, *rest]
+
+
+@contextmanager
+def serving(command, says, folder, patience_s=120.0):
+    """A command that runs until Ctrl-C: from the line that it says when it is ready, ended by its process id."""
+    with subprocess.Popen(
+        arguments(command, {}), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, bufsize=0
+    ) as process:
+        output, until = b"", time.monotonic() + patience_s
+        try:
+            while not re.search(says, output.decode(errors="replace")):
+                ready, _, _ = select.select([process.stdout], [], [], max(0.0, until - time.monotonic()))
+                part = os.read(process.stdout.fileno(), 65_536) if ready else b""
+                assert part, f"{command}: {output.decode(errors='replace')}"
+                output += part
+            yield process
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=60)
+            assert process.returncode in (0, 130)
+        finally:
+            process.kill()
