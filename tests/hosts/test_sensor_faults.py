@@ -14,6 +14,8 @@ from mavfi.errors import BadInputError
 from mavfi.faults.sensor.fault import UNITS, SensorFault
 from mavfi.hosts.host import require_level
 from mavfi.hosts.local import fly
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.sensor_faults import SensorInjector
 from mavfi.hosts.node.host import NodeHost
 from mavfi.hosts.ros1.host import Ros1Host
 from mavfi.reports.explain import steps
@@ -60,6 +62,13 @@ def test_a_failure_after_the_end_is_not_activated():
 def test_a_device_that_nothing_reads_is_refused():
     with pytest.raises(BadInputError, match="accelerometer: localization truth and our flight controller do not read"):
         fly(mission(), SensorFault("accelerometer", "off", AT))
+
+
+def test_motors_of_a_server_are_refused():
+    loop = new_loop(mission())
+    del loop.plant.controller
+    with pytest.raises(BadInputError, match="motor off: the motors are the server's; allowed with --world: sensors"):
+        SensorInjector(loop, SensorFault("motor", "off"))
 
 
 @pytest.mark.parametrize("host", [Ros1Host, NodeHost])

@@ -160,7 +160,7 @@ def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms, monk
     found = dict(flights.injected([("", DATA), ("", WRONG), ("", MessageFault("t", "f")), ("", DATA), ("", FAULT)]))
     assert {place for place, flight in found.items() if isinstance(flight, Exception)} == {1, 2}
     assert "other machine code" in str(found[1])
-    assert "level 'message': allowed: instruction, memory, state" in str(found[2])
+    assert "level 'message': allowed: instruction, memory, sensor, state" in str(found[2])
     monkeypatch.setattr(mission_flights, "fly", lambda *_, **__: 1 / 0)
     calls.broken = True
     [(_, error)] = flights.injected([("", FAULT)])
