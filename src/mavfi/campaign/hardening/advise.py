@@ -1,8 +1,8 @@
-"""Advice from a ledger: how much of the silent corruption each share of time removes, and a plan within a budget.
+"""Advice: how much of the silent corruption each share of time removes, and a plan within a budget.
 
-The ledger gives rates by instruction, a golden flight executions and calls to time.  For each function a ladder of
-choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
-Coverage is predicted by cross-validation: each part of the ledger judges choices that were made from the other parts.
+A golden flight gives executions and calls; faults in these calls give rates by instruction.  For each function a ladder
+of choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
+Coverage is predicted by cross-validation: each part of the faults judges choices that were made from the other parts.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from time import monotonic
 
 from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_rate
-from mavfi.campaign.hardening.ledger import Injected
+from mavfi.campaign.hardening.learned import Injected, Learn, injections_in
 from mavfi.campaign.hardening.target import Target
 from mavfi.hardening.choose import NOTHING, Choice, upper_hull
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.measure import Timed, Timing, compare
 from mavfi.hardening.plan import Site
 
-FRACTIONS = (0.1, 0.25, 0.5, 0.75, 1.0)
+FRACTIONS = (0.1, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Steps of a curve: shares of the instructions that duplicating everything adds."""
 _SECONDS = 0.6
 """Time for measuring one function."""
 Judged = Sequence[tuple[Injected, bool]]
-"""Silent corruptions of the ledger, and whether they are removed."""
+"""Silent corruptions, and whether they are removed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,18 +105,14 @@ class Advice:
 
 
 def coverage_of(judged: Judged) -> Rate:
-    """Share of silent corruptions that are removed, with an interval clustered by mission."""
-    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged], [o.weight for o, _ in judged])
+    """Share of silent corruptions that are removed, with an interval clustered by call."""
+    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged])
 
 
 def together(parts: Sequence[tuple[str, float, Judged]]) -> Rate:
     """Coverage of several functions, given by name, expected corruptions and predictions."""
     known = [(name, mass, judged) for name, mass, judged in parts if judged and mass > 0]
-    rows = [
-        (hit, mass * one.weight / (sum(o.weight for o, _ in judged) / len(judged)), name, one.world)
-        for name, mass, judged in known
-        for one, hit in judged
-    ]
+    rows = [(hit, mass, name, f"{name} {one.world}") for name, mass, judged in known for one, hit in judged]
     return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
 
 
@@ -151,19 +147,24 @@ def curves_of(
     wanted: Collection[str],
     besides: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,
+    learn: Learn = injections_in,
 ) -> tuple[Curve, ...]:
     """Build, predict and time the ladders of the functions of a flight.
 
     Args:
-        targets: The functions; those without an injection, or of kernels that are not `wanted`, are timed only.
+        targets: The functions; those of kernels that are not `wanted` are timed only.
         wanted: Kernels to protect.
         besides: Ticks of other functions in the flight.
         tell: Called with the name of each function.
+        learn: Injects faults in a function without injections.
     """
     rows = []
     for target in targets:
+        free = not set(wanted).isdisjoint(target.kernels)
+        if free and not target.injections:
+            tell(f"injecting faults in {target.name}")
+            target.injections = learn(target.seen)
         tell(f"choosing and timing {target.name}")
-        free = bool(target.injections) and not set(wanted).isdisjoint(target.kernels)
         ladder = choices_of(target, FRACTIONS if free else ())
         timing = timed(target, [target.sites(choice) for _, choice, _ in ladder[1:]])
         times = [1.0, *(max(timing.ratios[str(place)], 1.0) for place in range(len(ladder) - 1))]
