@@ -82,8 +82,9 @@ def paired_logs(protected, plain_faults):
 def test_the_shipped_plan_is_that_of_the_code(plan):
     """Made again by tools/full_protection.py after a change of these kernels."""
     shipped_plan = load_plan("full")
-    assert shipped_plan.of_kernel("pid") == plan.functions
+    assert tuple(one.model_copy(update={"time": 1.0}) for one in shipped_plan.of_kernel("pid")) == plan.functions
     assert {one.function.rpartition(".")[2] for one in shipped_plan.of_kernel("rrt_connect")} >= {"plan"}
+    assert shipped_plan.cpu and all(one.time > 1.0 for one in shipped_plan.functions), "measured"
 
 
 def test_the_golden_flight_is_the_plain_one(golden, protected):
