@@ -53,6 +53,8 @@ BARS = {
     "insert_scan": (1.5, "best found within ×1.5"),
 }
 """Largest time and bar, by function."""
+MORE = {"plan_rrt_connect": 2, "time_to_collision": 5}
+"""Times more faults in the largest step within the bar, which names a lower bound."""
 LONG = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
 Row = dict[str, Any]
@@ -100,15 +102,17 @@ def certificates(
         fresh: list[Any] | None = None
         for curve in advice.curves:
             most, _ = BARS.get(curve.target.seen.entry, (0.0, ""))
-            n = faults if curve.target.seen.instructions < LONG * curve.target.seen.total else faults // 4
             within = max((step.fraction for step in curve.steps if step.time <= most), default=0.0)
             for step in curve.steps[1:]:
+                n = faults if curve.target.seen.instructions < LONG * curve.target.seen.total else faults // 4
                 planned = planned_of(curve.target, step)
                 key = code_of(Plan(functions=(planned,)))
                 row = records.get(key)
                 wanted = step.fraction in (*fractions, within)
                 if row is None and not wanted:
                     continue
+                if step.fraction == within:
+                    n *= MORE.get(curve.target.seen.entry, 1)
                 if row is None or (wanted and row["sdc_after"]["n"] < n):
                     if fresh is None:
                         seen = [observe(scenario, kernels) for scenario in study.fresh(planner)]

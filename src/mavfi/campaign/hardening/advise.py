@@ -19,7 +19,7 @@ from mavfi.hardening.plan import Site
 
 FRACTIONS = (0.1, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Steps of a curve: shares of the instructions that duplicating everything adds."""
-_SECONDS = 0.6
+_SECONDS = 1.5
 """Time for measuring one function."""
 Judged = Sequence[tuple[Injected, bool]]
 """Silent corruptions, and whether they are removed."""
