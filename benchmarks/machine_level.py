@@ -202,8 +202,8 @@ def table(studies: list[Study]) -> str:
         f"Measured by `make machine-level`: {date.today()} · {processor()} · {versions}. Arguments of the call "
         f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays, of "
         f"the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in points, "
-        "with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code is for any "
-        "x86-64 processor, plain code for the present one.",
+        "with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code is for "
+        "any x86-64 processor, plain code for the present one.",
         "",
         f"| kernel | level | n | {' | '.join(OUTCOMES)} |",
         f"|---|---|---|{'---|' * len(OUTCOMES)}",
