@@ -92,8 +92,9 @@ def _advise(
     from mavfi.reports.hardening.plain import advice_table, caveats, headline
     from mavfi.reports.terminal import show_table
 
+    harm = harm_of(Runs.read(study.directory))
     advices = advise(study, budget, _tell, addresses=addresses)
-    found = summary(study, advices, harm_of(Runs.read(study.directory)))
+    found = summary(study, advices, harm)
     if plan is not None:
         save_plan(plan_of(study, advices), plan)
     if html is not None:

@@ -8,6 +8,7 @@ from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.plan import FI
+from mavfi.errors import BadInputError
 
 SDC = "sdc"
 
@@ -28,8 +29,14 @@ class Harm:
 
 
 def harm_of(runs: Runs) -> Harm:
-    """Missions lost in a ledger, by effect on the kernel; bits and instructions as drawn."""
+    """Missions lost in a ledger, by effect on the kernel; bits and instructions as drawn.
+
+    Raises:
+        BadInputError: No flight with a fault in an instruction is done.
+    """
     own = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
+    if not len(own):
+        raise BadInputError("no flight with a fault in an instruction is done (level: instruction)")
     silent, dead = own.where(kernel_effect=SDC), own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
     lost = [wilson(part["success"].count(False), len(part)) for part in (silent, dead)]
     return Harm(lost[0], lost[1], wilson(len(dead), len(own)))

@@ -55,8 +55,8 @@ class Study:
         """
         with Store.open(directory) as store:
             campaign, digest = stored_campaign(store), store.digest()
-        sampled = campaign.sampling.kernels if campaign.sampling.level == "instruction" else ()
-        known = tuple(kernel for kernel in sampled if kernel in INJECTABLE)  # detectors are not protected
+        known = tuple(getattr(campaign.sampling, "kernels", ()))  # detectors are not protected
+        known = tuple(kernel for kernel in known if kernel in INJECTABLE)
         if not known:
             raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
         for kernel in kernels:
