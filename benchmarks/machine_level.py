@@ -1,11 +1,12 @@
-"""Comparison of instruction faults at machine level and at IR level, on two small kernels; writes docs/fault-model.md.
+"""Comparison of instruction faults at machine level and at IR level, on small kernels; writes docs/fault-model.md.
 
     N=400 python -m benchmarks.machine_level
 
 N: faults per kernel and level (400).  Arguments are those of a call in a golden flight, for the point cloud reduced to
-the first rays, as single-stepping is slow.  At machine level the plain code of the call is single-stepped, and one bit
-of one destination register is flipped; at IR level the same call is injected as in campaigns.  Both are classified by
-the same criterion: result and arguments, bit for bit.
+the first rays and for the collision check to the next points, as single-stepping is slow.  At machine level the plain
+code of the call is single-stepped, and one bit of one destination register is flipped; at IR level the same call is
+injected as in campaigns.  The call is also stepped and injected in code in which all instructions are duplicated, with
+addresses compared.  All are classified by the same criterion: result and arguments, bit for bit.
 """
 
 import copy
@@ -26,23 +27,33 @@ import numpy as np
 
 from benchmarks.single_step import SteppedCall
 from mavfi.campaign.analysis.statistics import Rate, wilson
+from mavfi.campaign.hardening.golden import protected_code
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
+from mavfi.hardening.compiled import Compiled
+from mavfi.hardening.full import full_plan
+from mavfi.hardening.measure import main_function
+from mavfi.hardening.plan import Plan
+from mavfi.hardening.sources import cached_source
+from mavfi.hardening.wrapper import MESSAGE
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.ir.parser import parse_module
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
 ENVIRONMENT, STACK, SEED = "sparse", "published", 10_000
-RAYS = 24
-KERNELS = {"pid": "track", "point_cloud": "back_project"}
-OUTCOMES = ("masked", "sdc", "crash", "hang", "exception")
-LEVELS = ("machine", "IR")
+RAYS, POINTS = 24, 3
+KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
+DETECTED = "detected"
+OUTCOMES = ("masked", "sdc", "crash", "hang", "exception", DETECTED)
+PROTECTED = "machine, protected"
+LEVELS = ("machine", "IR", PROTECTED)
 
 
 class Recorder:
@@ -64,7 +75,7 @@ class Recorder:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """One kernel at both levels.
+    """One kernel at both levels, and its protected code at machine level.
 
     Attributes:
         kernel: Name of the kernel.
@@ -74,6 +85,7 @@ class Study:
         own: Number of executed instructions in the call's own code.
         injectable: Number of those with an injectable destination.
         out_of_reach: Number of those whose destination cannot be injected.
+        protected: Number of executed instructions with an injectable destination in protected code.
     """
 
     kernel: str
@@ -83,10 +95,11 @@ class Study:
     own: int
     injectable: int
     out_of_reach: int
+    protected: int
 
 
 def recorded() -> dict[str, tuple[Any, ...]]:
-    """Arguments of the middle call in a golden flight, by function; for the point cloud only the first rays."""
+    """Arguments of the middle call in a golden flight, by function; fewer rays of the point cloud, fewer points."""
     scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=SEED, autopilot=STACK))
     counters = {name: Recorder(getattr(PLAIN, name)) for name in KERNELS.values()}
     fly(scenario, functions=replace(PLAIN, **counters))
@@ -94,7 +107,9 @@ def recorded() -> dict[str, tuple[Any, ...]]:
     fly(scenario, functions=replace(PLAIN, **keepers))
     ranges, directions, rotation, origin, max_range, points = keepers["back_project"].args
     fewer = ranges[:RAYS].copy(), directions[:RAYS].copy(), rotation, origin, max_range, points[:RAYS].copy()
-    return {"track": keepers["track"].args, "back_project": fewer}
+    counter, grid, position, points, first, *rest = keepers["time_to_collision"].args
+    ahead = counter, grid, position, points[first : first + POINTS].copy(), 0, *rest
+    return {"track": keepers["track"].args, "back_project": fewer, "time_to_collision": ahead}
 
 
 def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
@@ -105,16 +120,35 @@ def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
+def protected(name: str, kernel: Any, args: tuple[Any, ...]) -> tuple[Compiled, int]:
+    """Code of a kernel with all instructions duplicated and addresses compared, and its address."""
+    signature = signature_of(args)
+    plan = Plan(functions=(full_plan(name, kernel, signature, addresses=True),))
+    code = protected_code(kernel, signature, plan)
+    assert code is not None  # the plan has this function
+    source = cached_source(kernel, signature)
+    return code, code.address(main_function(parse_module(source.text, source.kernel), source.wrapper).name)
+
+
+def inject_all(call: SteppedCall, n: int, tell: Callable[[str], None]) -> Counter[str]:
+    """Outcomes of n faults at machine level."""
+    found: Counter[str] = Counter()
+    for fault in call.draw(np.random.default_rng(SEED), n):
+        outcome = call.inject(fault)
+        assert outcome.activated  # a missed injection must not count as masked
+        found[DETECTED if MESSAGE in outcome.detail else outcome.how] += 1
+        tell(f"{found.total()} of {n}")
+    return found
+
+
 def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callable[[str], None]) -> Study:
     """Inject one call n times at each level."""
     kernel = getattr(PLAIN, function)
     call = SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
-    machine: Counter[str] = Counter()
-    for fault in call.draw(np.random.default_rng(SEED), n):
-        outcome = call.inject(fault)
-        assert outcome.activated  # a missed injection must not count as masked
-        machine[outcome.how] += 1
-        tell(f"{name}, machine level: {machine.total()} of {n}")
+    machine = inject_all(call, n, lambda text: tell(f"{name}, machine level: {text}"))
+    code, entry = protected(name, kernel, args)
+    guarded = SteppedCall(lambda: digest((code(*args), args)), entry)
+    after = inject_all(guarded, n, lambda text: tell(f"{name}, {PROTECTED}: {text}"))
     ir: Counter[str] = Counter()
     for fault in draw(kernel, n, *args, seed=SEED):
         injected = run_forked(kernel, fault, *args)
@@ -122,8 +156,8 @@ def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callabl
         ir[injected.how] += 1
         tell(f"{name}, IR level: {ir.total()} of {n}")
     values = count(kernel, *copy.deepcopy(args))
-    outcomes = {"machine": machine, "IR": ir}
-    return Study(name, function, outcomes, values, call.own, len(call.sites), call.out_of_reach)
+    outcomes = {"machine": machine, "IR": ir, PROTECTED: after}
+    return Study(name, function, outcomes, values, call.own, len(call.sites), call.out_of_reach, len(guarded.sites))
 
 
 def rate_text(rate: Rate) -> str:
@@ -143,7 +177,7 @@ def difference(first: Rate, second: Rate) -> tuple[float, float, float]:
 
 
 def rows(studies: list[Study]) -> Iterator[str]:
-    """Rows of the table: both levels of each kernel, and their difference."""
+    """Rows of the table: both levels of each kernel, protected code, and differences from plain machine code."""
     for made in studies:
         rates = {
             level: [wilson(made.outcomes[level][how], made.outcomes[level].total()) for how in OUTCOMES]
@@ -152,9 +186,10 @@ def rows(studies: list[Study]) -> Iterator[str]:
         for level in LEVELS:
             cells = " | ".join(map(rate_text, rates[level]))
             yield f"| {made.kernel} | {level} | {made.outcomes[level].total()} | {cells} |"
-        apart = [difference(*pair) for pair in zip(rates["IR"], rates["machine"], strict=True)]
-        cells = " | ".join(f"{100 * a:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]" for a, low, high in apart)
-        yield f"| {made.kernel} | IR − machine | | {cells} |"
+        for level in LEVELS[1:]:
+            apart = [difference(*pair) for pair in zip(rates[level], rates["machine"], strict=True)]
+            cells = " | ".join(f"{100 * a:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]" for a, low, high in apart)
+            yield f"| {made.kernel} | {level.rpartition(' ')[2]} − machine | | {cells} |"
 
 
 def table(studies: list[Study]) -> str:
@@ -165,8 +200,10 @@ def table(studies: list[Study]) -> str:
     )
     lines = [
         f"Measured by `make machine-level`: {date.today()} · {processor()} · {versions}. Arguments of the call "
-        f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays. "
-        "Percent, with Wilson's 95 % intervals; differences in points, with Newcombe's.",
+        f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays, of "
+        f"the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in points, "
+        "with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code is for "
+        "any x86-64 processor, plain code for the present one.",
         "",
         f"| kernel | level | n | {' | '.join(OUTCOMES)} |",
         f"|---|---|---|{'---|' * len(OUTCOMES)}",
@@ -175,7 +212,7 @@ def table(studies: list[Study]) -> str:
         *(
             f"- {made.kernel} (`{made.function}`): {made.ir_values} values at IR level; {made.own} machine "
             f"instructions in its own code, {made.injectable} of them with an injectable destination, "
-            f"{made.out_of_reach} with one out of reach."
+            f"{made.out_of_reach} with one out of reach; {made.protected} injectable in protected code."
             for made in studies
         ),
     ]

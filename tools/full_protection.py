@@ -2,52 +2,33 @@
 
     python tools/full_protection.py configs/protections/full.yaml pid rrt_connect
 
-The signatures are those of the calls in a golden flight.  No time is measured, hence none is charged: `mavfi harden`
-measures it, and chooses sites within a budget.
+Signatures and calls, in which the time is measured, are those of a golden flight.
 """
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from mavfi.faults.instruction.variant import signature_of
+from mavfi.campaign.hardening.advise import times_of
+from mavfi.campaign.hardening.observed import observe
+from mavfi.campaign.hardening.target import targets_of
+from mavfi.campaign.overheads import processor
 from mavfi.hardening.full import full_plan
-from mavfi.hardening.plan import Plan, save_plan
-from mavfi.hosts.local import fly
+from mavfi.hardening.plan import FunctionPlan, Plan, save_plan
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.pipeline.functions import PLAIN
-from mavfi.states import INJECTABLE, PLANNERS
-
-
-def called(names: tuple[str, ...], spec: MissionSpec) -> dict[str, list[tuple[Any, ...]]]:
-    """Signatures of the calls of each of some functions in a golden flight, in order of their first call."""
-    found: dict[str, dict[tuple[Any, ...], None]] = {name: {} for name in names}
-
-    def noting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any) -> Any:
-            found[name][signature_of(args)] = None
-            return function(*args)
-
-        return call
-
-    fly(resolve(spec), functions=PLAIN.instrumented(names, noting))
-    return {name: list(signatures) for name, signatures in found.items()}
+from mavfi.states import PLANNERS
 
 
 def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan:
     """The plan for some kernels; functions that the flight does not call are not in it."""
-    functions = {name: kernel for kernel in kernels for name in INJECTABLE[kernel]}
     planner = next((kernel for kernel in kernels if kernel in PLANNERS), "rrt_connect")
-    signatures = called(tuple(functions), MissionSpec(environment=environment, seed=seed, planner=planner))
-    return Plan(
-        functions=tuple(
-            full_plan(kernel, getattr(PLAIN, name), signature)
-            for name, kernel in functions.items()
-            for signature in signatures[name]
-        )
-    )
+    seen = observe(resolve(MissionSpec(environment=environment, seed=seed, planner=planner)), kernels)
+    functions: list[FunctionPlan] = []
+    for target in targets_of(seen, addresses=True):
+        planned = full_plan(target.kernels[0], target.seen.function, target.seen.signature, addresses=True)
+        _, (time,) = times_of(target, [planned.sites])
+        functions.append(planned.model_copy(update={"time": round(time, 3)}))
+    return Plan(cpu=processor(), functions=tuple(functions))
 
 
 if __name__ == "__main__":

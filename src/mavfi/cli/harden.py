@@ -91,8 +91,9 @@ def _advise(
     from mavfi.reports.hardening.plain import advice_table, caveats, headline
     from mavfi.reports.terminal import show_table
 
+    harm = harm_of(study.runs)
     advices = advise(study, budget, _tell, addresses=addresses)
-    found = summary(study, advices, harm_of(study.runs))
+    found = summary(study, advices, harm)
     if plan is not None:
         save_plan(plan_of(study, advices), plan)
     if html is not None:

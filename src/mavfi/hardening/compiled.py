@@ -26,6 +26,10 @@ class Compiled:
         """Call it; modifies the arguments as the function does."""
         return self._function(None, args, None)
 
+    def address(self, name: str) -> int:
+        """Address of a function of the code, named as in the IR."""
+        return int(self._engine.get_function_address(name[1:].strip('"')))
+
     def word(self, name: str) -> ctypes.c_int64:
         """A global 64-bit integer of the code."""
         return ctypes.c_int64.from_address(self._engine.get_global_value_address(name))

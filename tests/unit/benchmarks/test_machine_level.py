@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from benchmarks import machine_level
-from benchmarks.machine_level import PAGE, Study, difference, main, table, wanted_faults
+from benchmarks.machine_level import PAGE, PROTECTED, Study, difference, main, table, wanted_faults
 from mavfi.campaign.analysis.statistics import wilson
 from mavfi.errors import BadInputError
 from tools.markers import between
@@ -13,11 +13,16 @@ from tools.markers import between
 STUDY = Study(
     "pid",
     "track",
-    {"machine": Counter(masked=30, sdc=56, crash=14), "IR": Counter(masked=50, sdc=50)},
+    {
+        "machine": Counter(masked=30, sdc=56, crash=14),
+        "IR": Counter(masked=50, sdc=50),
+        PROTECTED: Counter(sdc=2, detected=98),
+    },
     190,
     196,
     148,
     6,
+    351,
 )
 
 
@@ -27,12 +32,13 @@ def test_differences_have_newcombes_interval():
     assert found == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
 
 
-def test_the_table_has_both_levels_and_their_difference():
+def test_the_table_has_both_levels_protected_code_and_their_differences():
     block = table([STUDY])
     rows = [row.split(" | ") for row in block.splitlines() if row.startswith("| pid")]
-    assert [row[1] for row in rows] == ["machine", "IR", "IR − machine"]
-    assert [row[4].split()[0] for row in rows[:2]] == ["56.0", "50.0"]
-    assert rows[2][3].startswith("-6.0 [") and "148 of them" in block
+    assert [row[1] for row in rows] == ["machine", "IR", PROTECTED, "IR − machine", "protected − machine"]
+    assert [row[4].split()[0] for row in rows[:3]] == ["56.0", "50.0", "2.0"]
+    assert rows[3][3].startswith("-6.0 [") and rows[4][3].startswith("-54.0 [")
+    assert "148 of them" in block and "351 injectable in protected code" in block
     assert between(PAGE.read_text(encoding="utf-8"), "machine-level", block).count(block) == 1
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.destinations import destinations, is_out_of_reach
-from benchmarks.machine_level import entry_of
+from benchmarks.machine_level import DETECTED, entry_of, inject_all, protected
 from benchmarks.single_step import MachineFault, SteppedCall
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.instruction.api import digest
@@ -181,6 +181,16 @@ def test_a_call_that_raises_is_an_exception():
     ]
     assert "exception" in {outcome.how for outcome in outcomes}
     assert any("ValueError: negative" in outcome.detail for outcome in outcomes)
+
+
+@pytest.mark.slow
+def test_protected_code_detects_what_was_silent():
+    plain = inject_all(stepped(copy_sum, VALUES, TOTAL), 40, lambda _: None)
+    code, entry = protected("pid", copy_sum, (VALUES, TOTAL))
+    guarded = SteppedCall(lambda: digest((code(VALUES, TOTAL), VALUES, TOTAL)), entry)
+    found = inject_all(guarded, 40, lambda _: None)
+    assert plain["sdc"] > 4 and plain[DETECTED] == 0
+    assert found["sdc"] < plain["sdc"] / 4 and found[DETECTED] > 4
 
 
 # ---- destinations ---------------------------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
-"""Advice from a ledger: how much of the silent corruption each share of time removes, and a plan within a budget.
+"""Advice: how much of the silent corruption each share of time removes, and a plan within a budget.
 
-The ledger gives rates by instruction, a golden flight executions and calls to time.  For each function a series of
-choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
-Coverage is predicted by cross-validation: each part of the ledger judges choices that were made from the other parts.
+A golden flight gives executions and calls; faults in these calls give rates by instruction.  For each function a series
+of choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
+Coverage is predicted by cross-validation: each part of the faults judges choices that were made from the other parts.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -11,19 +11,20 @@ from functools import partial
 from time import monotonic
 
 from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_rate
-from mavfi.campaign.hardening.ledger import Injected
+from mavfi.campaign.hardening.learned import Injected, Learn, injections_in
 from mavfi.campaign.hardening.target import Target
 from mavfi.hardening.choose import NOTHING, Choice, Chooser, upper_hull
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.measure import Timed, compare
+from mavfi.hardening.plan import Site
 from mavfi.ir.build import environment_of
 
-FRACTIONS = (0.1, 0.25, 0.5, 0.75, 1.0)
+FRACTIONS = (0.1, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Steps of a curve: shares of the instructions that duplicating everything adds."""
-_SECONDS = 0.6
+_SECONDS = 1.5
 """Time for measuring one function."""
 Judged = Sequence[tuple[Injected, bool]]
-"""Silent corruptions of the ledger, and whether they are removed."""
+"""Silent corruptions, and whether they are removed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,17 +107,18 @@ class Advice:
 
 
 def coverage_of(judged: Judged) -> Rate:
-    """Share of silent corruptions that are removed, with an interval clustered by mission."""
-    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged], [o.weight for o, _ in judged])
+    """Share of silent corruptions that are removed, with an interval clustered by call."""
+    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged])
 
 
 def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
     """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions."""
-    rows = []
-    for target, judged in ((curve.target, step.judged) for curve, step in steps):
-        whole = sum(one.weight for one, _ in judged)
-        mass = target.sdc_mass * len(judged) / whole if whole else 0.0
-        rows += [(hit, mass * one.weight, target.name, one.world) for one, hit in judged if mass > 0]
+    rows = [
+        (hit, curve.target.sdc_mass, curve.target.name, f"{curve.target.name} {one.world}")
+        for curve, step in steps
+        if curve.target.sdc_mass > 0
+        for one, hit in step.judged
+    ]
     return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
 
 
@@ -136,23 +138,27 @@ def _share_of(fraction: float, chooser: Chooser) -> Choice:
     return chooser.within(fraction * chooser.full.cost)
 
 
-def timed_steps(target: Target, fractions: Sequence[float] = FRACTIONS) -> tuple[float, tuple[Step, ...]]:
-    """Build, predict and time the steps of a function; also returns the ticks of a plain call."""
+def times_of(target: Target, duplicated: Sequence[Collection[Site]]) -> tuple[float, list[float]]:
+    """Ticks of a plain call, and the time of a call with each set of sites duplicated, as a multiple of it."""
     source, plain = target.source, target.module
     environment = environment_of(target.seen.function, target.seen.signature)
-    choices = choices_of(target, fractions)
     clocks = {
-        str(fraction): Timed(
-            source, protect(plain, target.sites(choice), addresses=target.addresses), environment
-        ).ticks
-        for fraction, choice, _ in choices[1:]
-    }  # fmt: skip
+        str(place): Timed(source, protect(plain, sites, addresses=target.addresses), environment).ticks
+        for place, sites in enumerate(duplicated)
+    }
     base = Timed(source, plain, environment)
     end = monotonic() + _SECONDS
     timing = compare(base.ticks, clocks, target.seen.calls, lambda _: monotonic() > end)
-    return timing.ticks, tuple(
-        Step(fraction, choice, max(timing.ratios.get(str(fraction), 1.0), 1.0), judged)
-        for fraction, choice, judged in choices
+    return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
+
+
+def timed_steps(target: Target, fractions: Sequence[float] = FRACTIONS) -> tuple[float, tuple[Step, ...]]:
+    """Build, predict and time the steps of a function; also returns the ticks of a plain call."""
+    choices = choices_of(target, fractions)
+    ticks, times = times_of(target, [target.sites(choice) for _, choice, _ in choices[1:]])
+    return ticks, tuple(
+        Step(fraction, choice, time, judged)
+        for (fraction, choice, judged), time in zip(choices, (1.0, *times), strict=True)
     )
 
 
@@ -161,19 +167,24 @@ def curves_of(
     wanted: Collection[str],
     other_ticks: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,
+    learn: Learn = injections_in,
 ) -> tuple[Curve, ...]:
     """Build, predict and time the steps of the functions of a flight.
 
     Args:
-        targets: The functions; those without an injection, or of kernels that are not `wanted`, are timed only.
+        targets: The functions; those of kernels that are not `wanted` are timed only.
         wanted: Kernels to protect.
         other_ticks: Ticks of all other functions in the flight.
         tell: Called with the name of each function.
+        learn: Injects faults in a function without injections.
     """
     rows = []
     for target in targets:
+        free = not set(wanted).isdisjoint(target.kernels)
+        if free and not target.injections:
+            tell(f"injecting faults in {target.name}")
+            target.injections = learn(target.seen)
         tell(f"choosing and timing {target.name}")
-        free = bool(target.injections) and not set(wanted).isdisjoint(target.kernels)
         ticks, steps = timed_steps(target, FRACTIONS if free else ())
         rows.append((target, ticks * target.seen.total, steps))
     whole = other_ticks + sum(ticks for _, ticks, _ in rows)

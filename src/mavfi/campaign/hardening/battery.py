@@ -11,18 +11,17 @@ import numpy as np
 
 from mavfi.campaign.hardening.outputs import outputs_of
 from mavfi.faults.instruction.api import digest
-from mavfi.faults.instruction.plan import DATA, budget_for
+from mavfi.faults.instruction.plan import budget_for
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, Variant
-from mavfi.hardening.recorded import copied, size_of
+from mavfi.hardening.recorded import copied
+from mavfi.hardening.wrapper import MESSAGE
 from mavfi.ir.forked import run_in_child
 from mavfi.outcomes import Effect
 
 _SURVIVED = (Effect.MASKED, Effect.SDC, Effect.DETECTED, Effect.EXCEPTION, Effect.NOT_ACTIVATED)
 """Effects that do not end the process."""
 MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED = _KNOWN = tuple(effect.label for effect in _SURVIVED)
-_SMALL = 1 << 20
-"""Arguments up to this size (bytes) are copied for each injection rather than forked with a process."""
 _TIMEOUT = 60.0
 
 
@@ -93,25 +92,17 @@ class Battery:
         return self.variant.table.blocks[block][offset]
 
     def run(self, places: Sequence[Place]) -> list[str]:
-        """Effect of each injection, as if in a child process of its own.
-
-        Values that feed neither addresses nor branches seldom end a process: they share one as long as it lives.
-        """
+        """Effect of each injection, as if in a child process of its own: they share one as long as it lives."""
         indices = self._indices(places)
         self.variant.own_report()
         found = [""] * len(places)
         for call in {place.call for place in places}:
-            own = [number for number, place in enumerate(places) if place.call == call]
-            small = size_of(self.calls[call]) <= _SMALL
-            data = [n for n in own if small and self.site(places[n].block, places[n].offset).value_class in DATA]
-            left = list(data)
+            left = [number for number, place in enumerate(places) if place.call == call]
             while left:
                 effects = self._effects(call, [(indices[n], places[n].bit) for n in left])
                 for n, effect in zip(left, effects, strict=False):
                     found[n] = effect
                 left = left[len(effects) :]
-            for n in sorted(set(own) - set(data)):
-                (found[n],) = self._effects(call, [(indices[n], places[n].bit)])
         return found
 
     def _indices(self, places: Sequence[Place]) -> list[int]:
@@ -125,18 +116,24 @@ class Battery:
         return [starts[place.call, place.block, place.number] + place.offset for place in places]
 
     def _effects(self, call: int, faults: Sequence[tuple[int, int]]) -> list[str]:
-        """Effects of faults (dynamic index and bit) in one child, up to the first that ends it."""
+        """Effects of faults (dynamic index and bit) in one child, up to the first that ends it.
+
+        A call outside planned memory ends it, too: it may have written anywhere.
+        """
         golden, budget = self._golden[call], budget_for(int(self.counts[call]))
         done = mmap.mmap(-1, len(faults))
 
         def injected() -> bytes:
             for number, (index, bit) in enumerate(faults):
                 done[number] = 1 + _KNOWN.index(self._injected(copied(self.calls[call]), index, bit, budget, golden))
+                report = self.variant.report()
+                if report is not None and not report.planned:
+                    break
             return b""
 
         ended = run_in_child(injected, _TIMEOUT + len(faults))
         effects = [_KNOWN[code - 1] for code in done[:] if code]
-        if len(effects) < len(faults):
+        if ended.how != "done" and len(effects) < len(faults):
             effects.append(NOT_ACTIVATED if self.variant.report() is None else ended.how)
         return effects
 
@@ -144,10 +141,8 @@ class Battery:
         """Effect of a fault that does not end the process."""
         try:
             result = self.variant.inject(index, -1, 1 << bit, budget, *args)
-        except SystemError:  # as which Numba's wrapper reports the status of a detection
-            return DETECTED
-        except Exception:  # noqa: BLE001 - raised by the kernel
-            return EXCEPTION
+        except Exception as error:  # noqa: BLE001 - raised by the kernel, or by its wrapper after a detection
+            return DETECTED if isinstance(error, SystemError) and MESSAGE in str(error) else EXCEPTION
         if self.variant.report() is None:
             return NOT_ACTIVATED
         return MASKED if self._digest(result, args) == golden else SDC

@@ -77,11 +77,8 @@ class Certificate:
 
     @property
     def verdict(self) -> str:
-        """Whether the measured coverage agrees with the prediction, is lower, or higher, at 95 %."""
-        if self.predicted is None or self.coverage.rate is None:
-            return UNKNOWN
-        low, high = difference(self.coverage, self.predicted_rate)
-        return REFUTED if high < 0 else BETTER if low > 0 else CONFIRMED
+        """See `verdict_of`."""
+        return verdict_of(self.coverage, self.predicted)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -96,6 +93,14 @@ class Certificate:
                 "p": self.paired.p_value,
             },
         }  # fmt: skip
+
+
+def verdict_of(measured: Rate, predicted: Coverage | None) -> str:
+    """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %."""
+    if predicted is None or measured.rate is None:
+        return UNKNOWN
+    low, high = difference(measured, Rate(0, predicted.estimate, predicted.low, predicted.high))
+    return REFUTED if high < 0 else BETTER if low > 0 else CONFIRMED
 
 
 @dataclass

@@ -13,17 +13,15 @@ from typing import Any
 import numpy as np
 
 from mavfi.campaign.hardening.advise import Step, timed_steps
-from mavfi.campaign.hardening.battery import NOT_ACTIVATED, SDC, Battery
 from mavfi.campaign.hardening.certify import Certificate, Pair, certify
 from mavfi.campaign.hardening.golden import protected_code
-from mavfi.campaign.hardening.ledger import Injected
+from mavfi.campaign.hardening.learned import injections_in
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.campaign.hardening.study import planned_of
 from mavfi.campaign.hardening.target import Target
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction.variant import signature_of, variant_for
-from mavfi.faults.sampling import stream
 from mavfi.hardening.compiled import Compiled
 from mavfi.hardening.plan import FunctionPlan, Plan
 from mavfi.hardening.recorded import copied
@@ -79,17 +77,7 @@ def harden(function: Any, calls: Calls, budget: float, faults: int = 1000, seed:
         RefusedError: The function cannot be instrumented exactly.
     """
     seen = see(function, calls)
-    battery = Battery(seen.entry, function, seen.variant, calls)
-    places = battery.draw(stream(seed, "harden", name_of(function)), faults)
-    effects = battery.run(places)
-    injections = [
-        Injected(
-            seen.entry, seen.entry, seen.variant.ir_sha256, place.block, place.offset, effect == SDC, str(place.call)
-        )
-        for place, effect in zip(places, effects, strict=True)
-        if effect != NOT_ACTIVATED
-    ]
-    target = Target((seen.entry,), seen, injections)
+    target = Target((seen.entry,), seen, injections_in(seen, faults, seed))
     _, steps = timed_steps(target)
     affordable = [step for step in steps if step.time <= 1 + budget]
     best = max(affordable, key=lambda step: (step.choice.benefit, -step.time))

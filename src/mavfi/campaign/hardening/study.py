@@ -15,7 +15,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of
 from mavfi.campaign.hardening.certify import REFUTED, Certificate, certify, pairs_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
-from mavfi.campaign.hardening.ledger import injections_of
+from mavfi.campaign.hardening.learned import Learn, injections_in
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.target import Target, targets_of
 from mavfi.campaign.mission import host_of
@@ -93,27 +93,28 @@ class Study:
         ]
 
 
-def advise(study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False) -> list[Advice]:
+def advise(
+    study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False, learn: Learn = injections_in
+) -> list[Advice]:  # fmt: skip
     """Advice by planner of the missions, that of the campaign's planner first.
 
     The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
-    is that of `Target`.
+    is that of `Target`, `learn` that of `curves_of`.
 
     Raises:
-        BadInputError: The ledger has no injections in instructions, or is of other code.
+        BadInputError: A mission cannot be flown.
     """
-    injections = injections_of(study.runs, study.directory)
     environment, seed = study.campaign.environments[0], study.campaign.first_seed
     found: list[Advice] = []
     for planner, kernels in study.by_planner().items():
         tell(f"flying the golden mission {environment} {seed} with {planner}")
         seen = observe(study.scenario(environment, seed, planner), kernels)
         known = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
-        targets = targets_of(seen, injections, addresses=addresses)
+        targets = targets_of(seen, addresses=addresses)
         shared = [known[target.key] for target in targets if target.key in known]
         new = [target for target in targets if target.key not in known]
         other_ticks = sum(curve.ticks for curve, _ in shared)
-        curves = curves_of(new, study.kernels, other_ticks, tell)
+        curves = curves_of(new, study.kernels, other_ticks, tell, learn)
         whole = other_ticks + sum(curve.ticks for curve in curves)
         spent = sum(curve.ticks * (step.time - 1) for curve, step in shared) / whole
         found.append(Advice(budget, curves, allocate(curves, budget - spent), spent))

@@ -1,14 +1,13 @@
-"""A compiled function as target of the choice: its IR, its golden executions, and the ledger's injections in it."""
+"""A compiled function as target of the choice: its IR, its golden executions, and the injections in its calls."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from mavfi.campaign.hardening.ledger import Injected, groups_of, rates_of
+from mavfi.campaign.hardening.learned import Injected, groups_of, rates_of
 from mavfi.campaign.hardening.observed import Seen
-from mavfi.errors import BadInputError
 from mavfi.faults.instruction.table import Site as TableSite
 from mavfi.hardening.choose import Choice, Chooser
 from mavfi.hardening.flow import Value, values_of
@@ -19,7 +18,7 @@ from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 
 FOLDS = 4
-"""Parts of the ledger, each of which judges a choice made from the others."""
+"""Parts of the injections, each of which judges a choice made from the others."""
 
 
 @dataclass
@@ -29,7 +28,7 @@ class Target:
     Attributes:
         kernels: Kernels that call it, as in a campaign's sampling.
         seen: What golden flights showed.
-        injections: Of the ledger, in this code.
+        injections: In recorded calls.
         addresses: Whether addresses are compared before loads, too: fewer crashes, more time.
     """
 
@@ -97,12 +96,12 @@ class Target:
 
     @cached_property
     def chooser(self) -> Chooser:
-        """Choices from the whole ledger."""
+        """Choices from all injections."""
         return Chooser(self.values, self.benefit(self.injections))
 
     @cached_property
     def _folds(self) -> list[tuple[list[Injected], Chooser]]:
-        """Parts of the injections, by mission, each with the choices from all others."""
+        """Parts of the injections, by call, each with the choices from all others."""
         worlds = sorted({one.world for one in self.injections})
         parts: list[list[Injected]] = [[] for _ in range(FOLDS)]
         for number, one in enumerate(self.injections):
@@ -122,7 +121,7 @@ class Target:
         ]
 
     def judged(self, choose: Callable[[Chooser], Choice]) -> list[tuple[Injected, bool]]:
-        """Silent corruptions of the ledger, and whether a choice made without them removes them."""
+        """Silent corruptions, and whether a choice made without them removes them."""
         found = []
         for part, chooser in self._folds:
             chosen = self.sites(choose(chooser))
@@ -139,14 +138,8 @@ class Target:
         return tuple(f"{file}:{line}" for file, line in sorted(own))
 
 
-def targets_of(
-    seen: Mapping[str, Sequence[Seen]], injections: Iterable[Injected], *, addresses: bool = False
-) -> list[Target]:  # fmt: skip
-    """Targets by function and signature, each with its injections; `addresses` as in `Target`.
-
-    Raises:
-        BadInputError: A ledger is of other code.
-    """
+def targets_of(seen: Mapping[str, Sequence[Seen]], *, addresses: bool = False) -> list[Target]:
+    """Targets by function and signature; `addresses` as in `Target`."""
     found: dict[tuple[str, str], Target] = {}
     for kernel, functions in seen.items():
         for one in functions:
@@ -155,19 +148,4 @@ def targets_of(
                 found[key].kernels = (*found[key].kernels, kernel)
             else:
                 found[key] = Target((kernel,), one, addresses=addresses)
-    known = {entry for entry, _ in found}
-    others = []
-    for injected in injections:
-        target = found.get((injected.function, injected.ir_sha256))
-        if target is not None:
-            target.injections.append(injected)
-        elif injected.function in known and injected.kernel in seen:
-            others.append(injected)
-    known -= {target.seen.entry for target in found.values() if target.injections}
-    for injected in others:  # a signature that this mission lacks is no reason, a function without any is
-        if injected.function in known:
-            raise BadInputError(
-                f"{injected.kernel}.{injected.function}: the ledger is of IR {injected.ir_sha256[:12]}, which is not "
-                "what runs here: source, numba or llvmlite differ; fly the campaign again"
-            )
     return list(found.values())

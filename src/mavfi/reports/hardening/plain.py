@@ -53,7 +53,7 @@ def advice_table(summary: Mapping[str, Any]) -> Table:
     ]  # fmt: skip
     notes = (
         "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
-        "predicted by cross-validation over missions of the ledger, 95 % interval; sites: instructions that are "
+        "predicted by cross-validation over recorded calls, 95 % interval; sites: instructions that are "
         "duplicated, of those that can be",
     )
     return Table.of_text("What to protect", _ADVICE, rows, notes)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavfi.campaign.hardening.advise import Advice, Curve, Step, allocate, coverage_of, coverage_of_steps
-from mavfi.campaign.hardening.ledger import Injected
+from mavfi.campaign.hardening.learned import Injected
 from mavfi.hardening.choose import NOTHING
 
 
@@ -17,8 +17,8 @@ class Target:
     sdc_mass: float
 
 
-def judged(hits, n, world=lambda i: f"dense {i}"):
-    return [(Injected("pid", "track", "ir", 0, i, True, world(i)), i < hits) for i in range(n)]
+def judged(hits, n, world=str):
+    return [(Injected(0, i, True, world(i)), i < hits) for i in range(n)]
 
 
 def curve(name, share, mass, *points):
@@ -52,9 +52,9 @@ def test_the_budget_is_kept(rows, budget):
     assert Advice(budget, tuple(curves), allocate(curves, budget)).spent <= budget + 1e-12
 
 
-def test_predicted_coverage_counts_missions_as_clusters():
+def test_predicted_coverage_counts_calls_as_clusters():
     alone = coverage_of(judged(50, 100))
-    clustered = coverage_of(judged(50, 100, lambda i: f"dense {i // 50}"))
+    clustered = coverage_of(judged(50, 100, lambda i: str(i // 50)))
     assert alone.rate == clustered.rate == 0.5
     assert clustered.high - clustered.low > 2 * (alone.high - alone.low)
 

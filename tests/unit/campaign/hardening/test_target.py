@@ -1,6 +1,6 @@
 """A function as target of the choice: rates from injections, cross-validation, and what a summary says of it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -8,12 +8,15 @@ import pytest
 from mavfi.campaign.analysis.statistics import wilson
 from mavfi.campaign.hardening.advise import Advice, Curve, Step, choices_of
 from mavfi.campaign.hardening.battery import Battery
+from mavfi.campaign.hardening.certify import Pair, certify
 from mavfi.campaign.hardening.kernel import see
-from mavfi.campaign.hardening.ledger import Harm, Injected
+from mavfi.campaign.hardening.learned import Injected, injections_in
+from mavfi.campaign.hardening.ledger import Harm
 from mavfi.campaign.hardening.study import planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import targets_of
-from mavfi.errors import BadInputError
+from mavfi.faults.instruction.variant import signature_of
+from mavfi.hardening.full import full_plan
 from tests.unit.campaign.hardening.kernels import calls, smooth
 
 
@@ -22,14 +25,13 @@ def target():
     """Injections of which those in results of multiplications are silent corruptions."""
     seen = see(smooth, calls())
     battery = Battery("smooth", smooth, seen.variant, seen.calls)
-    injections = [
+    (found,) = targets_of({"pid": [seen]})
+    found.injections = [
         Injected(
-            "smooth", "smooth", seen.variant.ir_sha256, place.block, place.offset,
-            battery.site(place.block, place.offset).opcode == "fmul", f"dense {number % 6}",
+            place.block, place.offset, battery.site(place.block, place.offset).opcode == "fmul", str(number % 6)
         )
         for number, place in enumerate(battery.draw(np.random.default_rng(4), 300))
     ]  # fmt: skip
-    (found,) = targets_of({"pid": [seen]}, [replace(one, kernel="pid") for one in injections])
     return found
 
 
@@ -42,7 +44,7 @@ def test_expected_corruptions_are_those_of_the_injected_instructions(target):
     assert target.sdc_mass == pytest.approx(rate * target.seen.instructions, rel=0.15)
 
 
-def test_a_choice_from_other_missions_covers_what_it_has_not_seen(target):
+def test_a_choice_from_other_calls_covers_what_it_has_not_seen(target):
     ladder = choices_of(target)
     covered = [np.mean([hit for _, hit in judged]) for _, _, judged in ladder]
     assert covered[0] == 0.0 and covered[-1] == 1.0
@@ -81,11 +83,14 @@ def test_a_summary_adds_up(target):
         function["escapes"]["protected"]
     )
     assert found["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
-    assert [step["chosen"] for step in function["steps"]] == [False, False, False, True, False, False]
+    assert [step["chosen"] for step in function["steps"]] == [place == 3 for place in range(9)]
 
 
-def test_injections_in_other_code_are_refused(target):
-    other = replace(target.injections[0], ir_sha256="1" * 64)
-    with pytest.raises(BadInputError, match="the ledger is of IR 111111111111"):
-        targets_of({"pid": [target.seen]}, [other])
-    assert len(targets_of({"pid": [target.seen]}, [target.injections[0], other])[0].injections) == 1
+def test_choice_and_certificate_count_the_same_corruptions():
+    """A function's result that its caller would mask is a corruption for both."""
+    pair = Pair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))
+    learned = injections_in(pair.seen, 200)
+    rate = wilson(sum(one.sdc for one in learned), len(learned))
+    measured = certify(pair, 60).sdc_before
+    assert rate.low < measured.rate < rate.high and rate.rate > 0.2
+    assert {one.world for one in learned} == {"0", "1", "2", "3"}

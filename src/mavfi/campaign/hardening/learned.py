@@ -1,0 +1,67 @@
+"""Faults from which a choice is made: injected in recorded calls, and judged by the outputs of the function.
+
+A ledger judges what a kernel publishes and keeps, not the outputs of one function, and its snapshots of a clearance map
+omit the counters.  Choice, prediction and certificate must count the same event, so all of them use `Battery`.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.campaign.hardening.battery import NOT_ACTIVATED, SDC, Battery
+from mavfi.campaign.hardening.observed import Seen
+from mavfi.faults.instruction.table import Site, Table
+from mavfi.faults.sampling import stream
+from mavfi.hardening.rates import Groups, Rates
+from mavfi.ir.build import name_of
+
+MOST, FEWEST = 400, 150
+"""Faults per function."""
+_WORK = 4e8
+"""Dynamic instructions that the faults of a function may execute (some seconds)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Injected:
+    """An activated injection.
+
+    Attributes:
+        block: Index of the instruction's block, as in `Site`.
+        offset: Its index in the block.
+        sdc: Whether an output of the function was silently corrupted.
+        world: What it has in common with others: the call.
+    """
+
+    block: int
+    offset: int
+    sdc: bool
+    world: str
+
+
+def injections_in(seen: Seen, faults: int | None = None, seed: int = 0) -> list[Injected]:
+    """Inject faults in the recorded calls of a function; by default fewer in long calls."""
+    battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
+    if faults is None:
+        faults = int(np.clip(_WORK / battery.counts.mean(), FEWEST, MOST))
+    places = battery.draw(stream(seed, "harden", name_of(seen.function)), faults)
+    return [
+        Injected(place.block, place.offset, effect == SDC, str(place.call))
+        for place, effect in zip(places, battery.run(places), strict=True)
+        if effect != NOT_ACTIVATED
+    ]
+
+
+Learn = Callable[[Seen], list[Injected]]
+"""Injects faults in a function, as `injections_in`."""
+
+
+def groups_of(site: Site) -> Groups:
+    """Groups of a site, from opcode and type over line and value class to the site itself."""
+    opcode: Hashable = ("opcode", site.opcode, site.kind)
+    return opcode, ("line", site.file, site.line, site.value_class), ("site", site.block, site.offset)
+
+
+def rates_of(injections: Sequence[Injected], table: Table) -> Rates:
+    """Rates of silent corruption of a function's sites, from the injections in it."""
+    return Rates((groups_of(table.blocks[one.block][one.offset]), one.sdc) for one in injections)
