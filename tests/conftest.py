@@ -58,8 +58,8 @@ def pytest_ignore_collect(collection_path, config):
     if not config.option.markexpr.startswith("alone") or not collection_path.is_file():
         return None
     name = collection_path.relative_to(config.rootpath).as_posix()
-    own = name.startswith(_ALONE) or "mark.alone" in collection_path.read_text(encoding="utf-8")
-    return None if own else True
+    own = name.endswith(".py") and "mark.alone" in collection_path.read_text(encoding="utf-8")
+    return None if own or name.startswith(_ALONE) else True
 
 
 def pytest_collection_modifyitems(config, items):
