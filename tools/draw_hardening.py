@@ -15,6 +15,8 @@ from tools.drawing import save
 from tools.markers import GENERATED, IMAGES
 
 COLUMNS = 5
+PREDICTED, CERTIFIED = "SDCs removed, predicted", "SDCs removed"
+"""Headings of columns."""
 NO_COVERAGE = (float("nan"),) * 3
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
@@ -39,11 +41,16 @@ def curves() -> dict[str, list[Step]]:
     if heading not in page:
         raise ValueError("docs/generated/hardening.md: has no table of curves; allowed: that of `make hardening`")
     found: dict[str, list[Step]] = {}
-    for line in page.split(heading)[1].split("\n\n")[0].splitlines()[2:]:
-        name, _, _, time, predicted, _, _, certified, _ = (cell.strip() for cell in line.strip("|").split("|"))
-        values = [tuple(map(float, _NUMBER.findall(cell))) or NO_COVERAGE for cell in (predicted, certified)]
-        found.setdefault(name.replace("`", ""), []).append(Step(float(time), *values))
+    headings, _, *lines = (heading + page.split(heading)[1].split("\n\n")[0]).strip().splitlines()
+    for line in lines:
+        row = dict(zip(_cells(headings), _cells(line), strict=True))
+        values = [tuple(map(float, _NUMBER.findall(row[key]))) or NO_COVERAGE for key in (PREDICTED, CERTIFIED)]
+        found.setdefault(row["function"].replace("`", ""), []).append(Step(float(row["time ×"]), *values))
     return {name: steps for name, steps in found.items() if not np.isnan([step.predicted for step in steps]).all()}
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split("|")]
 
 
 def draw(axes: Axes, name: str, steps: list[Step]) -> None:
