@@ -12,9 +12,8 @@ import numpy as np
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.message_sampling import MessageSampling
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, alternating
+from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, alternating
 from mavfi.faults.fault import Fault, MessageFault
-from mavfi.hosts.host import ArmSetup, MissionFlights
 
 _BITS = 64
 _PURPOSE = 11
@@ -22,11 +21,8 @@ NO_CALL = "none"
 """Call of a draw for which the golden run has none."""
 
 
-class MessageSampler:
+class MessageSampler(OwnMissions):
     """Draws one bit of one number of one call."""
-
-    variants: Mapping[str, Mapping[str, Any]] = {}
-    versions: Mapping[str, str] = {}
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, MessageSampling)  # as `sampler_for` chooses
@@ -36,13 +32,6 @@ class MessageSampler:
         """One block per side."""
         del environment
         return alternating(self._campaign, self._sampling.sides)
-
-    def golden(
-        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
-    ) -> Sampled:  # fmt: skip
-        """The golden run, from whose calls faults are drawn."""
-        del draws, environment, setup
-        return Sampled(flights.golden(arm))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """One fault per draw; None without a golden run, or without a call that has a number on that side."""

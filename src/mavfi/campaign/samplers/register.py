@@ -6,22 +6,17 @@ first_seed + i.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from mavfi.campaign.config import Campaign, RegisterSampling
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, alternating
+from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, alternating
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.sampling import stream
-from mavfi.hosts.host import ArmSetup, MissionFlights
 
 PATIENCE_S = 20.0  # time limit for the process to reach the injection point (s)
 
 
-class RegisterSampler:
+class RegisterSampler(OwnMissions):
     """Draws one bit of a register that an instruction reads or writes."""
-
-    variants: Mapping[str, Mapping[str, Any]] = {}
-    versions: Mapping[str, str] = {}
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, RegisterSampling)  # as `sampler_for` chooses
@@ -31,13 +26,6 @@ class RegisterSampler:
         """One block per kind of registers."""
         del environment
         return alternating(self._campaign, self._sampling.registers)
-
-    def golden(
-        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
-    ) -> Sampled:  # fmt: skip
-        """The golden run, the reference of injected runs; no faults are drawn from it."""
-        del draws, environment, setup
-        return Sampled(flights.golden(arm))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """One fault per draw; None without a golden run for comparison."""

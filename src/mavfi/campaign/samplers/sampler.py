@@ -120,6 +120,25 @@ class Sampler(Protocol):
         """The fault of a null run."""
 
 
+class OwnMissions:
+    """Base of samplers that draw from golden runs of the campaign's own missions.
+
+    Attributes:
+        profile: Whether they need a profile of the publications.
+    """
+
+    variants: Mapping[str, Mapping[str, Any]] = {}
+    versions: Mapping[str, str] = {}
+    profile = False
+
+    def golden(
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
+    ) -> Sampled:  # fmt: skip
+        """See `Sampler.golden`."""
+        del draws, environment, setup
+        return Sampled(flights.golden(arm, profile=self.profile))
+
+
 def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[int, Draw]]:
     """The draws of some missions of an environment, in plan order, each with its position.
 

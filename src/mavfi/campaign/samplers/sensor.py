@@ -5,30 +5,25 @@ The begin is uniform over the golden flight; of several motors, the number is un
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, TargetBlocks
+from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, TargetBlocks
 from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault
 from mavfi.faults.sampling import stream
 from mavfi.faults.sensor.fault import NULL, UNITS, SensorFault
 from mavfi.faults.spec import SensorRequest
-from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.mission import MissionSpec
 
 
-class SensorSampler:
+class SensorSampler(OwnMissions):
     """Draws the begin of a failure, and of several motors one.
 
     Raises:
         BadInputError: The sampling names a unit that nothing in the mission reads.
     """
-
-    variants: Mapping[str, Mapping[str, Any]] = {}
-    versions: Mapping[str, str] = {}
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, SensorSampling)  # as `sampler_for` chooses
@@ -43,13 +38,6 @@ class SensorSampler:
     def blocks(self, environment: str) -> Sequence[Block]:
         """One block per unit."""
         return self._blocks.of(environment)
-
-    def golden(
-        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
-    ) -> Sampled:  # fmt: skip
-        """The golden run, over whose time failures are drawn."""
-        del draws, environment, setup
-        return Sampled(flights.golden(arm))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """One failure per draw; None without a golden run."""

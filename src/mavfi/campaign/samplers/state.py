@@ -5,27 +5,24 @@ The shares of the bit strata are exact, their order is drawn from the seed; each
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from mavfi.campaign.config import Campaign, StateSampling
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, TargetBlocks
+from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, TargetBlocks
 from mavfi.faults.fault import Fault, StateFault
 from mavfi.faults.sampling import Target, draw, group_target, stage_target
 from mavfi.faults.strata import HEADLINE, WORD_BITS
 from mavfi.flight_log import Profile
-from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.states import PPC_STAGES, STATES
 
 
-class StateSampler:
+class StateSampler(OwnMissions):
     """Draws one bit of one field of one publication.
 
     Raises:
         BadInputError: A target has no bits in one of its strata.
     """
 
-    variants: Mapping[str, Mapping[str, Any]] = {}
-    versions: Mapping[str, str] = {}
+    profile = True
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, StateSampling)  # as `sampler_for` chooses
@@ -62,13 +59,6 @@ class StateSampler:
     def blocks(self, environment: str) -> Sequence[Block]:
         """One block per target."""
         return self._blocks.of(environment)
-
-    def golden(
-        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
-    ) -> Sampled:  # fmt: skip
-        """Fly the golden run with a profile of its publications."""
-        del draws, environment, setup
-        return Sampled(flights.golden(arm, profile=True))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """Draw from the profile of the golden run; without one, faults have no site."""
