@@ -123,7 +123,7 @@ def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
 def protected(name: str, kernel: Any, args: tuple[Any, ...]) -> tuple[Compiled, int]:
     """Code of a kernel with all instructions duplicated and addresses compared, and its address."""
     signature = signature_of(args)
-    plan = Plan(functions=(full_plan(name, kernel, signature, addresses=True),))
+    plan = Plan(functions=(full_plan(name, kernel, signature),))
     code = protected_code(kernel, signature, plan)
     assert code is not None  # the plan has this function
     source = cached_source(kernel, signature)

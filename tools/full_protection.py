@@ -25,7 +25,7 @@ def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan
     seen = observe(resolve(MissionSpec(environment=environment, seed=seed, planner=planner)), kernels)
     functions: list[FunctionPlan] = []
     for target in targets_of(seen, addresses=True):
-        planned = full_plan(target.kernels[0], target.seen.function, target.seen.signature, addresses=True)
+        planned = full_plan(target.kernels[0], target.seen.function, target.seen.signature)
         _, (time,) = times_of(target, [planned.sites])
         functions.append(planned.model_copy(update={"time": round(time, 3)}))
     return Plan(cpu=processor(), functions=tuple(functions))

@@ -20,7 +20,9 @@ def flown(tmp_path_factory):
     The plan is the shipped one of the tracker; its time is not charged, so that golden flights can be compared.
     """
     folder = tmp_path_factory.mktemp("combined")
-    functions = tuple(one.model_copy(update={"time": 1.0}) for one in load_plan("full").functions if one.kernel == "pid")
+    functions = tuple(
+        one.model_copy(update={"time": 1.0}) for one in load_plan("full").functions if one.kernel == "pid"
+    )
     save_plan(Plan(functions=functions), folder / "plan.yaml")
     config = Campaign.model_validate({
         "name": "combined", "environments": ["sparse"], "first_seed": 7, "missions": 1, "faults": 5,

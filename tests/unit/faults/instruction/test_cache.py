@@ -73,7 +73,7 @@ def test_a_second_look_builds_nothing(folder, builds, tmp_path):
 @pytest.mark.slow
 def test_a_change_in_a_callee_is_seen(folder, builds, tmp_path):
     first = cached_build(load(tmp_path / "cached_b.py", 2.0), FLOAT)
-    second = cached_build(load(tmp_path / "cached_b.py", 3.0), FLOAT)
+    second = cached_build(load(tmp_path / "cached_b.py", 30.0), FLOAT)
     assert builds == ["kernel", "kernel"]
     assert first.ir_sha256 != second.ir_sha256
 
