@@ -154,7 +154,7 @@ class Server:
             pass  # the client left, or speaks another protocol
         finally:
             self._connections.discard(writer)
-            writer.close()
+            writer.transport.abort()  # nobody reads what is left: `close` would wait for that
             if not self._connections:
                 self.finished.set()
 
@@ -192,8 +192,8 @@ class Server:
             if ticking is not None:
                 ticking.cancel()
             server.close()
-            for writer in list(self._connections):
-                writer.close()
+            for writer in self._connections:
+                writer.transport.abort()
 
     async def _tick(self) -> None:
         assert isinstance(self.clock, Real)  # precondition
