@@ -43,8 +43,8 @@ def measure(count: int) -> str:
             for registers in REGISTERS:
                 for walk in WALKS:
                     found, places = stops(target.pid, registers, walk, count)
-                    told = " | ".join(f"{value:.2f}" for value in (*np.quantile(found, (0.5, 0.95)), found.max()))
-                    lines.append(f"| {registers} | {walk} | {told} | {places} |")
+                    times = " | ".join(f"{value:.2f}" for value in (*np.quantile(found, (0.5, 0.95)), found.max()))
+                    lines.append(f"| {registers} | {walk} | {times} | {places} |")
         finally:
             target.kill()
     return "\n".join(lines)

@@ -145,12 +145,12 @@ def verdict(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> st
     best_value, best = min(rows, key=lambda row: row[1].objective)
     own = next(found for value, found in rows if value == ours)
     more = own.objective / best.objective - 1.0
-    told = f"{100 * more:.1f} % above the best ({best_value:g})"
+    distance = f"{100 * more:.1f} % above the best ({best_value:g})"
     if more <= TOLERANCE:
-        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {told}"
+        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {distance}"
     if by_chance(own, best):
-        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {told}, which may be chance"
-    return f"{stack.name}.yaml {key} {ours:g}: NOT confirmed, {told}"
+        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {distance}, which may be chance"
+    return f"{stack.name}.yaml {key} {ours:g}: NOT confirmed, {distance}"
 
 
 def by_chance(own: Score, best: Score) -> bool:

@@ -94,9 +94,9 @@ def main(arguments: list[str]) -> int:
     name = "leaderboard" if scale == "quick" else f"leaderboard-{scale}"
     try:
         compared = load(bench / "sites").values("arm")
-        worth = told = ""
+        worth = recovery = ""
         if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared):
-            worth, told = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
+            worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
         page = (bench / "leaderboard.md").read_text(encoding="utf-8")
         freeze(bench, scale)
     except (BadInputError, OSError) as error:
@@ -110,7 +110,7 @@ def main(arguments: list[str]) -> int:
     (GENERATED / f"{name}.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
     if worth:
         fill(DOCS / "engineers.md", {"rules": worth})
-        fill(ROOT / "README.md", {"recovery": told})
+        fill(ROOT / "README.md", {"recovery": recovery})
     return 0
 
 

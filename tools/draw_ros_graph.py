@@ -75,8 +75,8 @@ def look(folder: Path, seen: Seen) -> None:
         if command[1] == "hz":
             seen.told[command] = rate(join, command)
         else:
-            told = run([join, *command], capture_output=True, text=True, check=True).stdout
-            seen.told[command] = "\n".join(line.rstrip() for line in told.strip().splitlines())
+            output = run([join, *command], capture_output=True, text=True, check=True).stdout
+            seen.told[command] = "\n".join(line.rstrip() for line in output.strip().splitlines())
     state = run([join, sys.executable, "-c", MASTER], capture_output=True, text=True, check=True).stdout
     seen.publishers, seen.subscribers = (
         {topic: [node.removeprefix("/") for node in nodes] for topic, nodes in part} for part in json.loads(state)[:2]
@@ -227,9 +227,9 @@ def draw_rest(axes: Axes, seen: Seen, y: float) -> None:
     rejected = [topic for topic in seen.publishers if topic.endswith("/rejected")]
     others = sorted(topic for topic in seen.publishers if topic.startswith(PREFIX) and topic.count("/") == 2)
     standard = sorted(topic for topic in seen.publishers if not topic.startswith(PREFIX) and "rosout" not in topic)
-    told = [f"{topic} ({', '.join(seen.publishers[topic])})" for topic in others]
+    readers = [f"{topic} ({', '.join(seen.publishers[topic])})" for topic in others]
     lines = [
-        f"In addition: {' · '.join(told)} · …/rejected × {len(rejected)} (detector)",
+        f"In addition: {' · '.join(readers)} · …/rejected × {len(rejected)} (detector)",
         f"In standard types: {' · '.join(standard)}",
     ]
     axes.text(LEFT - NODE, y, "\n".join(lines), va="top", color=style.GREY, fontsize=8.5, linespacing=1.6)

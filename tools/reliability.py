@@ -55,18 +55,18 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
     done = subprocess.run(
         [sys.executable, "-m", test.module], env=environment, capture_output=True, text=True, check=False
     )
-    told = done.stdout if done.returncode == 0 else done.stdout + done.stderr
-    return told, done.returncode, time.monotonic() - started
+    output = done.stdout if done.returncode == 0 else done.stdout + done.stderr
+    return output, done.returncode, time.monotonic() - started
 
 
 def section(test: Long, share: float) -> str:
     """The test's section of the page."""
     output, code, seconds = run(test, share)
     tries = max(1, round(test.tries * share))
-    told = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
+    last_lines = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
     return (
         f"## {test.name}: {'passed' if code == 0 else 'FAILED'}\n\n{test.asks} {tries:,} {test.unit} "
-        f"(of {test.tries:,} in a full run), {seconds / 60:.1f} min.\n\n{told}\n"
+        f"(of {test.tries:,} in a full run), {seconds / 60:.1f} min.\n\n{last_lines}\n"
     )
 
 

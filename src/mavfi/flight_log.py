@@ -235,16 +235,16 @@ class FlightLog:
         """
         try:
             arrays = read_arrays(Path(path))
-            rows, told = _table(arrays), checked(_Told, json.loads(str(arrays["record"])), "record")
-            status, events = MissionStatus[told.status], [Event(*event) for event in told.events]
+            rows, stored = _table(arrays), checked(_Told, json.loads(str(arrays["record"])), "record")
+            status, events = MissionStatus[stored.status], [Event(*event) for event in stored.events]
         except (BadInputError, LookupError, RecursionError, ValueError) as error:
             why = str(error).removeprefix(f"{path}: ")
             raise BadInputError(f"{path}: is not a flight log ({why})") from None
         times = [1e-6 * event.time_us for event in events]
-        times += [item.time_s for item in told.injections] + [item.time_s for item in told.alarms]
+        times += [item.time_s for item in stored.injections] + [item.time_s for item in stored.alarms]
         if any(LATEST_S < abs(time) < math.inf for time in times) or not (abs(rows[:, 0]) <= LATEST_S).all():
             raise BadInputError(f"{path}: is not a flight log (times: allowed: {LATEST_S:g} s at most)")
-        return FlightLog(rows, status, events, told.injections, told.alarms, told.meta, told.kernel)
+        return FlightLog(rows, status, events, stored.injections, stored.alarms, stored.meta, stored.kernel)
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,10 +49,10 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     courses = [golden, alone] if result.unwatched is None else [golden, alone, watched]
     seen, logs = (golden.published, watched.published), (result.golden.log, result.log)
     first = first_difference(*seen)
-    told = verdict(result.effect, result.log, result.golden.log)
+    sentence = verdict(result.effect, result.log, result.golden.log)
     if result.unwatched is not None:
-        told = f"with detector {result.detector}, {told}; without it: {result.unwatched.log.status.value.lower()}"
-    story = [("verdict", told.removesuffix("."))]
+        sentence = f"with detector {result.detector}, {sentence}; without it: {result.unwatched.log.status.value.lower()}"
+    story = [("verdict", sentence.removesuffix("."))]
     story += steps(
         result.log, result.golden.log, result.fault, result.detector, first, departure(*logs),
         spread(*seen),

@@ -136,12 +136,12 @@ def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> Non
 
 def _tell(injection: Injection) -> None:
     """Print one injection in one line."""
-    told = injection.details
+    details = injection.details
     verdict = "verified" if injection.activated else "NOT verified"
     console().print(
-        f"{told['topic']} message {told['message']}: [bold]{escape(told['field'])}[/bold] "
-        f"({told['kind']}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
-        f"{told['readers']} readers, {verdict}"
+        f"{details['topic']} message {details['message']}: [bold]{escape(details['field'])}[/bold] "
+        f"({details['kind']}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
+        f"{details['readers']} readers, {verdict}"
     )
 
 

@@ -156,9 +156,9 @@ def lines(plan: Plan, log: FlightLog) -> list[str]:
 
     In lock-step, the state fault is shown in the flight's panel instead.
     """
-    told = [_line(one) for one in log.injections if plan.free_running or "node" in one.details]
+    injections = [_line(one) for one in log.injections if plan.free_running or "node" in one.details]
     found = effect(plan, log)
-    return told if found is None else [*told, f"           effect: {found}"]
+    return injections if found is None else [*injections, f"           effect: {found}"]
 
 
 def _line(injection: Injection) -> str:

@@ -20,7 +20,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def stoppable(told: str) -> Iterator[None]:
+def stoppable(message: str) -> Iterator[None]:
     """Work with results to keep: Ctrl-C ends it cleanly, prints `told` on stderr, and exits with code 130."""
     import typer
 
@@ -32,7 +32,7 @@ def stoppable(told: str) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        console(error=True).print(told)
+        console(error=True).print(message)
         raise typer.Exit(EXIT_STOPPED) from None
     finally:
         if leaving:

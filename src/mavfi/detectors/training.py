@@ -108,10 +108,10 @@ def innovations(recording: Recording) -> dict[str, np.ndarray]:
 def best_prediction(recordings: Sequence[Recording]) -> tuple[str, dict[str, dict[str, float]]]:
     """Best-fitting key of `preprocess.PREDICTIONS`; by prediction, the 99 % quantile and the largest error (m)."""
     found = [innovations(recording) for recording in recordings]
-    told = {}
+    fits = {}
     for name in PREDICTIONS:
         errors = np.abs(np.concatenate([part[name].ravel() for part in found] or [np.zeros(0)]))
         if len(errors) == 0:
             raise BadInputError("training: the recordings hold no trajectory of two way-points")
-        told[name] = {"p99": float(np.quantile(errors, 0.99)), "max": float(errors.max())}
-    return min(told, key=lambda name: told[name]["p99"]), told
+        fits[name] = {"p99": float(np.quantile(errors, 0.99)), "max": float(errors.max())}
+    return min(fits, key=lambda name: fits[name]["p99"]), fits

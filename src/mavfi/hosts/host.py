@@ -91,16 +91,10 @@ class MissionFlights(Protocol):
 def one_by_one(
     runs: Sequence[tuple[str, Fault]], run: Callable[[str, Fault], Recorded]
 ) -> Iterator[tuple[int, Recorded | Exception]]:
-    """`MissionFlights.injected` of a host that runs them sequentially.
-
-    Raises:
-        BadInputError: Of a run; it would end all others, too.
-    """
+    """`MissionFlights.injected` of a host that runs them sequentially."""
     for place, (arm, fault) in enumerate(runs):
         try:
             found: Recorded | Exception = run(arm, fault)
-        except BadInputError:
-            raise
         except Exception as error:  # noqa: BLE001 - ends this run only
             found = error
         yield place, found
@@ -118,17 +112,13 @@ class ArmFlights(ABC):
     def _fly(self, arm: str, fault: Any, *, profile: bool = False) -> Flight:
         """Fly one flight of an arm; the fault is of a level of the host, None = golden."""
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `MissionFlights.injected`; flown sequentially."""
-        for place, (arm, fault) in enumerate(runs):
-            yield place, self._attempt(arm, fault)
+        return one_by_one(runs, self._fly_injected)
 
-    def _attempt(self, arm: str, fault: Fault) -> Flight | Exception:
-        try:
-            require_level(self._host, fault.level)
-            return self._fly(arm, fault)
-        except Exception as error:  # noqa: BLE001 - ends this run only
-            return error
+    def _fly_injected(self, arm: str, fault: Fault) -> Flight:
+        require_level(self._host, fault.level)
+        return self._fly(arm, fault)
 
     def golden(self, arm: str, *, profile: bool = False) -> Flight:
         """See `MissionFlights.golden`."""

@@ -14,21 +14,21 @@ _WHAT = {"publications": "fewer wrong publications", "width": "one bit instead o
 
 def lines(found: Shrunk) -> Lines:
     """Headings and sentences: the smallest fault, the original, steps, other instants, golden run."""
-    told = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
+    rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
     for place, step in enumerate(found.steps):
         heading = "steps" if place == 0 else ""
         end = "none loses the mission" if step.found is None else _trial(step.found)
-        told.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
+        rows.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
     if found.instants:
         lost = [trial for trial in found.instants if trial.lost]
         when = ", ".join(f"@{_time(trial)} ({trial.status.replace('_', ' ')})" for trial in lost)
-        told.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
+        rows.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
                      + (f", with {when}" if when else "")))  # fmt: skip
     elif hasattr(found.smallest.fault, "time_us"):
-        told.append(("instants", "the golden run has no other one of this site, or none was asked for"))
+        rows.append(("instants", "the golden run has no other one of this site, or none was asked for"))
     golden = found.golden.log
-    told.append(("golden run", f"{golden.status.label} after {float(golden.column('time')[-1]):.2f} s"))
-    return told
+    rows.append(("golden run", f"{golden.status.label} after {float(golden.column('time')[-1]):.2f} s"))
+    return rows
 
 
 def _time(trial: Trial) -> float:

@@ -153,4 +153,4 @@ def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
     for (environment, setting), kernels in exposed(runs).items():
         total = total_failures([one for _, one in kernels.values()], upset)
         found.setdefault(environment, []).append(f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]")
-    return [f"Failures per flight hour, {environment}: {'; '.join(told)}." for environment, told in found.items()]
+    return [f"Failures per flight hour, {environment}: {'; '.join(rates)}." for environment, rates in found.items()]

@@ -77,8 +77,8 @@ def _worst_stage(runs: Runs) -> list[str]:
     if len(rates) < 2:
         return []
     ordered = sorted(rates.items(), key=lambda item: -(item[1].rate or 0.0))
-    told = "; ".join(f"{stage} {_percent(rate)}" for stage, rate in ordered)
-    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {told}."]
+    listed = "; ".join(f"{stage} {_percent(rate)}" for stage, rate in ordered)
+    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {listed}."]
 
 
 def _recovery(runs: Runs) -> list[str]:
@@ -86,20 +86,20 @@ def _recovery(runs: Runs) -> list[str]:
     if not len(paired):
         return []
     names = m.population_names(runs.injected, ())
-    told = []
+    parts = []
     for (setting,), own in paired.where(population=names[0]).groups("setting").items():
         test, found = m.discordant(own), m.recovery_of(own)
         back, lost = (0, 0) if found is None else (found.regained, found.lost)
-        told.append(f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
+        parts.append(f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
                     f"{test.first_only}")  # fmt: skip
-    return [f"{'; '.join(told)}."] if told else []
+    return [f"{'; '.join(parts)}."] if parts else []
 
 
 def _false_alarms(runs: Runs) -> list[str]:
     own = runs.golden.where(pl.col("detector") != "", end="flown")
     rates = {arm: m.alarm_rate(part) for (arm,), part in own.groups("arm").items()}
-    told = "; ".join(f"{arm} {rate.per_hour:.1f} per hour" for arm, rate in rates.items() if rate.per_hour is not None)
-    return [f"Alarms on flights without a fault: {told}."] if told else []
+    listed = "; ".join(f"{arm} {rate.per_hour:.1f} per hour" for arm, rate in rates.items() if rate.per_hour is not None)
+    return [f"Alarms on flights without a fault: {listed}."] if listed else []
 
 
 def _flight_time(runs: Runs) -> list[str]:

@@ -76,9 +76,9 @@ def unknown_note(own: Runs) -> list[str]:
 
 def separable_note(runs: Runs) -> list[str]:
     """Note with the smallest differences that a success table can resolve."""
-    told = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
+    parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
     start = "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): "
-    return [start + "; ".join(told)] if told else []
+    return [start + "; ".join(parts)] if parts else []
 
 
 def _points(share: float | None) -> str:

@@ -76,8 +76,8 @@ def _estimand(runs: Runs) -> str:
 
 def _missed_note(runs: Runs) -> str:
     parts = runs.injected.where("judged").groups("setting")
-    told = ", ".join(f"{setting} {_missed(own)}" for (setting,), own in parts.items())
-    return f"faults that found no such call or were not activated, kept in every rate: {told}"
+    counts = ", ".join(f"{setting} {_missed(own)}" for (setting,), own in parts.items())
+    return f"faults that found no such call or were not activated, kept in every rate: {counts}"
 
 
 def _missed(own: Runs) -> int:

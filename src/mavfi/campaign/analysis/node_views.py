@@ -35,8 +35,8 @@ def _endings_note(runs: Runs) -> list[str]:
     crashed = (
         _trials(runs).where(effect="crash").frame["kernel_effect_detail"].value_counts().sort("kernel_effect_detail")
     )
-    told = ", ".join(f"{name} {count}" for name, count in crashed.rows())
-    return [f"crashes: {told}"] if told else []
+    signals = ", ".join(f"{name} {count}" for name, count in crashed.rows())
+    return [f"crashes: {signals}"] if signals else []
 
 
 def _stopped_note(runs: Runs) -> list[str]:

@@ -226,15 +226,15 @@ def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
     worker = _flyer(function, topic)
     worker.give(mission)
     items: list[Any] = []
-    told = time.monotonic()
+    sent = time.monotonic()
     while not items or not is_last(items[-1]):
         items += worker.take() if worker.pipe.poll(_LOOK_EVERY_S) else worker.overdue(TIME_LIMIT)
         task = dask.state.tasks.get(key)
         if task is None or task.state == "cancelled":
             items = [Lost("it was cancelled", died=False)]
-        elif items and not is_last(items[-1]) and time.monotonic() - told > _SEND_EVERY_S:
+        elif items and not is_last(items[-1]) and time.monotonic() - sent > _SEND_EVERY_S:
             dask.log_event(topic, dumps((key, items)))
-            told, items = time.monotonic(), []
+            sent, items = time.monotonic(), []
     if isinstance(items[-1], Lost):
         worker.end()
         _THREAD.worker = None

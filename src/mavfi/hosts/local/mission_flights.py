@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
-from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
+from mavfi.hosts.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import LocalFault, fly
@@ -64,14 +64,17 @@ class LocalFlights(ArmFlights):
         super().know(arm, flight)
         self._scratch = True
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `MissionFlights.injected`: faults in instructions come last, by arm."""
         batches: dict[str, list[tuple[int, InstructionFault]]] = {}
+        others = []
         for place, (arm, fault) in enumerate(runs):
             if isinstance(fault, InstructionFault):
                 batches.setdefault(arm, []).append((place, fault))
-                continue
-            yield place, self._attempt(arm, fault)
+            else:
+                others.append(place)
+        for number, flight in one_by_one([runs[place] for place in others], self._fly_injected):
+            yield others[number], flight
         for arm, batch in batches.items():
             yield from self._instructions(arm, batch)
 

@@ -44,8 +44,8 @@ def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] 
             except MavfiError as error:
                 failures.append(str(error))
     if not found:
-        told = f": {failures[0]}" if failures else ""
-        raise BadInputError(f"topic {topic}: nobody publishes it{told}; start its publisher first")
+        reason = f": {failures[0]}" if failures else ""
+        raise BadInputError(f"topic {topic}: nobody publishes it{reason}; start its publisher first")
     return found
 
 

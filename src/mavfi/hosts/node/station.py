@@ -179,16 +179,16 @@ class Station:
         """Answer a subscriber's connection header, and wait until it disconnects."""
         stream = connection.makefile("rb")
         try:
-            told = decode_header(read_frame(stream, LARGEST_HEADER))
-            outlet = self._outlets.get(told.get("topic", ""))
-            refusal = "no such topic here" if outlet is None else _mismatch(told, outlet.header)
+            request = decode_header(read_frame(stream, LARGEST_HEADER))
+            outlet = self._outlets.get(request.get("topic", ""))
+            refusal = "no such topic here" if outlet is None else _mismatch(request, outlet.header)
             if outlet is None or refusal:
                 connection.sendall(encode_header({"error": refusal}))
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_PATIENCE_S))
             connection.sendall(encode_header(outlet.header))
-            reader = Reader(told.get("callerid", ""), connection, outlet.active)
+            reader = Reader(request.get("callerid", ""), connection, outlet.active)
             outlet.join(reader)
             try:
                 while connection.recv(4096):  # subscribers send nothing after the header
@@ -237,12 +237,12 @@ class Station:
         return [1, "", 0]
 
 
-def _mismatch(told: Mapping[str, str], header: Mapping[str, str]) -> str:
+def _mismatch(request: Mapping[str, str], header: Mapping[str, str]) -> str:
     """Why a subscriber's message type does not match; "" if it does."""
-    wanted = told.get("md5sum", "*")
+    wanted = request.get("md5sum", "*")
     if wanted in ("*", header["md5sum"]) or header["md5sum"] == "*":
         return ""
-    return f"md5sum of {told.get('type')} is {wanted}, not {header['md5sum']}"
+    return f"md5sum of {request.get('type')} is {wanted}, not {header['md5sum']}"
 
 
 def _timeval(seconds: float) -> bytes:

@@ -62,12 +62,12 @@ def _generate(package: str, sources: Path, folder: Path, search: dict[str, list[
         files = sorted(str(path) for path in (sources / ending).glob(f"*.{ending}"))
         target = folder / ending
         target.mkdir(parents=True, exist_ok=True)
-        told = io.StringIO()
-        with redirect_stdout(told), redirect_stderr(told):
+        output = io.StringIO()
+        with redirect_stdout(output), redirect_stderr(output):
             failed = generator.generate_messages(package, files, str(target), search)
             generate_initpy.write_modules(str(target))
         if failed:
-            raise MavfiError(f"ROS messages: {package}: {told.getvalue().strip()}")
+            raise MavfiError(f"ROS messages: {package}: {output.getvalue().strip()}")
         for path in target.glob("_*.py"):
             # genpy generates a method name that NumPy has removed
             path.write_text(path.read_text().replace(".tostring()", ".tobytes()"))

@@ -175,8 +175,8 @@ def _result(folder: Path, plan: Plan) -> Flight:
 
 def _spent(folder: Path, began: float, prepared: float) -> dict[str, float]:
     """Wall-clock time by phase (s)."""
-    told = json.loads((folder / files.TIMES).read_text())
+    times = json.loads((folder / files.TIMES).read_text())
     return {
-        "prepare": prepared - began, "start": told["nodes_ready"] - prepared,
-        "flight": told["flight_done"] - told["nodes_ready"], "end": time.time() - told["flight_done"],
+        "prepare": prepared - began, "start": times["nodes_ready"] - prepared,
+        "flight": times["flight_done"] - times["nodes_ready"], "end": time.time() - times["flight_done"],
     }  # fmt: skip

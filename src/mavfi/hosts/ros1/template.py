@@ -57,18 +57,18 @@ class Template:
     def begin(self, folder: Path, network: list[str]) -> "Supervision":
         """Start the flight of a folder in a network, see `processes.isolate`; `MavfiError` on failure."""
         variables = {**os.environ, "PYTHONPATH": files.own_path(), files.FOLDER_VARIABLE: str(folder)}
-        told = b""
+        reply = b""
         with suppress(OSError):  # the template has exited
             try:
                 self._channel.send(json.dumps([variables, str(folder), network]).encode())
-                told = self._channel.recv(_LONGEST)
+                reply = self._channel.recv(_LONGEST)
             except KeyboardInterrupt:
                 self.end()
                 raise
-        if not told:
+        if not reply:
             self.end()  # its socket can be closed before its process has exited
             raise MavfiError("ROS: the process that starts the nodes has ended")
-        return Supervision(self._channel, int(told))
+        return Supervision(self._channel, int(reply))
 
     def end(self) -> None:
         """Terminate it together with its flights."""

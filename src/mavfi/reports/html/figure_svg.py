@@ -53,6 +53,6 @@ def _link(link: str, sets: RunSets) -> str:
         return f'<a href="{link}" aria-label="run {link.removeprefix(links.RUN)}"'
     label = dict(parse_qsl(unescape(link).removeprefix(links.RUNS)))
     run_ids = label.pop(links.IDS).split()
-    told = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in label.items())
+    values = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in label.items())
     count = "1 run" if len(run_ids) == 1 else f"{len(run_ids)} runs"
-    return f'<a href="{sets.link(run_ids)}" aria-label="{escape(f"{count}: {told}", quote=True)}"'
+    return f'<a href="{sets.link(run_ids)}" aria-label="{escape(f"{count}: {values}", quote=True)}"'
