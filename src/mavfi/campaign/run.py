@@ -26,7 +26,7 @@ from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, golden_done, is_g
 from mavfi.campaign.sequential import Precision
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
-from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
+from mavfi.campaign.warm_up import fly_mission_anywhere, is_compiled, warm_up
 from mavfi.config import parse
 from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
@@ -276,7 +276,7 @@ def run_campaign(
                 host.check()
                 if host.in_process:
                     session.tell(compiling=True)
-                if host.in_process and executor.forks:
+                if host.in_process and executor.forks and not is_compiled(campaign):
                     warm_up(first)
             session.fly(executor)
             if session.precision is not None:

@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from mavfi.detectors import features
 from mavfi.detectors.everything import CodeRecorder, Codes, codes_are_whole
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
-from mavfi.detectors.registry import of_all_fields
+from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields
 from mavfi.errors import BadInputError
 from mavfi.flight_log import read_arrays
 from mavfi.hosts.local.flight import fly
@@ -44,9 +45,9 @@ _PARTS = tuple(Recording.__annotations__)
 class KeptRecordings:
     """Recordings by seed, in a subfolder named by a hash of scenario, versions and code of mavfi."""
 
-    def __init__(self, folder: Path, scenario: Scenario) -> None:
+    def __init__(self, folder: Path, scenario: Scenario, *, codes: bool = True) -> None:
         self._parent = folder / FOLDER
-        self._folder = self._parent / _key(scenario)
+        self._folder = self._parent / _key(scenario, codes)
 
     def load(self, seeds: Iterable[int]) -> dict[int, Recording]:
         """Load the recordings of these seeds; an unreadable file counts as absent."""
@@ -97,9 +98,10 @@ def _is_whole(recording: Recording) -> bool:
     return int(recording.ends[-1]) == len(recording.content) if len(kinds) else not len(recording.content)
 
 
-def _key(scenario: Scenario) -> str:
+def _key(scenario: Scenario, codes: bool) -> str:
     """Hash of all inputs of a recording except the seed."""
-    parts = {"scenario": scenario.model_copy(update={"seed": 0}).key(), "versions": versions(), "code": code()}
+    own = scenario.model_copy(update={"seed": 0}).key()
+    parts = {"scenario": own, "codes": codes, "versions": versions(), "code": code()}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -110,6 +112,7 @@ class _Task:
     scenario: Scenario
     model: Model | None = None
     folder: Path | None = None
+    codes: bool = True  # record the codes of all fields, too
 
     def __str__(self) -> str:
         return f"{'training' if self.model is None else 'checking'} flight with seed {self.scenario.seed}"
@@ -127,21 +130,25 @@ def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environmen
 
 def record_flight(task: _Task) -> Recording | None:
     """Fly one error-free mission; returns None if it misses its goal."""
-    recorder, everything = Recorder(), CodeRecorder(task.scenario.stack.name)
-    log = fly(task.scenario, recorders=[recorder.accept, everything.accept]).log
-    if log.status is not MissionStatus.SUCCESS:
+    recorder, everything = Recorder(), CodeRecorder(task.scenario.stack.name) if task.codes else None
+    accept = [recorder.accept] if everything is None else [recorder.accept, everything.accept]
+    if fly(task.scenario, recorders=accept).log.status is not MissionStatus.SUCCESS:
         return None
+    if everything is None:
+        return recorder.recording()
     codes = everything.codes()
     return replace(recorder.recording(), slots=codes.slots, regimes=codes.regimes, codes=codes.own)
 
 
 def record_flights(
-    scenario: Scenario, count: int, workers: int, progress: Progress | None = None, disk: KeptRecordings | None = None
-) -> dict[int, Recording]:
+    scenario: Scenario, count: int, workers: int, progress: Progress | None = None,
+    disk: KeptRecordings | None = None, *, codes: bool = True,
+) -> dict[int, Recording]:  # fmt: skip
     """Fly missions with consecutive seeds, starting with the scenario's, until `count` have reached their goals.
 
     Recordings are stored on `disk`, if given, so that a stop loses only the flights in progress; `progress` is called
-    with the numbers of recorded and required flights, for the first time before the first flight.
+    with the numbers of recorded and required flights, for the first time before the first flight.  With `codes`, they
+    include those of all fields.
 
     Returns:
         Recordings by seed, ascending; they do not depend on the number of workers.
@@ -160,7 +167,7 @@ def record_flights(
         if tried >= _MOST_FLIGHTS_PER_WANTED * count:
             raise BadInputError(f"training: only {len(kept)} of {tried} missions reached their goals; {count} wanted")
         seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(kept))
-        tasks = [_Task(scenario.model_copy(update={"seed": seed})) for seed in seeds]
+        tasks = [_Task(scenario.model_copy(update={"seed": seed}), codes=codes) for seed in seeds]
         kept |= {} if disk is None else disk.load(seeds)
         report(len(kept), count)
         tasks = [task for task in tasks if task.scenario.seed not in kept]
@@ -177,12 +184,40 @@ def record_flights(
     return dict(sorted(kept.items()))
 
 
-def train(
+@dataclass(frozen=True, slots=True)
+class Training:
+    """Recorded flights, and what is to be fitted to them."""
+
+    folder: Path
+    recordings: list[Recording]
+    provenance: dict[str, Any]
+    disks: list[KeptRecordings]
+    extras: Sequence[str]
+    only: Collection[tuple[str, str]] | None
+
+    def __str__(self) -> str:
+        return f"training of detectors for {self.provenance['platform']}"
+
+    def fit(self) -> list[Path]:
+        """Fit the detectors, write the models, and delete the recordings on disk.
+
+        Raises:
+            BadInputError: The folder cannot be written.
+        """
+        from mavfi.detectors.training import fit, save  # imports every trainable detector
+
+        files = save(fit(self.recordings, self.provenance, extras=self.extras, only=self.only), self.folder)
+        for disk in self.disks:
+            disk.delete()
+        return files
+
+
+def record(
     folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
     progress: Progress | None = None, environments: Sequence[str] = (ENVIRONMENT,), extras: Sequence[str] = (),
     only: Collection[tuple[str, str]] | None = None,
-) -> list[Path]:  # fmt: skip
-    """Fly error-free missions, fit every detector in every profile, and write the models.
+) -> Training:  # fmt: skip
+    """Fly error-free missions to train detectors on.
 
     Recordings are kept in the folder until the models are written: the same call resumes an interrupted training.
 
@@ -199,16 +234,15 @@ def train(
     Raises:
         BadInputError: A name is unknown, too few flights arrive, or the folder cannot be written.
     """
-    from mavfi.detectors.training import fit, save  # imports every trainable detector
-
     for detector in of_all_fields(extras).values():
         getattr(detector, "check_installed", lambda: None)()
 
     _check_writable(folder)
+    codes = only is None or any((name, ONLY_PROFILE) in only for name in of_all_fields(extras))
     scenarios = [training_mission(mission or MissionSpec(), environment=name) for name in environments]
-    disks = [KeptRecordings(folder, scenario) for scenario in scenarios]
+    disks = [KeptRecordings(folder, scenario, codes=codes) for scenario in scenarios]
     flown = [
-        record_flights(scenario, flights, workers, progress, disk)
+        record_flights(scenario, flights, workers, progress, disk, codes=codes)
         for scenario, disk in zip(scenarios, disks, strict=True)
     ]
     scenario = scenarios[0]
@@ -222,10 +256,12 @@ def train(
         "seeds": [seed for found in flown for seed in found],
     }
     recordings = [one for found in flown for one in found.values()]
-    files = save(fit(recordings, provenance, extras=extras, only=only), folder)
-    for disk in disks:
-        disk.delete()
-    return files
+    return Training(folder, recordings, provenance, disks, extras, only)
+
+
+def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, **more: Any) -> list[Path]:  # noqa: ANN401
+    """Fly error-free missions, fit every detector in every profile, and write the models; see `record`."""
+    return record(folder, flights, mission, **more).fit()
 
 
 def count_false_alarms(

@@ -1,16 +1,22 @@
-"""Compilation of kernels, once per machine: in the parent process of forked workers, or in the first worker."""
+"""Compilation of kernels, once per machine: on all processors, in the parent of workers, or in the first worker."""
 
 import fcntl
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
-from mavfi.campaign.mission import MissionPlan, fly_mission, host_of
-from mavfi.campaign.plan import Flown, Planned
+from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, scenarios_of
+from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
+from mavfi.errors import BadInputError
+from mavfi.hosts.loop.compiling import STAGES, compile_stage
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
-from mavfi.states import DETECTORS
+from mavfi.states import DETECTORS, PLANNERS
 
 
 def warm_up(mission: MissionPlan) -> None:
@@ -20,24 +26,125 @@ def warm_up(mission: MissionPlan) -> None:
             return
 
 
-def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
-    """Compile the code of several campaigns, one campaign per worker at a time; nothing if that was done before.
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """A stage of a flight; its text, like that of other tasks, appears in the message about a lost worker."""
 
-    Detectors are left out: their models may not exist yet.  Each process then finds the code in the cache.
+    name: str
+    scenario: Scenario
+
+    def compile(self) -> None:
+        compile_stage(self.name, self.scenario)
+
+
+@dataclass(frozen=True, slots=True)
+class _Detector:
+    """A detector with its shipped model, if there is one: the code of other models is the same."""
+
+    scenario: Scenario
+    name: str
+    profile: str
+
+    def compile(self) -> None:
+        with suppress(BadInputError):
+            detector_for(self.scenario, self.name, self.profile)
+
+
+@dataclass(frozen=True, slots=True)
+class _Mission:
+    """A mission up to its draw of faults."""
+
+    campaign: Campaign
+
+    def compile(self) -> None:
+        warm_up(MissionPlan(self.campaign, self.campaign.environments[0], self.campaign.first_seed))
+
+
+_Task = _Stage | _Detector | _Mission
+
+
+def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
+    """Compile the code of several campaigns in an executor's processes; nothing if that was done before.
+
+    First come the stages of a flight, then instrumented kernels and detectors, last what only a whole mission calls.
+    Instrumented detectors are left out: their models may not exist yet.
 
     Raises:
         BadInputError: A campaign cannot be flown.
         MavfiError: A worker was lost.
     """
-    bare = [_without_detectors(campaign) for campaign in campaigns if host_of(campaign).in_process]
-    bare.sort(key=lambda campaign: not isinstance(campaign.sampling, InstructionSampling))  # these take longest
-    missions = [
-        MissionPlan(campaign, campaign.environments[0], campaign.first_seed)
-        for campaign in bare
-        if not _done(campaign).exists()
+    left = [campaign for campaign in campaigns if host_of(campaign).in_process and not _done(campaign).exists()]
+    rounds: list[list[_Task]] = [
+        list(_stages(left)), [*_kernels(left), *_detectors(left)], [_Mission(_bare(campaign)) for campaign in left]
+    ]  # fmt: skip
+    for tasks in rounds:
+        for _ in map_each(executor, _compile, tasks):
+            pass
+    for campaign in left:
+        _done(campaign).touch()
+
+
+def is_compiled(campaign: Campaign) -> bool:
+    """Whether the cache has all of a campaign's code, by `compile_ahead` or on a machine that flew it."""
+    instrumented = isinstance(campaign.sampling, InstructionSampling) and campaign.sampling.kernels
+    return _done(campaign).exists() and not set(instrumented or ()).intersection(DETECTORS)
+
+
+def _compile(task: _Task) -> None:
+    task.compile()
+
+
+def _scenarios(campaign: Campaign) -> Iterator[tuple[Arm, Scenario]]:
+    """Each arm, with its scenario in the first environment."""
+    arms = arms_of(campaign)
+    return zip(arms, scenarios_of(campaign, arms, campaign.environments[:1]).values(), strict=True)
+
+
+def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
+    """The stages of flights with different code."""
+    found: dict[tuple[str, ...], _Stage] = {}
+    for campaign in campaigns:
+        for _, scenario in _scenarios(campaign):
+            for stage in STAGES:
+                planner = scenario.planner.name if stage == "plan_path" else ""
+                found.setdefault((stage, scenario.stack.name, scenario.map.kind, planner), _Stage(stage, scenario))
+    yield from sorted(found.values(), key=lambda task: list(STAGES).index(task.name))
+
+
+def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
+    """Campaigns with faults in instructions of one kernel each; planners take longest."""
+    found = [
+        (kernel, _with_kernels(campaign, (kernel,)))
+        for campaign in map(_bare, campaigns)
+        if isinstance(campaign.sampling, InstructionSampling)
+        for kernel in campaign.sampling.kernels
     ]
-    for mission, _ in map_each(executor, warm_up, missions):
-        _done(mission.campaign).touch()
+    return [_Mission(campaign) for _, campaign in sorted(found, key=lambda one: one[0] not in PLANNERS)]
+
+
+def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
+    """Detectors of all arms, without duplicates."""
+    found = {
+        (arm.detector, arm.profile, scenario.stack.name): _Detector(scenario, arm.detector, arm.profile)
+        for campaign in campaigns
+        for arm, scenario in _scenarios(campaign)
+        if arm.detector
+    }
+    return list(found.values())
+
+
+def _bare(campaign: Campaign) -> Campaign:
+    """The campaign without arms that have a detector, and without faults in detectors."""
+    bare = campaign.model_copy(update={"arms": {name: arm for name, arm in campaign.arms.items() if not arm.detector}})
+    sampling = campaign.sampling
+    if not isinstance(sampling, InstructionSampling):
+        return bare
+    return _with_kernels(bare, tuple(kernel for kernel in sampling.kernels if kernel not in DETECTORS))
+
+
+def _with_kernels(campaign: Campaign, kernels: tuple[str, ...]) -> Campaign:
+    """The campaign with faults in other kernels."""
+    return campaign.model_copy(update={"sampling": campaign.sampling.model_copy(update={"kernels": kernels})})
 
 
 def fly_mission_anywhere(mission: MissionPlan) -> Iterator[Planned | Flown]:
@@ -57,16 +164,6 @@ def _warm_up_machine(mission: MissionPlan) -> None:
         if not done.exists():
             warm_up(mission)
             done.touch()
-
-
-def _without_detectors(campaign: Campaign) -> Campaign:
-    """The campaign without arms that have a detector, and without faults in detectors."""
-    arms = {name: arm for name, arm in campaign.arms.items() if not arm.detector}
-    sampling = campaign.sampling
-    if isinstance(sampling, InstructionSampling):
-        kernels = tuple(kernel for kernel in sampling.kernels if kernel not in DETECTORS)
-        sampling = sampling.model_copy(update={"kernels": kernels})
-    return campaign.model_copy(update={"arms": arms, "sampling": sampling})
 
 
 def _done(campaign: Campaign) -> Path:

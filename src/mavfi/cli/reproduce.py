@@ -43,10 +43,11 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi reproduce --scale quick --out out/reproduce[/bold]
     """
+    from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.study import load_study
-    from mavfi.campaign.training import train
+    from mavfi.campaign.training import Training, record
     from mavfi.campaign.warm_up import compile_ahead
     from mavfi.cli.progress import Part, StudyBar, compiling, duration
     from mavfi.cli.study_report import show_study_report, write_study_report
@@ -70,9 +71,13 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     with stoppable(stopped), compiling(instrumented=True):
         compile_ahead(campaigns.values(), executor)
     with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
+        trainings = []
         for place, mission in enumerate(lacking, 1):
             bar.begin(f"training {place}", "training flights")
-            train(out / MODELS, flights, mission, workers=workers, progress=bar.show, only=wanted)
+            flown = record(out / MODELS, flights, mission, workers=workers, progress=bar.show, only=wanted)
+            trainings.append(flown)
+        for _ in map_each(executor, Training.fit, trainings):
+            pass
         for folder, campaign in campaigns.items():
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign

@@ -112,3 +112,17 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_flights(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(BadInputError, match="cannot be written"):
         train(tmp_path / "file" / "models", 5)
+
+
+def test_codes_of_all_fields_are_recorded_only_if_they_are_wanted(tmp_path):
+    disk = KeptRecordings(tmp_path, SCENARIO, codes=False)
+    ((seed, recording),) = record_flights(SCENARIO, 1, 1, disk=disk, codes=False).items()
+    assert len(recording.content) and not len(recording.codes)
+    assert list(disk.load([seed])) == [seed]
+    assert KeptRecordings(tmp_path, SCENARIO).load([seed]) == {}, "other recordings than with codes"
+
+
+def test_detectors_of_monitored_fields_are_the_same_without_codes(tmp_path):
+    everything = {path.name: path.read_bytes() for path in train(tmp_path / "all", 2, workers=1)}
+    for path in train(tmp_path / "one", 2, workers=1, only=[("gaussian", "paper")]):
+        assert path.read_bytes() == everything[path.name]

@@ -7,6 +7,11 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.mission import plan_of
 from mavfi.campaign.study import load_study
+from mavfi.errors import BadInputError
+from mavfi.hosts.loop.compiling import STAGES
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import MissionSpec
 
 
 class Inline:
@@ -21,29 +26,57 @@ class Inline:
 
 @pytest.fixture
 def compiled(monkeypatch, tmp_path):
-    """Campaigns whose code was compiled, in order; the cache is empty at first."""
+    """What was compiled, in order; the cache is empty at first."""
     found = []
     monkeypatch.setattr(warm_up, "code_folder", lambda: tmp_path / "code")
-    monkeypatch.setattr(
-        warm_up, "warm_up", lambda mission: found.append((mission.campaign.name, mission.campaign.arms))
-    )
+    monkeypatch.setattr(warm_up, "_compile", found.append)
     return found
 
 
-def test_each_campaign_is_compiled_once_and_those_of_instructions_first(compiled):
-    campaigns = [load_campaign(name) for name in ("table1", "table1_instructions", "smoke")]
+def missions(compiled):
+    """Campaigns among them, with the kernels in whose instructions they inject."""
+    own = [task.campaign for task in compiled if isinstance(task, warm_up._Mission)]
+    return [(campaign.name, getattr(campaign.sampling, "kernels", ())) for campaign in own]
+
+
+def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
+    warm_up.compile_ahead([load_campaign("table1"), load_campaign("table1_instructions")], Inline())
+    assert [task.name for task in compiled[:3]] == list(STAGES)
+    kernels = ("rrt_connect", "point_cloud", "octomap", "collision_check", "pid")
+    whole = (*kernels[1:4], kernels[0], kernels[4])
+    assert missions(compiled) == [
+        *(("table1_instructions", (kernel,)) for kernel in kernels), ("table1", ()), ("table1_instructions", whole)
+    ]  # fmt: skip
+    detectors = [(task.name, task.profile) for task in compiled if isinstance(task, warm_up._Detector)]
+    assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
+
+
+def test_nothing_is_compiled_twice(compiled):
+    campaigns = list(load_study("paper").campaigns_at("quick").values())
     warm_up.compile_ahead(campaigns, Inline())
-    assert compiled == [("table1_instructions", {}), ("table1", {}), ("smoke", {})]
+    assert len(compiled) == len({str(task) for task in compiled})
+    stages = [task for task in compiled if isinstance(task, warm_up._Stage)]
+    planners = ["rrt", "rrt_connect", "rrt_star"]
+    assert sorted(one.scenario.planner.name for one in stages if one.name == "plan_path") == planners
+    assert len(stages) == len(planners) + 2, "the other stages do not depend on the planner"
+    known = len(compiled)
     warm_up.compile_ahead(campaigns, Inline())
-    assert len(compiled) == 3, "found in the cache"
+    assert len(compiled) == known, "found in the cache"
 
 
 def test_campaigns_of_the_paper_need_no_models(compiled):
     campaigns = load_study("paper").campaigns_at("quick").values()
     warm_up.compile_ahead(campaigns, Inline())
-    assert len(compiled) == len(campaigns) and not any(arms for _, arms in compiled)
-    for campaign in campaigns:
-        assert plan_of(warm_up._without_detectors(campaign), {}, {}).count()
+    for task in compiled:
+        if isinstance(task, warm_up._Mission):
+            assert not task.campaign.arms and plan_of(task.campaign, {}, {}).count()
+
+
+def test_a_detector_without_a_shipped_model_is_left_out():
+    scenario = resolve(MissionSpec(environment="sparse", seed=7, platform="cortex-a57"))
+    with pytest.raises(BadInputError):
+        detector_for(scenario, "gaussian", "paper")
+    warm_up._Detector(scenario, "gaussian", "paper").compile()
 
 
 def test_what_failed_is_compiled_again(compiled, monkeypatch):
@@ -51,12 +84,21 @@ def test_what_failed_is_compiled_again(compiled, monkeypatch):
         raise OSError("no space left")
 
     with monkeypatch.context() as patch, pytest.raises(OSError, match="no space"):
-        patch.setattr(warm_up, "warm_up", fail)
+        patch.setattr(warm_up, "_compile", fail)
         warm_up.compile_ahead([load_campaign("smoke")], Inline())
     warm_up.compile_ahead([load_campaign("smoke")], Inline())
-    assert compiled == [("smoke", {})]
+    assert missions(compiled) == [("smoke", ())]
 
 
 def test_nodes_of_other_programs_have_no_code(compiled):
     warm_up.compile_ahead([load_campaign("ros1_smoke")], Inline())
     assert compiled == []
+
+
+def test_detectors_with_faults_are_compiled_by_their_campaign(compiled):
+    campaigns = {name: load_campaign(name) for name in ("table1_instructions", "failure_rate")}
+    assert not any(map(warm_up.is_compiled, campaigns.values()))
+    warm_up.compile_ahead(campaigns.values(), Inline())
+    assert {name: warm_up.is_compiled(one) for name, one in campaigns.items()} == {
+        "table1_instructions": True, "failure_rate": False
+    }  # fmt: skip

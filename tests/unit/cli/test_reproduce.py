@@ -61,14 +61,15 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
     def never(*_, **__):
         raise AssertionError("trained again")
 
-    monkeypatch.setattr("mavfi.campaign.training.train", never)
+    monkeypatch.setattr("mavfi.campaign.training.record", never)
     assert run([*arguments, "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)["campaigns"]) == {".", "instructions"}
 
 
 @pytest.mark.slow
 def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("mavfi.campaign.training.train", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.training.record", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
     changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
     sections = [
         {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "kernel_missions"]},
@@ -161,7 +162,8 @@ def trained(monkeypatch):
     monkeypatch.setattr("mavfi.cli.reproduce._trained", lambda campaign, *_: campaign.mission.get("autopilot") in found)
     no_report(monkeypatch)
     monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
-    monkeypatch.setattr("mavfi.campaign.training.train", lambda _, __, mission, **___: found.append(mission.autopilot))
+    monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
+    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
     return found
 
 
