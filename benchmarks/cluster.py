@@ -76,9 +76,9 @@ class StandIns:
 def cluster() -> Iterator[tuple[str, int]]:
     """Address and process id of a Dask scheduler, with workers, in separate processes."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        address_file = Path(folder) / "scheduler.json"
-        start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(address_file)]
-        work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(address_file), "--nthreads", "1"]
+        file = Path(folder) / "scheduler.json"
+        start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(file)]
+        work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1"]
         processes = []
         for command in (start, *[work] * WORKERS):
             process = subprocess.Popen(
@@ -88,11 +88,11 @@ def cluster() -> Iterator[tuple[str, int]]:
             processes.append(process)
             stack.callback(process.wait)
             stack.callback(process.terminate)
-        while not address_file.is_file():
+        while not file.is_file():
             time.sleep(0.1)
         from distributed import Client
 
-        with Client(scheduler_file=str(address_file), set_as_default=False) as client:
+        with Client(scheduler_file=str(file), set_as_default=False) as client:
             client.wait_for_workers(WORKERS)
             address = str(client.scheduler.address)
         yield address, processes[0].pid

@@ -1,4 +1,4 @@
-"""Flights whose pipeline is not told the truth: what it sees, what faults and recomputation do to it."""
+"""Flights whose pipeline does not get the true pose: what it sees, what faults and recomputation do to it."""
 
 from functools import cache
 
@@ -163,7 +163,7 @@ def test_wind_and_estimator_do_not_share_noise_with_anything():
 
 
 @pytest.mark.parametrize("options", [{"wind": -1.0}, {"wind": 31.0}, {"localization": "gps"}])
-def test_what_cannot_be_is_told(options):
+def test_impossible_options_are_refused(options):
     ((name, value),) = options.items()
     with pytest.raises(BadInputError, match=f"'{name}': .*{value}"):
         resolve(parse(MissionSpec, {"environment": "sparse", **options}, "mission"))

@@ -98,5 +98,5 @@ def test_a_campaign_is_the_same_on_any_number_of_workers_and_every_run_can_be_ex
     assert sorted(set(frame["field"].to_list())) == ["drift", "off"] and frame["activated"].all()
     found = explain(tmp_path / "1", frame["run_id"][0])
     assert found.same
-    told = dict(steps(found.flight.log, found.golden.log, found.spec.fault, "", found.first, found.departure))
-    assert found.spec.fault.site in told["fault"] and "to the end" in told["fault"]
+    story = dict(steps(found.flight.log, found.golden.log, found.spec.fault, "", found.first, found.departure))
+    assert found.spec.fault.site in story["fault"] and "to the end" in story["fault"]

@@ -67,7 +67,7 @@ def judged(reader, path):
     except BadInputError as error:
         return _wrong_line(one_line(str(error)), path) or REFUSED
     except BaseException as error:  # noqa: BLE001 - whatever else a reader raises is a finding
-        return _told(error)
+        return _shown(error)
     return ACCEPTED
 
 
@@ -80,7 +80,7 @@ def _wrong_line(line, path):
     return ""
 
 
-def _told(error):
+def _shown(error):
     """An exception, and where it comes from; without numbers, so that the same defect has the same text."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "/mavfi/" in frame.filename]
     place = f"{frames[-1].filename.rpartition('/mavfi/')[2]}:{frames[-1].lineno} {frames[-1].name}" if frames else ""
@@ -161,13 +161,13 @@ def batch(reader, contents, work):
                 os._exit(code)
         os.close(theirs)
         begun = None
-        for told in _lines(ours, pid):
-            if len(told) == 1:
-                begun = told[0]
+        for words in _lines(ours, pid):
+            if len(words) == 1:
+                begun = words[0]
             else:
                 begun = None
                 left.pop(0)
-                yield tuple(told)
+                yield tuple(words)
         _, ended = os.waitpid(pid, 0)
         if begun is not None:
             left.pop(0)
@@ -218,9 +218,9 @@ def commanded(reader, path):
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"mavfi {command[0]} does not end"
-    told = done.stderr.decode(errors="replace")
-    if done.returncode != 2 or told.count("\n") != 1 or not told.startswith("mavfi: "):
-        return f"mavfi {command[0]}: exit code {done.returncode}: {told[:200]!r}"
+    stderr = done.stderr.decode(errors="replace")
+    if done.returncode != 2 or stderr.count("\n") != 1 or not stderr.startswith("mavfi: "):
+        return f"mavfi {command[0]}: exit code {done.returncode}: {stderr[:200]!r}"
     return ""
 
 

@@ -1,9 +1,9 @@
-"""SIGKILL of the process that injects registers, at random instants: its target must live and go on.
+"""SIGKILL of the process that injects registers, at random instants: its target must survive and continue.
 
     python -m tests.robustness.tracers        (N=200 kills of each target, SEED=1)
 
-Without single steps, that is.  While a target is stepped, the death of its tracer is its own; how often that is so is
-told.
+This holds without single-stepping.  A target that is being single-stepped dies with its tracer; the share of these
+cases is printed.
 """
 
 import os

@@ -120,24 +120,24 @@ def flight():
 @pytest.mark.parametrize("command", JOINED)
 def test_a_look_into_a_flight(command, flight, tmp_path):
     join, *rest = arguments(command, {"FLIGHT": flight})
-    wanted, told = SAYS[" ".join(rest[:2])], ""
+    wanted, output = SAYS[" ".join(rest[:2])], ""
     with subprocess.Popen(
         [join, *rest], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         limit = threading.Timer(60.0, process.kill)
         limit.start()
         for line in process.stdout:
-            told += line
-            if "hz" in rest and re.search(wanted, told):  # it goes on until Ctrl-C
+            output += line
+            if "hz" in rest and re.search(wanted, output):  # it goes on until Ctrl-C
                 process.send_signal(signal.SIGINT)
                 break
         process.wait()
         limit.cancel()
-    assert process.returncode == 0 or "hz" in rest, told
-    assert re.search(wanted, told), told
+    assert process.returncode == 0 or "hz" in rest, output
+    assert re.search(wanted, output), output
     if "record" in rest:
-        told = subprocess.run(
+        output = subprocess.run(
             [sys.executable, "-c", "import rosbags.rosbag1 as b, sys; print(b.Reader(sys.argv[1]).__enter__().topics)",
              "flight.bag"], cwd=tmp_path, capture_output=True, text=True, check=True, env=environment(),
         )  # fmt: skip
-        assert all(topic in told.stdout for topic in ("/odometry", "/tf", "/command"))
+        assert all(topic in output.stdout for topic in ("/odometry", "/tf", "/command"))

@@ -62,11 +62,11 @@ def test_medians_of_flights_are_divided_by_the_time_of_the_kernels(monkeypatch):
         )
 
     monkeypatch.setattr(overheads, "cost", cost)
-    told = []
-    found = overheads.measure(campaign(), 3, progress=lambda *done: told.append(done))
+    shown = []
+    found = overheads.measure(campaign(), 3, progress=lambda *done: shown.append(done))
     assert [row["stage"] for row in found["rows"]] == ["perception", "planning", "control", "all"]
     assert found["rows"][0]["detection"] == pytest.approx(0.1) and found["rows"][0]["recovery"] == pytest.approx(0.2)
-    assert told == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
+    assert shown == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
 
 
 def test_without_a_detector_there_is_nothing_to_measure():

@@ -235,7 +235,7 @@ def elsewhere(rows):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda rows: [r for r in rows if r[2] != 7], "runs are missing or were added"),
         (lambda rows: [*rows, rows[-1]], "UNIQUE constraint failed"),
@@ -248,13 +248,13 @@ def elsewhere(rows):
         (lambda rows: [[], *rows], "is no pack of a campaign, or damaged"),
     ],
 )
-def test_a_ledger_with_other_rows_is_refused(packed, tmp_path, change, told):
+def test_a_ledger_with_other_rows_is_refused(packed, tmp_path, change, message):
     file = written(tmp_path / "a.zip", changed_ledger(content_of(packed), change))
-    assert told in refused(file, tmp_path / "there")
+    assert message in refused(file, tmp_path / "there")
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"),
+    ("key", "value", "message"),
     [
         ("digest", "0" * 64, f"is not the one of {MANIFEST}"),
         ("done", 3, f"is not the one of {MANIFEST}"),
@@ -267,11 +267,11 @@ def test_a_ledger_with_other_rows_is_refused(packed, tmp_path, change, told):
         ("extra", 1, "extra: Extra inputs are not permitted"),
     ],
 )
-def test_a_manifest_that_says_something_else_is_refused(packed, tmp_path, key, value, told):
+def test_a_manifest_that_says_something_else_is_refused(packed, tmp_path, key, value, message):
     members = content_of(packed)
     manifest = json.dumps({**json.loads(members[MANIFEST]), key: value}).encode()
     file = written(tmp_path / "a.zip", {**members, MANIFEST: manifest})
-    assert told in refused(file, tmp_path / "there")
+    assert message in refused(file, tmp_path / "there")
 
 
 def test_a_model_that_was_changed_is_refused(packed, tmp_path):

@@ -164,8 +164,8 @@ def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
                     lambda: write(older, left[0], digest="older"), lambda: plan(older, [INJECTED]),
                     lambda: older.end_plan(("sparse", 1)), lambda: older.write_meta({"missions": 9}),
                 ))()  # fmt: skip
-        told = [run.record.digest for run in younger.runs()]
-    assert told == ["older"] * before + ["younger"] * (len(SPECS) - before)
+        digests = [run.record.digest for run in younger.runs()]
+    assert digests == ["older"] * before + ["younger"] * (len(SPECS) - before)
     older.close()
     with Store.open(tmp_path) as store:
         assert store.meta("missions") is None and not any(store.is_planned(spec.world) for spec in SPECS)
@@ -301,7 +301,7 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ("DELETE FROM runs WHERE position = 4", "mission sparse-2: runs are missing or were added"),
         ("UPDATE runs SET seed = 3 WHERE position = 4", "run '.*': checksum mismatch"),
@@ -313,12 +313,12 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
         ("DROP TABLE missions", "no such table: missions"),
     ],
 )
-def test_a_change_by_hand_is_named(tmp_path, change, told):
+def test_a_change_by_hand_is_named(tmp_path, change, message):
     filled(tmp_path)
     with closing(sqlite3.connect(tmp_path / FILE)) as connection, connection:
         connection.execute(change)
     for attempt in (lambda: Store.open(tmp_path), lambda: Store.create(tmp_path, IDENTITY)):
-        with pytest.raises(BadInputError, match=rf"campaign.sqlite: is damaged: {told}"):
+        with pytest.raises(BadInputError, match=rf"campaign.sqlite: is damaged: {message}"):
             attempt()
 
 

@@ -128,6 +128,6 @@ def test_in_wind_it_does_not_matter_how_often_time_is_advanced():
 
 @pytest.mark.parametrize("data", [{"gust": -1.0}, {"gust": 31.0}, {"gust": math.nan}, {"mean": (30.0, 1.0, 0.0)},
                                   {"interval": 0.0}, {"length": 0.0}, {"speed": 1.0}])  # fmt: skip
-def test_wind_that_cannot_be_is_told(data):
+def test_impossible_wind_is_refused(data):
     with pytest.raises(BadInputError, match=f"wind: .*{next(iter(data))}"):
         parse(WindConfig, data, "wind")

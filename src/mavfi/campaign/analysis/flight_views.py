@@ -77,7 +77,7 @@ def unknown_note(own: Runs) -> list[str]:
 def separable_note(runs: Runs) -> list[str]:
     """Note with the smallest differences that a success table can resolve."""
     parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
-    start = "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): "
+    start = "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): "
     return [start + "; ".join(parts)] if parts else []
 
 

@@ -40,13 +40,13 @@ def dask_process(folder, role, *words):
 @contextlib.contextmanager
 def dask_cluster(folder, count):
     """A scheduler with its address, and workers, all of them processes of their own, and these."""
-    told = folder / "scheduler.json"
-    processes = [dask_process(folder, "scheduler", "--port", "0", "--scheduler-file", str(told))]
+    file = folder / "scheduler.json"
+    processes = [dask_process(folder, "scheduler", "--port", "0", "--scheduler-file", str(file))]
     try:
-        while not told.is_file():
+        while not file.is_file():
             assert processes[0].poll() is None
             time.sleep(0.1)
-        address = json.loads(told.read_text())["address"]
+        address = json.loads(file.read_text())["address"]
         processes += [dask_process(folder, "worker", address, "--nthreads", "1") for _ in range(count)]
         yield address, processes[0]
     finally:
