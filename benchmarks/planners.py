@@ -218,11 +218,11 @@ def search_rows() -> list[Row]:
                 rows.append(Row(what, f"{1e3 * own:.3f} ms; OMPL is not installed"))
                 continue
             ways = (False,) if name == "rrt_star" else (False, True)
-            rows += [_beside_ompl(what, name, environment, search, own, by_states) for by_states in ways]
+            rows += [_against_ompl(what, name, environment, search, own, by_states) for by_states in ways]
     return rows
 
 
-def _beside_ompl(what: str, name: str, environment: str, search: Search, own: float, by_states: bool) -> Row:
+def _against_ompl(what: str, name: str, environment: str, search: Search, own: float, by_states: bool) -> Row:
     """Wall time (s) of mavfi and OMPL, and the share of the latter spent in checks called through Python."""
     runs = [theirs(name, environment, 0, search, seed, by_states) for seed in range(RUNS)]
     other, checks = median(run.seconds for run in runs), median(run.checks for run in runs)

@@ -281,7 +281,7 @@ def main() -> int:
     try:
         stored = fly_all(os.environ.get("ONLY", ""), os.environ.get("RESUME", "") == "1", workers, scan)
     except KeyboardInterrupt:
-        sys.stderr.write("Stopped. Rows that are done are kept; RESUME=1 goes on.\n")
+        sys.stderr.write("Stopped. Rows that are done are kept; RESUME=1 continues.\n")
         return 130
     faults = key_lines(FAULT_MAP.read_text(encoding="utf-8"))
     sys.stdout.write(f"\nWhat faults do (docs/generated/fault-map.md):\n\n{faults}\n\n")

@@ -34,7 +34,7 @@ def golden_with_estimator():
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("localization", ["truth", "estimator"])
-def test_a_flight_is_golden_until_the_failure_begins_and_proves_that_it_did(unit, localization):
+def test_a_flight_is_golden_until_the_failure_starts_and_proves_that_it_did(unit, localization):
     if (unit, localization) == ("accelerometer", "truth"):
         pytest.skip("nothing reads it")
     plain = golden() if localization == "truth" else golden_with_estimator()

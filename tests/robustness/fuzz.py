@@ -2,7 +2,7 @@
 
     python -m tests.robustness.fuzz        (N=100000 SEED=1 ONLY=vehicle)
 
-Inputs are read in forked children, a batch each, with 1 GB more memory than they begin with, and 10 s for each input.
+Inputs are read in forked children, a batch each, with 1 GB more memory than at their start, and 10 s for each input.
 A refusal is a `BadInputError` whose line names the file.  Nothing is printed, and no file is left behind.  Some of the
 inputs that were refused are given to the command line as well: exit code 2, and one line on stderr.
 """
@@ -97,7 +97,7 @@ def _measured(reader, path, streams, folder):
     """Outcome, time (s), memory (bytes) of an input, in this process."""
     os.ftruncate(streams, 0)
     with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
-        file.write("5")  # the peak begins anew
+        file.write("5")  # resets the peak
     before, start = _memory("VmRSS"), time.perf_counter()
     signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
     outcome = judged(reader, path)
@@ -143,7 +143,7 @@ def _child(reader, contents, pipe, work):
 def batch(reader, contents, work):
     """Read inputs in forked children; yields number, outcome, time (s) and memory (bytes) of each.
 
-    A child that dies or hangs takes one input with it, the next child goes on behind it.
+    A child that dies or hangs takes one input with it, the next child continues with the following one.
     """
     left = list(contents)
     while left:
@@ -233,7 +233,7 @@ def fuzz(readers, count, seed, work, tell=lambda text: None, commands=COMMANDS, 
         count: Inputs in all, shared as the readers say.
         seed: Of the mutations.
         work: Folder that is empty.
-        tell: Called with a line now and then.
+        tell: Called with a line of progress.
         commands: Of so many refused inputs, one is given to the command line.
         keep: Folder in which the first input of each finding is kept.
     """

@@ -31,7 +31,7 @@ SAYS = {
 WORKS = {
     "--rate 0.01": r"message \d+: .*position\[0\]", "--train": r"learned from \d+", "--learn": r"learned from \d+",
 }  # fmt: skip
-"""What those say that go on until Ctrl-C, once they work."""
+"""Output of the commands that run until Ctrl-C, once they work."""
 CHANGED = "/joint_states_changed"
 """Nobody reads it, so nothing is said of its messages: that it is published shows that the command works."""
 READING = ("mavfi ros list", "rosbag record", "--learn")

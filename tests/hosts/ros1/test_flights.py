@@ -182,7 +182,7 @@ def test_an_injector_that_was_killed_does_not_inject_again():
     assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
 
 
-def test_a_killed_node_comes_back_and_the_flight_goes_on(capsys, tmp_path):
+def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
     saved = tmp_path / "flight.npz"
     assert run(["ros", "fly", "--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]) == 0
     data = json.loads(capsys.readouterr().out)

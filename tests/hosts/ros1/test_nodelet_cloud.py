@@ -213,7 +213,7 @@ class TestFlights:
     @pytest.mark.parametrize(
         ("number", "why"), [(signal.SIGSEGV, "has ended"), (signal.SIGSTOP, "did not answer")], ids=["crash", "hang"]
     )
-    def test_a_nodelet_that_fails_is_restarted_and_the_flight_goes_on(self, in_time, number, why):
+    def test_a_nodelet_that_fails_is_restarted_and_the_flight_continues(self, in_time, number, why):
         began = time.monotonic()
         flown = plan(None, Sender(number), 5, recovery=Recovery("observer"), restart_us=200_000)
         log = fly_there(flown).flight.log

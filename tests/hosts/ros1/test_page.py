@@ -37,7 +37,7 @@ SAYS = {
     "rosbag record": r"",
     "rosservice call": r"pose:[\s\S]*pose:",
 }
-"""What each tool must say beside a flight."""
+"""What each tool must print during a flight."""
 
 
 def need_nodelets():
@@ -81,8 +81,8 @@ def listed(folder):
 
 
 @contextmanager
-def going_on(command):
-    """Folder of a flight that goes on."""
+def running_flight(command):
+    """Folder of a running flight."""
     with subprocess.Popen(
         arguments(command, {}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as flown:
@@ -99,7 +99,7 @@ def going_on(command):
 @pytest.mark.alone
 def test_an_injection_from_a_second_terminal():
     need_nodelets()
-    with going_on(FREE[1]) as folder:
+    with running_flight(FREE[1]) as folder:
         time.sleep(10.0)  # until images come
         here = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
         done = subprocess.run(
@@ -112,7 +112,7 @@ def test_an_injection_from_a_second_terminal():
 @pytest.fixture(scope="module")
 def flight():
     """Folder of a flight that all look at."""
-    with going_on(FREE[0]) as folder:
+    with running_flight(FREE[0]) as folder:
         yield folder
 
 
@@ -128,7 +128,7 @@ def test_a_look_into_a_flight(command, flight, tmp_path):
         limit.start()
         for line in process.stdout:
             output += line
-            if "hz" in rest and re.search(wanted, output):  # it goes on until Ctrl-C
+            if "hz" in rest and re.search(wanted, output):  # it runs until Ctrl-C
                 process.send_signal(signal.SIGINT)
                 break
         process.wait()

@@ -1,4 +1,4 @@
-"""A campaign travels in one file: what arrives is what was sent, goes on to the same end, or is refused."""
+"""A campaign travels in one file: what arrives is what was sent, continues to the same end, or is refused."""
 
 import hashlib
 import json
@@ -120,7 +120,7 @@ def test_the_same_ledger_gives_the_same_bytes_wherever_it_is(whole, packed, tmp_
 
 
 @pytest.mark.parametrize("stop_after", [0, 1, 30, 60])
-def test_somebody_else_goes_on_to_the_same_digest(whole, models, tmp_path, stop_after):
+def test_another_user_resumes_to_the_same_digest(whole, models, tmp_path, stop_after):
     kept = flown_into(tmp_path / "here", TRAINED, stop_after, models_dir=models)
     manifest = pack(tmp_path / "here", tmp_path / "part.zip")
     assert kept >= stop_after and (manifest.done, manifest.complete) == (kept, False)

@@ -25,7 +25,7 @@ def flown(tmp_path_factory):
 
 
 def again(directory):
-    """Digest after the campaign went on, and how many runs were flown for that."""
+    """Digest after the campaign was resumed, and how many runs were flown for that."""
     reports = []
     run_campaign(small(), directory, executor=LocalExecutor(1), progress=reports.append)
     with Store.open(directory) as store:

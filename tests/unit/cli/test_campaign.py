@@ -136,7 +136,7 @@ def test_runs_are_sorted_and_an_ambiguous_id_lists_its_candidates(capsys, flown)
     assert [row["run_id"] for row in rows] == sorted((row["run_id"] for row in rows), reverse=True)
     assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
     stderr = capsys.readouterr().err
-    assert stderr.count("\n") == 1 and "3 runs begin so; allowed, among others: sparse-10000-fi-" in stderr
+    assert stderr.count("\n") == 1 and "3 runs match; allowed, among others: sparse-10000-fi-" in stderr
 
 
 @pytest.mark.slow
@@ -213,7 +213,7 @@ def test_explain_tells_the_story(capsys, really_flown):
         (["replay", "OUT", "run"], "holds no campaign"),
         (["explain", "OUT", "run"], "holds no campaign"),
         (["replay", "FLOWN", "nothing"], "no run of that name"),
-        (["replay", "FLOWN", "sparse"], "5 runs begin so; allowed, among others: sparse-10000-golden-"),
+        (["replay", "FLOWN", "sparse"], "5 runs match; allowed, among others: sparse-10000-golden-"),
         (["explain", "FLOWN", "sparse-10000-golden-"], "no fault to explain"),
         (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
         (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
@@ -285,7 +285,7 @@ def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
 
 
 @pytest.mark.slow
-def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(capsys, tmp_path):
+def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path):
     config, out = tmp_path / "many.yaml", tmp_path / "out"
     config.write_text(FAKE.format(missions=8).replace("FakeHost", "SlowHost"))
     command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]

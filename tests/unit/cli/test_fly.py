@@ -98,7 +98,7 @@ def test_a_detector_without_a_model_is_printed_without_a_profile(capsys, golden_
     assert data["digest"] == golden_digest
 
 
-def test_a_start_beside_the_goal_of_the_environment(capsys):
+def test_a_start_next_to_the_goal_of_the_environment(capsys):
     from mavfi.hosts.loop.compose import resolve
     from mavfi.mission import MissionSpec
     from mavfi.sim.environments import build_world

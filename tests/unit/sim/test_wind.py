@@ -106,7 +106,7 @@ def test_the_velocity_of_the_air_is_what_drag_acts_on():
     np.testing.assert_allclose(with_it[-1, 3:] - (*mean, *[0.0] * 7), at_rest[-1, 3:], atol=5e-3)
 
 
-def test_a_flight_in_wind_goes_on_from_a_snapshot_bit_by_bit():
+def test_a_flight_in_wind_continues_from_a_snapshot_bit_by_bit():
     flight, other = in_wind(gust=9.0, interval=1.0), in_wind(gust=9.0, interval=1.0)
     fly(flight, (2.0, 0.0, 0.0, 0.0), 6.0)
     snapshot = flight.snapshot()

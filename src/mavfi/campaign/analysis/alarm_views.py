@@ -175,7 +175,7 @@ register(
             m.count("flights", "flights"), *(_recomputed(str(stage)) for stage in PPC_STAGES),
             _recomputed(""),
             Measure("compute_s", "compute time", "number .1f s", lambda own: m.compute_us(own) * 1e-6, hidden=True),
-            paper.beside(_papers_overhead, "paper (stages)", "small percents"),
+            paper.column(_papers_overhead, "paper (stages)", "small percents"),
         ),
         where=lambda runs: of_missions(runs).where(pl.col("detector") != "", end="flown"),
         notes=lambda _: (

@@ -79,7 +79,7 @@ def test_what_a_mission_gives_comes_in_its_order_and_ends_with_done(executor):
         assert items_of(results, number) == [*range(number), Done()]
 
 
-def test_items_are_handed_over_while_the_mission_goes_on(executor):
+def test_items_are_handed_over_while_the_mission_continues(executor):
     results = executor.map(hang, [60.0])
     assert next(results) == (60.0, ["begun"])
     started = time.monotonic()

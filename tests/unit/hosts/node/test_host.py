@@ -65,7 +65,7 @@ def run(campaign, directory, **options):
     return run_campaign(campaign, directory, executor=LocalExecutor(1), **options)
 
 
-def test_a_campaign_stops_and_goes_on_and_its_ledger_does_not_tell(campaign, tmp_path):
+def test_a_campaign_stops_and_resumes_and_its_ledger_does_not_show_it(campaign, tmp_path):
     def stop(progress):
         if progress.done == 5:
             raise KeyboardInterrupt
