@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors import dask
 from mavfi.campaign.executors.dask import LOOPBACK, DaskExecutor
-from mavfi.campaign.executors.executor import Executor
+from mavfi.campaign.executors.executor import Done, Executor, Lost, R, T
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.overheads import processor
@@ -64,12 +64,15 @@ class StandIns:
         self._executor = executor
         self.workers = executor.workers
 
-    def map(self, function: Any, missions: Iterable[MissionPlan]) -> Any:  # noqa: ANN401 - as `Executor.map`
+    def map(
+        self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:
         """Map `stand_in` instead of the function."""
         del function
         from benchmarks import cluster  # workers cannot import from `__main__`
 
-        return self._executor.map(cluster.stand_in, missions)
+        stand_in: Any = cluster.stand_in
+        return self._executor.map(stand_in, missions)
 
 
 @contextmanager

@@ -71,7 +71,8 @@ def problem(environment: str, seed: int, resolution: float = 0.5) -> Problem:
     """
     world = build_world(shipped("environments", EnvironmentConfig, environment), seed)
     shape = np.ceil((world.arena_upper - world.arena_lower) / resolution).astype(int)
-    grid = Grid(*world.arena_lower, 1.0 / resolution, *shape.tolist())
+    (x, y, z), (nx, ny, nz) = map(float, world.arena_lower), map(int, shape)
+    grid = Grid(x, y, z, 1.0 / resolution, nx, ny, nz)
     axes = [low + resolution * (np.arange(n) + 0.5) for low, n in zip(world.arena_lower, shape, strict=True)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     counter = (world.clearance(centres) < ROOM).astype(np.int16)
