@@ -101,3 +101,8 @@ def test_what_was_flown_comes_first_and_our_version_before_others():
     assert text.header(ABOUT) == [
         "campaign handmade", "9 missions", "9 of 9 runs done · digest dddddddddddddddd…", "mavfi 1 · numba 2"
     ]  # fmt: skip
+
+
+def test_a_markdown_grid_aligns_numbers_and_escapes_bars():
+    assert text.markdown_grid(("a", "n"), [("x|y", "1")], left=1) == "| a | n |\n| --- | ---: |\n| x\\|y | 1 |"
+    assert text.markdown_grid(("a", "b"), []) == "| a | b |\n| --- | --- |"
