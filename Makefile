@@ -92,7 +92,7 @@ bench-detectors: setup  ## fly every detector on the same faults, write docs/gen
 	@$(BIN)/mavfi bench detectors --scale $(SCALE) --out out/bench-$(SCALE) --workers $(JOBS)
 	@$(BIN)/python -m tools.build_leaderboard out/bench-$(SCALE) $(SCALE)
 
-cluster: setup  ## cost of campaigns of up to 100,000 missions besides their flights; writes the table in docs/cluster.md (N="1000 10000")
+cluster: setup  ## cost of campaigns of up to 100,000 missions without their flights; writes the table in docs/cluster.md (N="1000 10000")
 	@$(BIN)/python -m benchmarks.cluster
 
 memory: setup  ## memory of a worker over 1,500 state-level and 300 instruction-level runs: flat, or does it grow?

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors import dask
 from mavfi.campaign.executors.dask import LOOPBACK, DaskExecutor
-from mavfi.campaign.executors.executor import Executor
+from mavfi.campaign.executors.executor import Done, Executor, Lost, R, T
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.overheads import processor
@@ -64,21 +64,24 @@ class StandIns:
         self._executor = executor
         self.workers = executor.workers
 
-    def map(self, function: Any, missions: Iterable[MissionPlan]) -> Any:  # noqa: ANN401 - as `Executor.map`
+    def map(
+        self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:
         """Map `stand_in` instead of the function."""
         del function
         from benchmarks import cluster  # workers cannot import from `__main__`
 
-        return self._executor.map(cluster.stand_in, missions)
+        stand_in: Any = cluster.stand_in
+        return self._executor.map(stand_in, missions)
 
 
 @contextmanager
 def cluster() -> Iterator[tuple[str, int]]:
     """Address and process id of a Dask scheduler, with workers, in separate processes."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        address_file = Path(folder) / "scheduler.json"
-        start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(address_file)]
-        work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(address_file), "--nthreads", "1"]
+        file = Path(folder) / "scheduler.json"
+        start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(file)]
+        work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1"]
         processes = []
         for command in (start, *[work] * WORKERS):
             process = subprocess.Popen(
@@ -88,11 +91,11 @@ def cluster() -> Iterator[tuple[str, int]]:
             processes.append(process)
             stack.callback(process.wait)
             stack.callback(process.terminate)
-        while not address_file.is_file():
+        while not file.is_file():
             time.sleep(0.1)
         from distributed import Client
 
-        with Client(scheduler_file=str(address_file), set_as_default=False) as client:
+        with Client(scheduler_file=str(file), set_as_default=False) as client:
             client.wait_for_workers(WORKERS)
             address = str(client.scheduler.address)
         yield address, processes[0].pid

@@ -33,7 +33,7 @@ def posts(count: int) -> EnvironmentConfig:
 def poses(world: World) -> list[np.ndarray]:
     """Random positions in the flight volume with random headings."""
     random = np.random.default_rng(0)
-    found = []
+    found: list[np.ndarray] = []
     while len(found) < IMAGES:
         position = random.uniform(world.flight_lower, world.flight_upper)
         if world.clearance(position)[0] > 0.5:

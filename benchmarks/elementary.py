@@ -32,7 +32,8 @@ def _looped(function: Any) -> Callable[[np.ndarray, np.ndarray, np.ndarray], Non
 
 
 def _third_power(number: float) -> float:
-    return number ** (1.0 / 3.0)
+    power: float = number ** (1.0 / 3.0)
+    return power
 
 
 def _seconds(function: Any, low: float, high: float) -> float:

@@ -82,14 +82,10 @@ def measured(resolution: float) -> tuple[dict[str, float], float, int]:
     """Wall time per scan by map kind (s), inf = not installed; the library's binding cost; and number of scans."""
     scenario, frame, scans = recorded(resolution)
     reach, rule = scenario.camera.range, rule_of(scenario.map)
-    makers: dict[str, Callable[[], Insert | None]] = {
-        kind: lambda make=make: make(frame, rule, reach).insert for kind, make in MAPS.items()
-    }
-    makers[LIBRARY] = lambda: library_insert(scenario.map, reach)
-    best = dict.fromkeys(makers, np.inf)
+    best = dict.fromkeys((*MAPS, LIBRARY), np.inf)
     for repeat in range(1 + REPEATS):  # repeat 0 compiles
-        for name, maker in makers.items():
-            insert = maker()
+        for name in best:
+            insert = library_insert(scenario.map, reach) if name == LIBRARY else MAPS[name](frame, rule, reach).insert
             if insert is not None:
                 wall = per_scan(insert, scans if repeat else scans[:1])
                 best[name] = min(best[name], wall) if repeat else np.inf

@@ -23,7 +23,8 @@ import numpy as np
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import Flown, MissionPlan, fly_mission
+from mavfi.campaign.mission import MissionPlan, fly_mission
+from mavfi.campaign.plan import Flown
 from mavfi.errors import MavfiError
 
 MOST_GROWTH_KIB = 1024.0

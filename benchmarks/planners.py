@@ -71,7 +71,8 @@ def problem(environment: str, seed: int, resolution: float = 0.5) -> Problem:
     """
     world = build_world(shipped("environments", EnvironmentConfig, environment), seed)
     shape = np.ceil((world.arena_upper - world.arena_lower) / resolution).astype(int)
-    grid = Grid(*world.arena_lower, 1.0 / resolution, *shape.tolist())
+    (x, y, z), (nx, ny, nz) = map(float, world.arena_lower), map(int, shape)
+    grid = Grid(x, y, z, 1.0 / resolution, nx, ny, nz)
     axes = [low + resolution * (np.arange(n) + 0.5) for low, n in zip(world.arena_lower, shape, strict=True)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     counter = (world.clearance(centres) < ROOM).astype(np.int16)
@@ -218,11 +219,11 @@ def search_rows() -> list[Row]:
                 rows.append(Row(what, f"{1e3 * own:.3f} ms; OMPL is not installed"))
                 continue
             ways = (False,) if name == "rrt_star" else (False, True)
-            rows += [_beside_ompl(what, name, environment, search, own, by_states) for by_states in ways]
+            rows += [_against_ompl(what, name, environment, search, own, by_states) for by_states in ways]
     return rows
 
 
-def _beside_ompl(what: str, name: str, environment: str, search: Search, own: float, by_states: bool) -> Row:
+def _against_ompl(what: str, name: str, environment: str, search: Search, own: float, by_states: bool) -> Row:
     """Wall time (s) of mavfi and OMPL, and the share of the latter spent in checks called through Python."""
     runs = [theirs(name, environment, 0, search, seed, by_states) for seed in range(RUNS)]
     other, checks = median(run.seconds for run in runs), median(run.checks for run in runs)

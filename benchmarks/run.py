@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from datetime import date
+from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -53,7 +54,7 @@ def golden(environment: str, stack: str) -> tuple[float, float]:
     walls, flown = [], 0.0
     for seed in SEEDS:
         scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
-        wall, flight = timed(lambda scenario=scenario: fly(scenario))
+        wall, flight = timed(partial(fly, scenario))
         walls.append(wall)
         flown += float(flight.log.rows[-1, 0])
     return statistics.median(walls), flown / sum(walls)

@@ -145,12 +145,12 @@ def verdict(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> st
     best_value, best = min(rows, key=lambda row: row[1].objective)
     own = next(found for value, found in rows if value == ours)
     more = own.objective / best.objective - 1.0
-    distance = f"{100 * more:.1f} % above the best ({best_value:g})"
+    excess = f"{100 * more:.1f} % above the best ({best_value:g})"
     if more <= TOLERANCE:
-        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {distance}"
+        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {excess}"
     if by_chance(own, best):
-        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {distance}, which may be chance"
-    return f"{stack.name}.yaml {key} {ours:g}: NOT confirmed, {distance}"
+        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {excess}, which may be chance"
+    return f"{stack.name}.yaml {key} {ours:g}: NOT confirmed, {excess}"
 
 
 def by_chance(own: Score, best: Score) -> bool:

@@ -1,4 +1,4 @@
-"""A planner of one's own: two straight legs, over a point beside or above the middle of the way.
+"""A planner of one's own: two straight legs, over a point to the side of, or above, the middle of the way.
 
     mavfi fly --environment sparse --seed 7 --planner examples.planner_detour:Detour
 

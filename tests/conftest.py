@@ -22,7 +22,7 @@ settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser):
-    parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
+    parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights again")
 
 
 def pytest_collection_finish():
@@ -63,7 +63,7 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """The longest files begin first; a file's tests stay in one process, for the flights that they share."""
+    """The longest files start first; a file's tests stay in one process, for the flights that they share."""
     for item in items:
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):

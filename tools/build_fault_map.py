@@ -82,7 +82,14 @@ def page(runs: Runs, today: str) -> str:
         f"`{c['digest'][:16]}`.\n\n"
     )
     groups = runs.injected.where("judged").groups("target").items()
-    return banner("make fault-map") + HEAD + origin + COLUMNS + "".join(row(*key, own) for key, own in groups) + FOOT
+    return (
+        banner("make fault-map")
+        + HEAD
+        + origin
+        + COLUMNS
+        + "".join(row(str(target), own) for (target,), own in groups)
+        + FOOT
+    )
 
 
 def key_lines(fault_map: str) -> str:

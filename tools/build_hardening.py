@@ -36,7 +36,7 @@ from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of
-from mavfi.reports.text import percent, shown
+from mavfi.reports.text import markdown_grid, percent, shown
 from tools.markers import GENERATED, ROOT, banner, fill
 
 PAGE = GENERATED / "hardening.md"
@@ -167,12 +167,6 @@ def golden(plan: Plan, flights: int, records: Records) -> GoldenCheck:
     return total
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(row)} |" for row in lines) + "\n"
-
-
 def found(row: Row) -> str:
     """Measured coverage of a certificate."""
     return interval(row["coverage"])
@@ -264,23 +258,26 @@ def page(
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
         + "## Requirements\n\n"
-        + table(("what", "requirement", "measured"), requirements(certified, compared, advice, check))
-        + "\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`).\n\n"
+        + markdown_grid(("what", "requirement", "measured"), requirements(certified, compared, advice, check))
+        + "\n\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`).\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
-        + table([column.heading for column in columns], plan)
-        + "\n## Curves and certificates\n\n"
+        + markdown_grid([column.heading for column in columns], plan)
+        + "\n\n## Curves and certificates\n\n"
         + "Step: share of the instructions that full duplication adds. Certified with n faults in plain and n in "
         + "protected code, on fresh missions; brackets: 95 % intervals.\n\n"
-        + table(
+        + markdown_grid(
             ("function", "step", "instr. ×", "time ×", "SDCs removed, predicted", "n", "SDC before",
              "SDC after", "SDCs removed", "prediction"),
             curve_rows(curves, by_step),
         )
-        + "\n## Ways to choose, at equal cost\n\n"
+        + "\n\n## Ways to choose, at equal cost\n\n"
         + f"Silent corruptions that are removed at step {COMPARED_FRACTION:g}; calls judge choices made "
         + "without them; p: McNemar's test against the minimum cut.\n\n"
-        + table(("function", "SDCs", "minimum cut", "by line", "by opcode", "random"), alternative_rows(compared))
-        + "\nTime: measured by the time stamp counter on baseline x86-64 code. Crash rates are IR level, not quoted.\n"
+        + markdown_grid(
+            ("function", "SDCs", "minimum cut", "by line", "by opcode", "random"), alternative_rows(compared)
+        )
+        + "\n\nTime: measured by the time stamp counter on baseline x86-64 code. "
+        + "Crash rates are IR level, not quoted.\n"
     )  # fmt: skip
 
 

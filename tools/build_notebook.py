@@ -36,9 +36,12 @@ def _relink(text: str) -> str:
 def execute(source: str, names: dict[str, Any]) -> Any:  # noqa: ANN401 (whatever a cell answers)
     """Run a cell; returns the value of its last line if that is an expression, otherwise None."""
     tree = ast.parse(source)
-    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
-    exec(compile(tree, PAGE.name, "exec"), names)
-    return None if last is None else eval(compile(ast.Expression(last.value), PAGE.name, "eval"), names)
+    last = tree.body[-1] if tree.body else None
+    if not isinstance(last, ast.Expr):
+        exec(compile(tree, PAGE.name, "exec"), names)
+        return None
+    exec(compile(ast.Module(tree.body[:-1], []), PAGE.name, "exec"), names)
+    return eval(compile(ast.Expression(last.value), PAGE.name, "eval"), names)
 
 
 def display(answer: Any) -> dict[str, str]:  # noqa: ANN401

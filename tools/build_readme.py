@@ -12,6 +12,7 @@ import shutil
 import sys
 from pathlib import Path
 
+from mavfi.reports.text import markdown_grid
 from tools.markers import DOCS, IMAGES, ROOT, banner, fill
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
@@ -94,14 +95,12 @@ def compact(block: str) -> str:
         raise ValueError("not a success table with the paper's rates")
     sizes = sorted({int(n) for line in rows for cell in line for n in re.findall(r" \d+/(\d+)$", cell)})
     lines = [
-        f"| missions that succeed, % (the paper's) | {' | '.join(rows[0][2:])} |",
-        "| --- |" + " ---: |" * len(rows[0][2:]),
+        [setting, *(f"{here} ({paper})" for here, paper in zip(kinds["here"], kinds["paper"], strict=True))]
+        for setting, kinds in shown.items()
     ]
-    for setting, kinds in shown.items():
-        cells = [f"{here} ({paper})" for here, paper in zip(kinds["here"], kinds["paper"], strict=True)]
-        lines.append(f"| {setting} | {' | '.join(cells)} |")
+    grid = markdown_grid(["missions that succeed, % (the paper's)", *rows[0][2:]], lines, left=1)
     about = "One bit in one instruction per mission; a node that dies restarts"
-    return "\n".join([*lines, "", f"{about}; n = {sizes[0]} to {sizes[-1]} per cell."])
+    return "\n".join([grid, "", f"{about}; n = {sizes[0]} to {sizes[-1]} per cell."])
 
 
 def copy_study(out: Path) -> None:

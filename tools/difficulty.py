@@ -31,6 +31,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.compose import find_environment
 from mavfi.reports import style
+from mavfi.reports.text import markdown_grid
 from tools.markers import GENERATED, ROOT, banner
 
 PAGE, PICTURE = GENERATED / "difficulty.md", GENERATED / "difficulty.png"
@@ -146,11 +147,6 @@ def share(rate: Rate) -> str:
     return f"{100 * rate.rate:.0f} [{100 * rate.low:.0f}, {100 * rate.high:.0f}] {rate.successes}/{rate.n}"
 
 
-def table(head: tuple[str, ...], lines: list[tuple[str, ...]]) -> list[str]:
-    """A Markdown table."""
-    return ["| " + " | ".join(line) + " |" for line in (head, tuple("---" for _ in head), *lines)]
-
-
 def page(cells: list[Cell], sources: list[dict[str, Any]], n: int) -> str:
     """The page."""
     targets = [ALL, *dict.fromkeys(target for cell in cells for target in cell.runs.injected.values("target"))]
@@ -162,7 +158,7 @@ def page(cells: list[Cell], sources: list[dict[str, Any]], n: int) -> str:
     return head + "\n".join([
         f"Measured: {date.today().isoformat()} ({versions}); {n} missions per density, v_max and profile (seeds "
         f"{seeds[0]} to {seeds[-1]}), {sum(len(cell.runs) for cell in cells)} flights. Ledgers:", "", *ledgers, "",
-        "## Golden flights", "", *table((*CELL, "arrive, %", "median time (s)"), golden), "",
+        "## Golden flights", "", markdown_grid((*CELL, "arrive, %", "median time (s)"), golden), "",
         *_effects("One fault: missions that fail, %", cells, targets, FAILS),
         *_effects(f"One fault: missions that {SLOW}, %", cells, targets, FAILS_OR_SLOWER),
         FOOT.format(all=ALL, seed=seeds[0], n=n),
@@ -175,7 +171,7 @@ def _key(cell: Cell) -> tuple[str, ...]:
 
 def _effects(title: str, cells: list[Cell], targets: list[str], test: pl.Expr) -> list[str]:
     lines = [(*_key(cell), *(share(cell.effect(test, target)) for target in targets)) for cell in cells]
-    return [f"## {title}", "", *table((*CELL, *targets), lines), ""]
+    return [f"## {title}", "", markdown_grid((*CELL, *targets), lines), ""]
 
 
 def draw(cells: list[Cell], path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from mavfi.bridges.airsim import program
-from mavfi.bridges.airsim.boundary import Boundary, parse_fault
+from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault, parse_fault
 from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.bridges.airsim.vehicle import ApiVehicle
 from mavfi.bridges.firmware.flight import fly, register_fault
@@ -53,9 +53,10 @@ class Tracked(ApiVehicle):
 def airsim() -> None:
     """A client program's flight, from above and over time."""
     script = ProgramConfig(script=str(ROOT / PROGRAM))
-    ends, tracks = [], []
+    ends, tracks, bit_flip = [], [], parse_fault(BIT)
+    assert isinstance(bit_flip, BoundaryFault)
     with patch.object(program, "ApiVehicle", Tracked):
-        for boundary in (Boundary(), Boundary(parse_fault(BIT))):
+        for boundary in (Boundary(), Boundary(bit_flip)):
             Tracked.tracks.append([])
             ends.append(program.run_program(script, MissionSpec(environment="sparse", seed=7), boundary))
             tracks.append(np.array(Tracked.tracks[-1]))

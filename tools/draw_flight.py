@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.typing import LineStyleType
 
 from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.clearance import KNOWN_FREE
@@ -62,7 +63,7 @@ def draw_moment(axes: Axes) -> None:
 
 def legend() -> list[Line2D | Patch]:
     """Legend entries of the colours."""
-    lines = (
+    lines: tuple[tuple[str, str, LineStyleType, float], ...] = (
         ("flown", style.INK, "-", 2.0), ("tree from the start", style.SKY, "-", 1.3),
         ("tree from the goal", style.AMBER, "-", 1.3), ("path", style.ORANGE, "--", 1.3),
         ("trajectory", style.GREEN, "-", 2.6),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from mavfi.reports import style
 from tools.drawing import save
@@ -86,8 +87,8 @@ def main() -> None:
         figure.supxlabel("time of the protected kernel / time without protection", fontsize=9.5)
         figure.supylabel("silent corruptions removed (%)", fontsize=9.5)
         handles = [
-            plt.Line2D([], [], color=style.BLUE, marker="o", markersize=3.5, label="predicted, 95 % interval"),
-            plt.Line2D([], [], color=style.ORANGE, marker="s", linestyle="", label="certified with fresh faults, 95 %"),
+            Line2D([], [], color=style.BLUE, marker="o", markersize=3.5, label="predicted, 95 % interval"),
+            Line2D([], [], color=style.ORANGE, marker="s", linestyle="", label="certified with fresh faults, 95 %"),
         ]
         figure.legend(handles=handles, loc="outside upper right", ncols=2)
         save(figure, "hardening.png", IMAGES)

@@ -32,10 +32,10 @@ def leaves_at(tree: Any, height_key: int) -> list[tuple[int, int, int, float]]:
         slots = np.flatnonzero(tree.children[node])
         if not len(slots):
             found.append((x, y, edge, float(tree.log_odds[node])))
-        for slot in slots:
+        for slot in map(int, slots):
             corner = x + half * (slot & 1), y + half * (slot >> 1 & 1), z + half * (slot >> 2)
             if corner[2] <= height_key < corner[2] + half:
-                todo.append((int(tree.children[node, slot]), *map(int, corner), half))
+                todo.append((int(tree.children[node, slot]), *corner, half))
     return found
 
 

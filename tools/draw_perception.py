@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.typing import MarkerType
 
 from mavfi.hosts.local import Flight
 from mavfi.hosts.loop.compose import resolve
@@ -92,7 +93,7 @@ def _point_at(waypoint: State, elements: np.ndarray, tape: drawing.Tape, time_us
 
 
 def _legend(resolution: float) -> list[Line2D | Patch]:
-    marks = (
+    marks: tuple[tuple[str, str, MarkerType], ...] = (
         ("vehicle", style.INK, (3, 0, -90)), ("point in force", style.BLUE, "o"),
         ("trajectory, a point per 0.5 s", style.GREEN, "."), ("the segment from here on collides", style.ORANGE, "X"),
     )  # fmt: skip

@@ -82,12 +82,12 @@ def draw_trees() -> None:
         background(axes)
         for (nodes, parents), colour in zip(trees, (style.BLUE, style.AMBER), strict=False):
             drawing.draw_tree(axes, nodes, parents, colour, 0.7)
-        nodes = sum(len(tree) for tree, _ in trees)
+        count = sum(len(tree) for tree, _ in trees)
         length = f"path of {paths.path_length(path, len(path)):.0f} m" if len(path) else "no path yet"
         if len(path):
             axes.plot(*path[:, :2].T, color=style.ORANGE, linewidth=2.4, zorder=6)
         drawing.from_above(axes, (0.0, 120.0), (-30.0, 30.0))
-        axes.set_title(f"{title}: {nodes} nodes, {length}")
+        axes.set_title(f"{title}: {count} nodes, {length}")
         axes.set_xlabel("x (m)" if axes is rows[-1] else "")
     drawing.save(figure, "trees.png")
 

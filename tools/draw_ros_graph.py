@@ -63,7 +63,7 @@ TAPS = {"injector": (INJECTOR, NODE), "detector": (DETECTOR, GATE)}
 class Seen:
     """Observations of the flight: output by command, and the master's publishers and subscribers by topic."""
 
-    told: dict[tuple[str, ...], str] = field(default_factory=dict)
+    output: dict[tuple[str, ...], str] = field(default_factory=dict)
     publishers: dict[str, list[str]] = field(default_factory=dict)
     subscribers: dict[str, list[str]] = field(default_factory=dict)
 
@@ -73,10 +73,10 @@ def look(folder: Path, seen: Seen) -> None:
     join = str(folder / JOIN)
     for command in SHOWN:
         if command[1] == "hz":
-            seen.told[command] = rate(join, command)
+            seen.output[command] = rate(join, command)
         else:
             output = run([join, *command], capture_output=True, text=True, check=True).stdout
-            seen.told[command] = "\n".join(line.rstrip() for line in output.strip().splitlines())
+            seen.output[command] = "\n".join(line.rstrip() for line in output.strip().splitlines())
     state = run([join, sys.executable, "-c", MASTER], capture_output=True, text=True, check=True).stdout
     seen.publishers, seen.subscribers = (
         {topic: [node.removeprefix("/") for node in nodes] for topic, nodes in part} for part in json.loads(state)[:2]
@@ -116,9 +116,9 @@ def watch_flight() -> Seen:
 
     flown = fly(plan, tell=begin)
     looking[0].join()
-    if set(SHOWN) > set(seen.told) or not seen.publishers:
+    if set(SHOWN) > set(seen.output) or not seen.publishers:
         raise MavfiError(f"the flight was over ({flown.flight.log.status.label}) before everything was recorded")
-    measured = float(seen.told[SHOWN[COMMANDS]].split()[2])
+    measured = float(seen.output[SHOWN[COMMANDS]].split()[2])
     if not 0.9 < measured / CONTROL_HZ < 1.1:
         raise MavfiError(
             f"commands at {measured:g} Hz, not {CONTROL_HZ:g}: the machine is too busy to fly in real time"
@@ -141,7 +141,7 @@ def transcript(seen: Seen) -> str:
     """The terminal session as a text block."""
     lines = ["```text"]
     for command in SHOWN:
-        lines += [f"$ $FLIGHT/join {' '.join(command)}", seen.told[command]]
+        lines += [f"$ $FLIGHT/join {' '.join(command)}", seen.output[command]]
     return "\n".join([*lines, "```"])
 
 
@@ -227,9 +227,9 @@ def draw_rest(axes: Axes, seen: Seen, y: float) -> None:
     rejected = [topic for topic in seen.publishers if topic.endswith("/rejected")]
     others = sorted(topic for topic in seen.publishers if topic.startswith(PREFIX) and topic.count("/") == 2)
     standard = sorted(topic for topic in seen.publishers if not topic.startswith(PREFIX) and "rosout" not in topic)
-    readers = [f"{topic} ({', '.join(seen.publishers[topic])})" for topic in others]
+    written = [f"{topic} ({', '.join(seen.publishers[topic])})" for topic in others]
     lines = [
-        f"In addition: {' · '.join(readers)} · …/rejected × {len(rejected)} (detector)",
+        f"In addition: {' · '.join(written)} · …/rejected × {len(rejected)} (detector)",
         f"In standard types: {' · '.join(standard)}",
     ]
     axes.text(LEFT - NODE, y, "\n".join(lines), va="top", color=style.GREY, fontsize=8.5, linespacing=1.6)

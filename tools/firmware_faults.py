@@ -13,7 +13,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ import numpy as np
 
 from mavfi.api import load
 from mavfi.api import table as table_of
-from mavfi.bridges.firmware import patterns
 from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.campaign.analysis.statistics import wilson
@@ -30,6 +29,8 @@ from mavfi.faults.sampling import stream
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.campaign_report import markdown_table
+from mavfi.reports.text import markdown_grid
+from tools import firmware_patterns as patterns
 from tools.markers import DOCS, GENERATED, banner, fill
 
 OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
@@ -108,19 +109,19 @@ def _append(name: str, row: Row) -> None:
 
 
 # ---- the page ----------------------------------------------------------------------------------------------------
-def table(title: str, groups: dict[str, Sequence[str]], outcomes: Sequence[str]) -> list[str]:
-    """Shares of outcomes by group, with 95 % Wilson intervals; groups: outcomes of each flight."""
-    lines = [f"| {title} | n | {' | '.join(outcomes)} |", "|---|---:|" + "---:|" * len(outcomes)]
-    for name, ends in groups.items():
-        cells = [_cell(sum(end == one for end in ends), len(ends)) for one in outcomes]
-        lines.append(f"| {name} | {len(ends)} | {' | '.join(cells)} |")
-    return [*lines, ""]
+def shares(title: str, groups: Mapping[str, Sequence[str]], outcomes: Sequence[str]) -> str:
+    """Table of the shares of outcomes by group, with 95 % Wilson intervals; groups: outcomes of each flight."""
+    rows = (
+        [name, str(len(ends)), *(_cell(sum(end == one for end in ends), len(ends)) for one in outcomes)]
+        for name, ends in groups.items()
+    )
+    return markdown_grid((title, "n", *outcomes), rows, left=1)
 
 
 def _cell(count: int, total: int) -> str:
-    if not total:
-        return "–"
     rate = wilson(count, total)
+    if rate.low is None or rate.high is None:
+        return "–"
     return f"{count} ({100 * count / total:.0f} %) [{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
 
 
@@ -152,10 +153,14 @@ def page(campaign: Path | None) -> str:
         f"degrees.  Not activated: {missed} of {sum(map(len, drawn.values()))}.", "",
     ]  # fmt: skip
     flown = {name: [row["outcome"] for row in part] for name, part in short.items()}
-    lines += table("flight", {**flown, "both": [end for part in flown.values() for end in part]}, patterns.OUTCOMES)
-    lines += table("register", grouped(rows, lambda row: row["register_class"]), patterns.OUTCOMES)
-    lines += table("phase", grouped(rows, lambda row: row["phase"]), patterns.OUTCOMES)
-    lines += table("function", grouped(rows, lambda row: row["function"], _MOST_FUNCTIONS), patterns.OUTCOMES)
+    tables = {
+        "flight": {**flown, "both": [end for part in flown.values() for end in part]},
+        "register": grouped(rows, lambda row: row["register_class"]),
+        "phase": grouped(rows, lambda row: row["phase"]),
+        "function": grouped(rows, lambda row: row["function"], _MOST_FUNCTIONS),
+    }
+    for title, groups in tables.items():
+        lines += [shares(title, groups, patterns.OUTCOMES), ""]
     lost = Counter(row["lost"][1] for row in rows if row["lost"][0] == "crash")
     lines += [f"Ends of the process: {', '.join(f'{name} {count}' for name, count in lost.most_common())}.", ""]
     for row in rows_of("check"):
@@ -169,26 +174,32 @@ def page(campaign: Path | None) -> str:
 def headline() -> str:
     """The table of both patterns, for docs/fault-model.md."""
     ends = {name: [row["outcome"] for row in rows_of(name) if row["activated"]] for name in patterns.PATTERNS}
-    return "\n".join(table("register, firmware", ends, patterns.OUTCOMES))
+    return shares("register, firmware", ends, patterns.OUTCOMES)
 
 
 def _golden_lines() -> list[str]:
     rows = rows_of("golden")
     if not rows:
         return []
-    heading = "| environment | n | success | flight time, median (s) | wall time, median (s) |"
-    lines = ["## Golden missions", "", heading, "|---|---:|---:|---:|---:|"]
+    lines = []
     for environment in ENVIRONMENTS:
         own = [row for row in rows if row["environment"] == environment]
         if own:
             good = sum(row["status"] == "success" for row in own)
-            lines.append(f"| {environment} | {len(own)} | {_cell(good, len(own))} | "
-                         f"{np.median([row['flight_s'] for row in own]):.1f} | "
-                         f"{np.median([row['wall_s'] for row in own]):.1f} |")  # fmt: skip
+            medians = (f"{np.median([row[name] for row in own]):.1f}" for name in ("flight_s", "wall_s"))
+            lines.append([environment, str(len(own)), _cell(good, len(own)), *medians])
+    headings = ("environment", "n", "success", "flight time, median (s)", "wall time, median (s)")
     twice = [row["same"] for row in rows if "same" in row]
     load = np.median([row["load"] for row in rows])
     repeated = f"Flown twice: {len(twice)}, with the same digest: {sum(twice)}."
-    return [*lines, "", f"{repeated}  Load of the machine meanwhile: {load:.1f} on {os.cpu_count()} cores.", ""]
+    return [
+        "## Golden missions",
+        "",
+        markdown_grid(headings, lines, left=1),
+        "",
+        f"{repeated}  Load of the machine meanwhile: {load:.1f} on {os.cpu_count()} cores.",
+        "",
+    ]
 
 
 def _mission_lines(campaign: Path | None) -> list[str]:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.mission import MissionSpec
+from mavfi.reports.text import markdown_grid
 from tools.build_fault_map import FAULT_MAP, key_lines
 from tools.golden import EVALUATION_SEED, Bar, GoldenFlight, Row, Setting, fly_row
 from tools.markers import GENERATED, ROOT, banner, between
@@ -156,22 +157,18 @@ def cells(row: Row) -> list[str]:
     ]  # fmt: skip
 
 
-def line(values: Iterable[str]) -> str:
-    """A row of a Markdown table."""
-    return "| " + " | ".join(values) + " |"
-
-
 def bar_lines(rows: list[Row]) -> list[str]:
     """The requirements by row, each with its measured value and verdict."""
     found = [(row, {bar.name: bar for bar in row.bars()}) for row in rows if row.bars()]
     every = [bar for _, own in found for bar in own.values()]
     names = list(dict.fromkeys(bar.name for bar in every))
-    lines = [line(("environment", "autopilot", "planner", *names)), line(["---"] * (3 + len(names)))]
+    lines = []
     for row, own in found:
         mission = row.setting.mission
         first = (name_of(row.setting), mission.autopilot, mission.planner)
-        lines.append(line((*first, *(_verdict(own.get(n)) for n in names))))
-    return [f"{sum(bar.met for bar in every)} of {len(every)} bars are met.", "", *lines]
+        lines.append((*first, *(_verdict(own.get(n)) for n in names)))
+    grid = markdown_grid(("environment", "autopilot", "planner", *names), lines)
+    return [f"{sum(bar.met for bar in every)} of {len(every)} bars are met.", "", grid]
 
 
 def _verdict(bar: Bar | None) -> str:
@@ -202,7 +199,7 @@ def page(stored: list[dict[str, Any]], faults: str) -> str:
     rows = [as_row(entry) for entry in stored]
     runs = sorted({f"{entry['date']} ({entry['versions']})" for entry in stored})
     parts = [banner("make golden-rates") + HEAD.format(seed=EVALUATION_SEED), "Measured: " + "; ".join(runs) + ".", ""]
-    parts += [line(COLUMNS), line(["---"] * len(COLUMNS)), *(line(cells(row)) for row in rows), ""]
+    parts += [markdown_grid(COLUMNS, map(cells, rows)), ""]
     scanned = any(row.setting.mission.environment == SCAN for row in rows)
     if not scanned:
         parts += ["The scanned corridor was not there; its rows are left out.", ""]
@@ -261,7 +258,7 @@ def fly_one(setting: Setting, count: int, workers: int) -> dict[str, Any]:
     """Fly one row, and print its result."""
     start = time.perf_counter()
     row = fly_row(setting, count, workers)
-    sys.stdout.write(f"{line(cells(row))}  {time.perf_counter() - start:.0f} s\n")
+    sys.stdout.write(f"{' | '.join(cells(row))}  {time.perf_counter() - start:.0f} s\n")
     for bar in row.bars():
         sys.stdout.write(f"  {bar.name} {bar.wanted}: {bar.measured}: {'met' if bar.met else 'NOT MET'}\n")
     for flight in row.failures():
@@ -281,7 +278,7 @@ def main() -> int:
     try:
         stored = fly_all(os.environ.get("ONLY", ""), os.environ.get("RESUME", "") == "1", workers, scan)
     except KeyboardInterrupt:
-        sys.stderr.write("Stopped. Rows that are done are kept; RESUME=1 goes on.\n")
+        sys.stderr.write("Stopped. Rows that are done are kept; RESUME=1 continues.\n")
         return 130
     faults = key_lines(FAULT_MAP.read_text(encoding="utf-8"))
     sys.stdout.write(f"\nWhat faults do (docs/generated/fault-map.md):\n\n{faults}\n\n")

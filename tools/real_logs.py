@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mavfi.flight_logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, judge_rest, read_recording, select
-from mavfi.reports.log_watch import Rates, rate_text, share_text
+from mavfi.reports.log_watch import Rates, rate_text
+from mavfi.reports.text import ABSENT, markdown_grid, rate
 from tools.markers import ROOT
 
 PAGE = ROOT / "docs" / "generated" / "real-logs.md"
@@ -39,7 +40,7 @@ def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> lis
     return found
 
 
-def rows(name: str, recordings: Sequence[Recording]) -> list[str]:
+def rows(name: str, recordings: Sequence[Recording]) -> list[list[str]]:
     """One row per detector and profile."""
     found = []
     for kind, profile in SETTINGS:
@@ -47,10 +48,10 @@ def rows(name: str, recordings: Sequence[Recording]) -> list[str]:
         cells = [
             name, f"{kind}, {profile}", f"{rates.exposure_s / 60:.1f} min", str(rates.alarms.events),
             rate_text(rates.alarms), f"{rates.alarm_percent:.2g} %",
-            *(share_text(rates.flips[bits]) if bits in rates.flips else "–" for bits in BIT_CLASSES),
-            share_text(rates.faults), ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or "–",
+            *(rate(rates.flips.get(bits)) for bits in BIT_CLASSES), rate(rates.faults),
+            ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or ABSENT,
         ]  # fmt: skip
-        found.append(f"| {' | '.join(cells)} |")
+        found.append(cells)
     return found
 
 
@@ -64,7 +65,8 @@ def page(folder: Path) -> str:
             raise SystemExit(f"{folder}: no {pattern}")
         parts += rows(f"{name}, {len(recordings)} log{'s' if len(recordings) > 1 else ''}", recordings)
     head = ["logs", "detector", "exposure", "false alarm events", "per hour [95 %]", "messages with an alarm",
-            *(f"flips detected, {bits}" for bits in BIT_CLASSES), "faults with an alarm", "delays (s)"]  # fmt: skip
+            *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES), "faults with an alarm (%)",
+            "delays (s)"]  # fmt: skip
     notes = "\n".join(f"- {name}: {text}." for name, (_, text) in SETS.items())
     return (
         f"{BANNER}# Detectors on recorded flights\n\n"
@@ -78,7 +80,7 @@ def page(folder: Path) -> str:
         "have. "
         "Intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights. A value "
         "near 0 stays small, whichever bit flips, so many flips in the exponent pass.\n\n"
-        f"| {' | '.join(head)} |\n|{'---|' * len(head)}\n" + "\n".join(parts) + "\n"
+        f"{markdown_grid(head, parts)}\n"
     )
 
 

@@ -53,7 +53,7 @@ def main() -> None:
         folder = Path(temporary)
         packages = {name: fetch(name, version, folder) for name, version in VERSIONS.items()}
         (folder / "entry.js").write_text(ENTRY, encoding="utf-8")
-        command = [
+        command: list[str | Path] = [
             packages["@esbuild/linux-x64"] / "bin" / "esbuild", "entry.js", "--bundle", "--minify", "--format=iife",
             "--global-name=THREE", "--target=es2020", "--legal-comments=none", "--log-level=warning",
             f"--alias:three={packages['three'] / 'build' / 'three.module.js'}",

@@ -282,7 +282,7 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigT
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise BadInputError(f"{source}: {_told(model, {**error.errors()[0]})}") from None
+        raise BadInputError(f"{source}: {_worded(model, {**error.errors()[0]})}") from None
 
 
 def checked(kind: type[Checked], data: object, source: str) -> Checked:
@@ -315,7 +315,7 @@ def _shown(value: object) -> str:
     return type(value).__name__ if isinstance(value, (dict, list, tuple)) else repr(value)
 
 
-def _told(model: type[BaseModel], error: dict[str, Any]) -> str:
+def _worded(model: type[BaseModel], error: dict[str, Any]) -> str:
     """A pydantic error in mavfi's wording; checks of a whole model name their keys themselves."""
     location, kind = error["loc"], error["type"]
     key = ".".join(str(part) for part in location)

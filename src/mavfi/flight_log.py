@@ -235,7 +235,7 @@ class FlightLog:
         """
         try:
             arrays = read_arrays(Path(path))
-            rows, stored = _table(arrays), checked(_Told, json.loads(str(arrays["record"])), "record")
+            rows, stored = _table(arrays), checked(_Stored, json.loads(str(arrays["record"])), "record")
             status, events = MissionStatus[stored.status], [Event(*event) for event in stored.events]
         except (BadInputError, LookupError, RecursionError, ValueError) as error:
             why = str(error).removeprefix(f"{path}: ")
@@ -248,7 +248,7 @@ class FlightLog:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Stored:
     """Content of `record` in the file written by `FlightLog.save`."""
 
     status: str

@@ -1,4 +1,4 @@
-"""Short missions, flown once each, and what tests need beside them."""
+"""Short missions, flown once each, and what else tests need."""
 
 from functools import cache
 

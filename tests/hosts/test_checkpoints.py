@@ -1,4 +1,4 @@
-"""A flight that is put back to any of its instants goes on as it went on the first time, bit for bit."""
+"""A flight that is put back to any of its instants continues as it did the first time, bit for bit."""
 
 import gc
 import weakref
@@ -25,7 +25,7 @@ KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory",
 
 
 class Nervous:
-    """Alarms at every n-th publication of some states, so that every stage is run again now and then."""
+    """Alarms at every n-th publication of some states, so that every stage is run again at times."""
 
     pitch = {"perception.collision_status": 3, "planning.path": 2, "planning.waypoint": 9, "control.command": 97}
 
@@ -43,7 +43,7 @@ class Nervous:
 
 @dataclass
 class Stop:
-    """An instant of a flight, and how to go on from there."""
+    """An instant of a flight, and how to continue from there."""
 
     instant: checkpoints.Instant
     loop: Loop
@@ -57,7 +57,7 @@ class Stop:
         self.detector = self.keeper.save()
         self.redoing = bool(self.loop.awaited)
 
-    def go_on(self):
+    def resume(self):
         loop, (rows, events, alarms, counts) = self.loop, self.record
         checkpoints.put(loop, self.instant)
         loop.status = None
@@ -134,7 +134,7 @@ def marked(case):
 
 
 @pytest.mark.parametrize("case", [marked(case) for case in CASES])
-def test_a_flight_goes_on_from_any_checkpoint_as_it_did(case):
+def test_a_flight_continues_from_any_checkpoint_as_it_did(case):
     scenario, detector, injected = CASES[case]()
     truth = content(fly(scenario, injected, detector).log)
     log, stops = fly_with_stops(scenario, detector, injected)
@@ -146,7 +146,7 @@ def test_a_flight_goes_on_from_any_checkpoint_as_it_did(case):
         assert redoing and log.alarms
         chosen += redoing[:: max(1, len(redoing) // 3)]
     for stop in reversed(chosen):  # latest first: what was written since must not shine through
-        assert content(stop.go_on()) == truth
+        assert content(stop.resume()) == truth
 
 
 @cache
@@ -155,19 +155,19 @@ def nervous_flight(stack):
     return content(fly(mission(stack), None, detector).log)
 
 
-def go_on_from_everywhere(stack="published"):
-    """Whether a flight with alarms in every stage goes on as it did, from instants in the middle of everything."""
+def same_from_everywhere(stack="published"):
+    """Whether a flight with alarms in every stage continues as it did, from instants in the middle of everything."""
     log, stops = fly_with_stops(mission(stack), Nervous(), pitch=7)
     assert content(log) == nervous_flight(stack)
     try:  # from the middle backwards, so that what is forgotten is what came later
-        return all(content(stop.go_on()) == nervous_flight(stack) for stop in stops[len(stops) // 2 :: -6])
+        return all(content(stop.resume()) == nervous_flight(stack) for stop in stops[len(stops) // 2 :: -6])
     except (IndexError, KeyError, BadInputError):  # pieces of two instants that do not fit together
         return False
 
 
 @pytest.mark.slow
 def test_nothing_is_forgotten():
-    assert go_on_from_everywhere()
+    assert same_from_everywhere()
 
 
 @pytest.mark.slow
@@ -175,7 +175,7 @@ def test_nothing_is_forgotten():
 def test_a_checkpoint_that_forgets_a_kernel_is_noticed(name, monkeypatch):
     monkeypatch.setattr(type(new_loop(mission()).kernels[name]), "restore", lambda *_: None)
     stack = "hardened" if name == "octomap" else "published"  # there the clock follows the known space, scan by scan
-    assert not go_on_from_everywhere(stack)
+    assert not same_from_everywhere(stack)
 
 
 @pytest.mark.parametrize("name", ["awaited", "command"])
@@ -188,13 +188,13 @@ def test_a_checkpoint_that_forgets_a_part_of_the_loop_is_noticed(name, monkeypat
         setattr(loop, name, kept)
 
     monkeypatch.setattr(Loop, "restore", forgetful)
-    assert not go_on_from_everywhere()
+    assert not same_from_everywhere()
 
 
 @pytest.mark.parametrize("forgets", [Foreign, Simulator])
 def test_a_checkpoint_that_forgets_the_detector_or_the_vehicle_is_noticed(forgets, monkeypatch):
     monkeypatch.setattr(forgets, "restore", lambda *_: None)
-    assert not go_on_from_everywhere()
+    assert not same_from_everywhere()
 
 
 def test_an_instant_is_recognised_and_no_other_is():

@@ -50,7 +50,7 @@ def test_a_planner_that_hears_the_alarm_again_saves_it(policy, where):
     assert died(policy, *where).status.label == "success"
 
 
-def test_a_planner_that_goes_on_counting_is_not_late():
+def test_a_planner_that_continues_counting_is_not_late():
     assert duration(died("readback", *REFUSED)) < duration(died("latched", *REFUSED)) - 2.0
 
 

@@ -152,7 +152,7 @@ def test_bad_names_are_refused_with_what_is_allowed(options, message):
         resolve(parse(MissionSpec, options, "mission"))
 
 
-def test_an_unknown_planner_is_told_when_the_flight_begins():
+def test_an_unknown_planner_is_refused_when_the_flight_starts():
     with pytest.raises(BadInputError, match="planner 'dowsing': not known; allowed: rrt, rrt_connect, rrt_star"):
         fly(mission(planner="dowsing"))
 

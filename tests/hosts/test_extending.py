@@ -73,15 +73,15 @@ def test_a_campaign_takes_all_of_it(folder, capsys):
 )
 def test_what_does_not_fit_is_one_line(folder, capsys, arguments, message):
     assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 2
-    told = capsys.readouterr().err
-    assert message in told and told.count("\n") == 1
+    stderr = capsys.readouterr().err
+    assert message in stderr and stderr.count("\n") == 1
 
 
 def test_code_that_only_a_file_names_is_not_run(folder, capsys):
     (folder / "my_world.py").write_text("raise SystemExit('it was run')\n", encoding="utf-8")
     assert run(["fly", "--environment", "pillars.yaml", "--seed", "1"]) == 2
-    told = capsys.readouterr().err
-    assert told == (
+    stderr = capsys.readouterr().err
+    assert stderr == (
         "mavfi: generator 'my_world:pillars': named in a file, and so not run; allowed: entry points of installed "
         "packages, or any with --allow-plugins\n"
     )

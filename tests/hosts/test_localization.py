@@ -1,4 +1,4 @@
-"""Flights whose pipeline is not told the truth: what it sees, what faults and recomputation do to it."""
+"""Flights whose pipeline does not get the true pose: what it sees, what faults and recomputation do to it."""
 
 from functools import cache
 
@@ -113,7 +113,7 @@ def test_a_fix_that_is_improbable_is_refused(field, bit):
     flight = fly(estimating(), fault("sensor.position", field, 5.0, bit))
     assert flight.log.injections[0].activated and flight.log.status is MissionStatus.SUCCESS
     estimator = flight.pipeline["state_estimation"]
-    assert np.sqrt(np.diag(estimator.covariance)[:3]).max() < 0.05  # it did not begin anew
+    assert np.sqrt(np.diag(estimator.covariance)[:3]).max() < 0.05  # it did not restart
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_wind_and_estimator_do_not_share_noise_with_anything():
 
 
 @pytest.mark.parametrize("options", [{"wind": -1.0}, {"wind": 31.0}, {"localization": "gps"}])
-def test_what_cannot_be_is_told(options):
+def test_impossible_options_are_refused(options):
     ((name, value),) = options.items()
     with pytest.raises(BadInputError, match=f"'{name}': .*{value}"):
         resolve(parse(MissionSpec, {"environment": "sparse", **options}, "mission"))

@@ -111,7 +111,7 @@ def test_abandoning_takes_the_next_way_point():
 
 
 @pytest.mark.parametrize("stack", STACKS)
-def test_stopping_holds_and_plans_anew(stack):
+def test_stopping_holds_and_plans_again(stack):
     observed = []
     detector = Scripted("control.command", 300, "control", stop=True)
     flight = fly(mission(stack), detector=detector, recorders=[stamped(observed)])

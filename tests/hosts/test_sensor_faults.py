@@ -34,7 +34,7 @@ def golden_with_estimator():
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("localization", ["truth", "estimator"])
-def test_a_flight_is_golden_until_the_failure_begins_and_proves_that_it_did(unit, localization):
+def test_a_flight_is_golden_until_the_failure_starts_and_proves_that_it_did(unit, localization):
     if (unit, localization) == ("accelerometer", "truth"):
         pytest.skip("nothing reads it")
     plain = golden() if localization == "truth" else golden_with_estimator()
@@ -98,5 +98,5 @@ def test_a_campaign_is_the_same_on_any_number_of_workers_and_every_run_can_be_ex
     assert sorted(set(frame["field"].to_list())) == ["drift", "off"] and frame["activated"].all()
     found = explain(tmp_path / "1", frame["run_id"][0])
     assert found.same
-    told = dict(steps(found.flight.log, found.golden.log, found.spec.fault, "", found.first, found.departure))
-    assert found.spec.fault.site in told["fault"] and "to the end" in told["fault"]
+    story = dict(steps(found.flight.log, found.golden.log, found.spec.fault, "", found.first, found.departure))
+    assert found.spec.fault.site in story["fault"] and "to the end" in story["fault"]

@@ -4,7 +4,7 @@
 
 Targets are the command, its workers (also those of Dask) and the flights that they started; signals are KILL, TERM,
 HUP, and STOP, after which the process continues (CONT).  In the end the ledger has the digest of a campaign that nobody
-disturbed, no process of the command lives 5 s after it, and no file is left beside the ledger's.
+disturbed, no process of the command lives 5 s after it, and no file is left except the ledger's.
 """
 
 import os
@@ -90,7 +90,7 @@ class Campaign:
         return left
 
     def files(self):
-        """Names of what is left beside the log."""
+        """Names of the files that are left, without the log."""
         return sorted(path.relative_to(self.folder).as_posix() for path in self.folder.rglob("*") if path.name != "log")
 
     def digest(self):

@@ -210,7 +210,7 @@ STATEMENTS = (
 
 
 _MISSIONS = {"DELETE FROM meta WHERE key = 'missions'", "DELETE FROM missions", "DELETE FROM missions WHERE rowid = 2"}
-"""What repairing a ledger and resuming it makes anew."""
+"""What repairing a ledger and resuming it makes again."""
 
 
 def statements(bench):

@@ -5,7 +5,7 @@ from mavfi.numerics.jit import kernel_jit
 
 @kernel_jit
 def read_at(values, index):
-    """Reads where it is told to."""
+    """Reads at the given place."""
     return values[index]
 
 

@@ -213,8 +213,8 @@ def _words(code, text):
         return [f"a traceback: {text[text.index('Traceback') :][-1500:]}"]
     if code == 0:
         return []
-    told = [line for line in text.splitlines() if line.startswith("mavfi: ")]
-    if code != 1 or len(told) != 1 or not any(cause in told[0] for cause in _CAUSES):
+    errors = [line for line in text.splitlines() if line.startswith("mavfi: ")]
+    if code != 1 or len(errors) != 1 or not any(cause in errors[0] for cause in _CAUSES):
         return [f"exit code {code}: {text[-600:]}"]
     return []
 

@@ -2,7 +2,7 @@
 
     python -m tests.robustness.fuzz        (N=100000 SEED=1 ONLY=vehicle)
 
-Inputs are read in forked children, a batch each, with 1 GB more memory than they begin with, and 10 s for each input.
+Inputs are read in forked children, a batch each, with 1 GB more memory than at their start, and 10 s for each input.
 A refusal is a `BadInputError` whose line names the file.  Nothing is printed, and no file is left behind.  Some of the
 inputs that were refused are given to the command line as well: exit code 2, and one line on stderr.
 """
@@ -67,7 +67,7 @@ def judged(reader, path):
     except BadInputError as error:
         return _wrong_line(one_line(str(error)), path) or REFUSED
     except BaseException as error:  # noqa: BLE001 - whatever else a reader raises is a finding
-        return _told(error)
+        return _shown(error)
     return ACCEPTED
 
 
@@ -80,7 +80,7 @@ def _wrong_line(line, path):
     return ""
 
 
-def _told(error):
+def _shown(error):
     """An exception, and where it comes from; without numbers, so that the same defect has the same text."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "/mavfi/" in frame.filename]
     place = f"{frames[-1].filename.rpartition('/mavfi/')[2]}:{frames[-1].lineno} {frames[-1].name}" if frames else ""
@@ -97,7 +97,7 @@ def _measured(reader, path, streams, folder):
     """Outcome, time (s), memory (bytes) of an input, in this process."""
     os.ftruncate(streams, 0)
     with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
-        file.write("5")  # the peak begins anew
+        file.write("5")  # resets the peak
     before, start = _memory("VmRSS"), time.perf_counter()
     signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
     outcome = judged(reader, path)
@@ -143,7 +143,7 @@ def _child(reader, contents, pipe, work):
 def batch(reader, contents, work):
     """Read inputs in forked children; yields number, outcome, time (s) and memory (bytes) of each.
 
-    A child that dies or hangs takes one input with it, the next child goes on behind it.
+    A child that dies or hangs takes one input with it, the next child continues with the following one.
     """
     left = list(contents)
     while left:
@@ -161,13 +161,13 @@ def batch(reader, contents, work):
                 os._exit(code)
         os.close(theirs)
         begun = None
-        for told in _lines(ours, pid):
-            if len(told) == 1:
-                begun = told[0]
+        for words in _lines(ours, pid):
+            if len(words) == 1:
+                begun = words[0]
             else:
                 begun = None
                 left.pop(0)
-                yield tuple(told)
+                yield tuple(words)
         _, ended = os.waitpid(pid, 0)
         if begun is not None:
             left.pop(0)
@@ -218,9 +218,9 @@ def commanded(reader, path):
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"mavfi {command[0]} does not end"
-    told = done.stderr.decode(errors="replace")
-    if done.returncode != 2 or told.count("\n") != 1 or not told.startswith("mavfi: "):
-        return f"mavfi {command[0]}: exit code {done.returncode}: {told[:200]!r}"
+    stderr = done.stderr.decode(errors="replace")
+    if done.returncode != 2 or stderr.count("\n") != 1 or not stderr.startswith("mavfi: "):
+        return f"mavfi {command[0]}: exit code {done.returncode}: {stderr[:200]!r}"
     return ""
 
 
@@ -233,7 +233,7 @@ def fuzz(readers, count, seed, work, tell=lambda text: None, commands=COMMANDS, 
         count: Inputs in all, shared as the readers say.
         seed: Of the mutations.
         work: Folder that is empty.
-        tell: Called with a line now and then.
+        tell: Called with a line of progress.
         commands: Of so many refused inputs, one is given to the command line.
         keep: Folder in which the first input of each finding is kept.
     """

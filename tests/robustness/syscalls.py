@@ -99,7 +99,7 @@ class Supervised:
     """
 
     def __init__(self, work):
-        numbers, told = os.pipe()
+        numbers, report = os.pipe()
         started, start = os.pipe()
         self.pid = os.fork()
         if self.pid == 0:
@@ -108,11 +108,11 @@ class Supervised:
                 os.setsid()
                 os.close(start)
                 free = os.dup(0)
-                os.write(told, bytes([free]))
+                os.write(report, bytes([free]))
                 os.close(free)
                 _install()
                 select.select([started], [], [])  # is not handed over
-                for handle in (numbers, told, started):
+                for handle in (numbers, report, started):
                     os.close(handle)
                 os._exit(work())
             finally:
@@ -122,7 +122,7 @@ class Supervised:
         try:
             self._listener = self._take(os.read(numbers, 1)[0])
         finally:
-            for handle in (numbers, told, started, start):
+            for handle in (numbers, report, started, start):
                 os.close(handle)
 
     def _take(self, number):

@@ -152,7 +152,7 @@ def _walk(owner, label, found, seen):
         value = getattr(owner, name)
         where = f"{label}.{name}"
         if isinstance(value, PipelineConfig):
-            continue  # what a kernel is told once is not its memory
+            continue  # inputs given once are not memory of the kernel
         if isinstance(value, np.ndarray):
             found += _array(name, value, where)
         elif isinstance(value, bool | int | float):

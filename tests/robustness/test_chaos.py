@@ -30,5 +30,5 @@ def test_a_campaign_that_is_killed_again_and_again_has_the_same_ledger(reference
 def test_another_ledger_is_noticed(reference, folder):
     """The campaign is complete, and flies nothing again."""
     other = ("0" * 64, *reference[1:])
-    (told,) = chaos.disturbed("instruction", folder, other, 0, random.Random(1))
-    assert told.startswith("the ledger differs")
+    (message,) = chaos.disturbed("instruction", folder, other, 0, random.Random(1))
+    assert message.startswith("the ledger differs")

@@ -1,9 +1,9 @@
-"""SIGKILL of the process that injects registers, at random instants: its target must live and go on.
+"""SIGKILL of the process that injects registers, at random instants: its target must survive and continue.
 
     python -m tests.robustness.tracers        (N=200 kills of each target, SEED=1)
 
-Without single steps, that is.  While a target is stepped, the death of its tracer is its own; how often that is so is
-told.
+This holds without single-stepping.  A target that is being single-stepped dies with its tracer; the share of these
+cases is printed.
 """
 
 import os
@@ -46,7 +46,7 @@ def killed(pid, instant, fault):
     return os.waitpid(tracer, 0)[1] == signal.SIGKILL
 
 
-def goes_on(target):
+def survives(target):
     """ "" if the process computes, untraced; otherwise what it does instead."""
     begun, deadline = _ticks(target.pid), time.monotonic() + _PATIENCE_S
     status = {}
@@ -70,12 +70,12 @@ def _ticks(pid):
 
 
 def strike(targets, name, kills, draw, fault):
-    """Kill so many tracers of a program; gives what became of it where it did not go on, and how many were killed."""
+    """Kill so many tracers of a program; gives how it ended where it did not survive, and how many were killed."""
     target, _ = targets.start(name)
     wrong, hits = [], 0
     for _ in range(kills):
         hits += killed(target.pid, draw.uniform(0.0, LONGEST_S), replace(fault, seed=draw.randrange(1 << 30)))
-        found = goes_on(target)
+        found = survives(target)
         if found:
             wrong.append(found)
             target.kill()

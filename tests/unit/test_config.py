@@ -144,7 +144,7 @@ def test_every_shipped_file_is_sound_and_carries_its_name(kind, name):
     assert shipped(kind, KINDS[kind], name).name == name
 
 
-def test_an_unknown_name_is_told_with_what_is_allowed():
+def test_an_unknown_name_is_refused_with_what_is_allowed():
     with pytest.raises(BadInputError, match=r"stack 'soft': not known; allowed: hardened, published, or a path to a"):
         shipped("stacks", StackConfig, "soft")
 

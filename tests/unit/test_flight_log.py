@@ -109,7 +109,7 @@ def test_a_saved_log_with_a_flipped_byte_is_refused_or_unchanged(tmp_path):
         assert again.digest() == first.digest()
 
 
-def test_absent_files_and_folders_are_told(tmp_path):
+def test_absent_files_and_folders_are_named(tmp_path):
     with pytest.raises(BadInputError, match="is not a flight log"):
         FlightLog.load(tmp_path / "gone.npz")
     with pytest.raises(BadInputError, match="cannot be written"):

@@ -107,7 +107,7 @@ def test_the_first_alarms_are_kept_and_all_in_the_aftermath_of_an_injection():
 @pytest.mark.parametrize(
     ("offset", "kept"), [(-2 * INSTANT, False), (-0.5 * INSTANT, True), (AFTERMATH, True), (AFTERMATH + 1e-3, False)]
 )
-def test_the_aftermath_begins_with_the_injection_and_has_an_end(offset, kept):
+def test_the_aftermath_starts_with_the_injection_and_has_an_end(offset, kept):
     early = [replace(ALARM, time_s=0.0)] * MOST_ALARMS
     record = record_of(flight(injections=[INJECTION], alarms=[*early, replace(ALARM, time_s=4.0 + offset)]))
     assert len(record.alarms) == MOST_ALARMS + kept

@@ -105,8 +105,8 @@ def test_a_strangers_file_is_refused_in_one_line(text, arguments, tmp_path, caps
     (tmp_path / "file.yaml").write_text(text, encoding="utf-8")
     places = {"FILE": str(tmp_path / "file.yaml"), "OUT": str(tmp_path / "out")}
     assert cli.run([places.get(word, word) for word in arguments]) == 2
-    told = capsys.readouterr().err
-    assert "'pydoc:pipepager': named in a file, and so not run" in told and told.count("\n") == 1
+    stderr = capsys.readouterr().err
+    assert "'pydoc:pipepager': named in a file, and so not run" in stderr and stderr.count("\n") == 1
 
 
 @pytest.mark.slow

@@ -100,7 +100,7 @@ def test_a_name_in_both_parts_means_the_element():
     assert not STATES["planning.trajectory"].in_elements("trajectory_seq")
 
 
-def test_dead_fields_are_told_by_stack():
+def test_dead_fields_are_listed_by_stack():
     field = STATES["planning.waypoint"].find("ax")
     assert field.dead_in("published") and not field.dead_in("hardened")
 
@@ -115,7 +115,7 @@ def test_each_localization_says_where_the_vehicle_is_in_its_own_state():
         assert all(STATES[state].only_with == "" for state, _ in fields)
 
 
-def test_what_does_not_exist_is_told_with_what_does():
+def test_what_does_not_exist_is_refused_with_what_does():
     with pytest.raises(BadInputError, match="no state 'planning.magic'; allowed: sensor.depth, "):
         find_state("planning.magic")
     with pytest.raises(BadInputError, match="state control.command: no field 'vw'; allowed: vx, vy, vz, yaw_rate"):

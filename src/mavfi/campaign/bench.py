@@ -36,7 +36,7 @@ class Part(Config):
 
     campaign: str = Field(description="name or path; its arms are those of the bench")
     title: str = Field(description="of its table")
-    mission: dict[str, Any] = Field({}, description="keys of a mission, besides those of the campaign")
+    mission: dict[str, Any] = Field({}, description="keys of a mission, in addition to those of the campaign")
     scales: dict[str, Scale] = Field({}, description="sizes, instead of the campaign's; quick is one of them")
     view: str = Field("schemes", description="table that is shown")
     nodes_die: bool = Field(False, description="of its faults: schemes without a detector are flown, too")

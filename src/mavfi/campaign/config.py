@@ -176,12 +176,12 @@ class ArmConfig(Config):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        beside = {key: data[key] for key in data if key in ("stack", *MissionSpec.model_fields)}
-        rest = {key: value for key, value in data.items() if key not in beside}
+        inline = {key: data[key] for key in data if key in ("stack", *MissionSpec.model_fields)}
+        rest = {key: value for key, value in data.items() if key not in inline}
         mission = rest.get("mission", {})
         if not isinstance(mission, dict):
             return data  # rejected by validation
-        return {**rest, "mission": _mission_keys({**mission, **beside}, "arms")}
+        return {**rest, "mission": _mission_keys({**mission, **inline}, "arms")}
 
 
 class Part(Config):

@@ -1,4 +1,4 @@
-"""Inputs besides the scenario that determine a flight bit for bit: versions, code, shipped files, architecture."""
+"""Inputs, next to the scenario, that determine a flight bit for bit: versions, code, shipped files, architecture."""
 
 import functools
 import hashlib

@@ -303,7 +303,7 @@ class Store:
         if len(rows) > 1:
             some = ", ".join(row[0] for row in rows[:_CANDIDATES])
             raise BadInputError(
-                f"{self.directory}: run {run_id!r}: {len(rows)} runs begin so; allowed, among others: {some}"
+                f"{self.directory}: run {run_id!r}: {len(rows)} runs match; allowed, among others: {some}"
             )
         return self._run(*rows[0][1:])
 

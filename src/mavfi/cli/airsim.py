@@ -166,9 +166,12 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi airsim run --fault moveToPosition.x:bit=54@0 examples/airsim/box.py[/bold]
     """
+    from mavfi.detectors.preprocess import PROFILES
+    from mavfi.detectors.registry import of_monitored_fields
+
     check_number("--seconds", seconds, 0.1, 1e5)
-    check_name("--detector", detector, ("none", "gaussian", "autoencoder"))
-    check_name("--profile", profile, ("paper", "tuned"))
+    check_name("--detector", detector, ("none", *of_monitored_fields()))
+    check_name("--profile", profile, PROFILES)
     pixels(image)
     planned = _planned(fault, fault_seed)
     program = ProgramConfig(

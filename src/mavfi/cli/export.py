@@ -157,9 +157,7 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     return ArmSetup(resolved, None if watcher is None else lambda: watcher, Recovery.of(spec))
 
 
-def _write(
-    log: FlightLog, to: Path, source: str, published: list[Publication] | None = None, golden: FlightLog | None = None
-) -> int:
+def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
     from mavfi.reports.export.files import write_bag, write_csv, write_mcap
     from mavfi.reports.export.tlog import write_tlog

@@ -49,10 +49,10 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     courses = [golden, alone] if result.unwatched is None else [golden, alone, watched]
     seen, logs = (golden.published, watched.published), (result.golden.log, result.log)
     first = first_difference(*seen)
-    sentence = verdict(result.effect, result.log, result.golden.log)
+    judged = verdict(result.effect, result.log, result.golden.log)
     if result.unwatched is not None:
-        sentence = f"with detector {result.detector}, {sentence}; without it: {result.unwatched.log.status.value.lower()}"
-    story = [("verdict", sentence.removesuffix("."))]
+        judged = f"with detector {result.detector}, {judged}; without it: {result.unwatched.log.status.value.lower()}"
+    story = [("verdict", judged.removesuffix("."))]
     story += steps(
         result.log, result.golden.log, result.fault, result.detector, first, departure(*logs),
         spread(*seen),

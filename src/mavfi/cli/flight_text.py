@@ -77,8 +77,8 @@ def _figures(result: FlightResult) -> Table:
         table.add_row("wind gusts", f"{scenario.wind.gust:g} m/s")
     if scenario.localization.kind != "truth":
         table.add_row("localization", scenario.localization.kind)
-    beside = [] if golden is None else [str(golden.replans), f"{record.replans - golden.replans:+d}"]
-    table.add_row("replans", str(record.replans), *beside)
+    counts = [] if golden is None else [str(golden.replans), f"{record.replans - golden.replans:+d}"]
+    table.add_row("replans", str(record.replans), *counts)
     table.add_row("course", f"{record.course_m:.1f} m", style="dim")
     table.add_row("time limit", f"{record.time_limit_s:.1f} s", style="dim")
     return table

@@ -35,7 +35,7 @@ class Bar:
         )  # fmt: skip
         self._task = self._bar.add_task(label, total=None, pace="")
         self._live = Live(self._bar, console=self._console, refresh_per_second=5)
-        self._begun = self._told = time.perf_counter()
+        self._begun = self._printed = time.perf_counter()
         self._held: int | None = None
         self._waits = True
 
@@ -76,8 +76,8 @@ class Bar:
             self._bar.update(self._task, completed=done, total=total, pace=pace)
             return
         now = time.perf_counter()
-        if now - self._told >= _LINE_EVERY or done == total:
-            self._told = now
+        if now - self._printed >= _LINE_EVERY or done == total:
+            self._printed = now
             self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
 
 

@@ -164,9 +164,11 @@ def watch(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
     """
+    from mavfi.detectors.preprocess import PROFILES
+
     check_number("--learn", learn_s, 0.1, _LONGEST_S)
     check_number("--duration", duration, 0.0, _LONGEST_S)
-    check_name("--profile", profile, ("paper", "tuned"))
+    check_name("--profile", profile, PROFILES)
     from mavfi.hosts.node.master import Master
     from mavfi.hosts.node.watch import Listener, Watch
 

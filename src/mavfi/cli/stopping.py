@@ -21,7 +21,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def stoppable(message: str) -> Iterator[None]:
-    """Work with results to keep: Ctrl-C ends it cleanly, prints `told` on stderr, and exits with code 130."""
+    """Work with results to keep: Ctrl-C ends it cleanly, prints `message` on stderr, and exits with code 130."""
     import typer
 
     from mavfi.cli.console import console

@@ -76,7 +76,7 @@ def train(  # noqa: PLR0913 - one for each option
         alarms = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
     if as_json:
         rows = zip(files, models, alarms, strict=True)
-        write_json({"models": [{"file": str(f), **_told(m), "false_alarms": _rates(a)} for f, m, a in rows]})
+        write_json({"models": [{"file": str(f), **_entry(m), "false_alarms": _rates(a)} for f, m, a in rows]})
         return
     console().print(_table(models, alarms, out))
 
@@ -86,7 +86,7 @@ def _rates(alarms: dict[str, EventRate]) -> dict[str, Any]:
     return {name: asdict(rate) for name, rate in alarms.items()}
 
 
-def _told(model: Model) -> dict[str, Any]:
+def _entry(model: Model) -> dict[str, Any]:
     """JSON entry of a model: identity, thresholds and provenance."""
     limits = {key: model.parameters[key] for key in ("sigmas", "limit") if key in model.parameters}
     return {

@@ -98,13 +98,13 @@ def _judge(
 
 def _summary(rates: Rates) -> list[str]:
     """Detection of flips and known faults."""
-    from mavfi.reports.log_watch import share_text
+    from mavfi.reports.text import rate
 
-    lines = [f"flips detected, {bits}: {share_text(rate)}" for bits, rate in rates.flips.items()]
+    lines = [f"flips detected, {bits} (%): {rate(found)}" for bits, found in rates.flips.items()]
     if rates.faults.n:
         delays = rates.delays_s
         span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
-        lines.append(f"known faults followed by an alarm: {share_text(rates.faults)}{span}")
+        lines.append(f"known faults followed by an alarm (%): {rate(rates.faults)}{span}")
     return lines
 
 

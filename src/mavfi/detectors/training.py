@@ -49,13 +49,13 @@ def fit(
     for profile in PROFILES:
         preprocessor = Preprocessor(monitored, profile, prediction)
         sample = collect(recordings, preprocessor)
-        told = origin if profile == "paper" else {**origin, "innovation_m": errors}
+        model_origin = origin if profile == "paper" else {**origin, "innovation_m": errors}
         for name, detector in of_monitored_fields().items():
             if only is not None and (name, profile) not in only:
                 continue
             parameters = detector.fit(sample, preprocessor, settings_of(name, profile).fit)
             kind = detector.model_kind
-            models[f"{kind}-{profile}"] = Model(kind, profile, monitored, prediction, parameters, told)
+            models[f"{kind}-{profile}"] = Model(kind, profile, monitored, prediction, parameters, model_origin)
     return models
 
 

@@ -172,7 +172,7 @@ class SensorRequest:
 
     Attributes:
         fault: The failure.
-        drawn: Whether its begin is drawn from the golden run.
+        drawn: Whether its start is drawn from the golden run.
     """
 
     fault: SensorFault

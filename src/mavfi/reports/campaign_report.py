@@ -17,7 +17,16 @@ from mavfi.errors import writing
 from mavfi.flight_record import plain
 from mavfi.reports import figures
 from mavfi.reports.picture import draw_flight
-from mavfi.reports.text import checks, differing_null_runs, header, null_line, shown, signed_percent, versions
+from mavfi.reports.text import (
+    checks,
+    differing_null_runs,
+    header,
+    markdown_grid,
+    null_line,
+    shown,
+    signed_percent,
+    versions,
+)
 
 PICTURE = "flight.png"
 REMARKS = (
@@ -136,17 +145,9 @@ def markdown_table(table: Table) -> str:
 def _grid(table: Table) -> str:
     """Format the cells; a first cell equal to the one above is left empty."""
     columns, rows = shown(table)
-    left = max(2, table.keys)
-    lines = [_row([column.heading for column in columns]), _row(["---"] * left + ["---:"] * (len(columns) - left))]
-    before = ""
-    for row in rows:
-        lines.append(_row(["" if row[0] == before else row[0], *row[1:]]))
-        before = row[0]
-    return "\n".join(lines)
-
-
-def _row(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    firsts = [row[0] for row in rows]
+    found = (["" if row[0] == above else row[0], *row[1:]] for row, above in zip(rows, ["", *firsts], strict=False))
+    return markdown_grid([column.heading for column in columns], found, max(2, table.keys))
 
 
 def _list(lines: Iterable[str]) -> str:

@@ -68,17 +68,10 @@ class Rates:
 
 
 def rate_text(rate: EventRate) -> str:
-    """Events per hour with interval."""
+    """Events per hour with interval; three digits, as rates in minutes of flight span decades."""
     if rate.per_hour is None:
         return "not counted"
     return f"{rate.per_hour:.3g} [{rate.low:.3g}, {rate.high:.3g}]"
-
-
-def share_text(rate: Rate) -> str:
-    """Percentage with interval, and number."""
-    if rate.rate is None or rate.low is None or rate.high is None:
-        return "–"
-    return f"{100 * rate.rate:.0f} % [{100 * rate.low:.0f}, {100 * rate.high:.0f}] of {rate.n}"
 
 
 def delay_text(judged: Judged) -> str:

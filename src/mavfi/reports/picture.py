@@ -301,8 +301,8 @@ def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None, 
     side.set_ylabel("z (m)")
     side.set_xlabel("x (m)")
     above.text(0, 1.012, "from above", transform=above.transAxes, color=style.GREY, va="bottom")
-    beside = "along the path" if flight.world.is_voxels else "obstacles near the path"
-    heights = f"from the side: {beside}; heights × {_SIDE_STRETCH:g}"
+    shown = "along the path" if flight.world.is_voxels else "obstacles near the path"
+    heights = f"from the side: {shown}; heights × {_SIDE_STRETCH:g}"
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
 
 

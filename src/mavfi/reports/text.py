@@ -1,7 +1,7 @@
 """Formatting of numbers and sentences, shared by all reports."""
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.analysis.runs import Runs
@@ -153,3 +153,10 @@ def checks(runs: Runs) -> list[str]:
     if unknown:
         lines.append(f"Unknown: {len(unknown)} runs could not be judged: {', '.join(unknown[:5])}")
     return lines
+
+
+def markdown_grid(headings: Sequence[str], rows: Iterable[Iterable[str]], left: int | None = None) -> str:
+    """A Markdown table; columns behind the first `left` are aligned to the right, None = none."""
+    count = len(headings) if left is None else left
+    lines = [headings, ["---"] * count + ["---:"] * (len(headings) - count), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)

@@ -1,6 +1,7 @@
 """Betaflight's real firmware flies parts of missions; skipped where it is not installed (docs/firmware.md)."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
     assert struck[0].injections[0].activated
     assert struck[0].injections == struck[1].injections
     assert struck[0].digest() == struck[1].digest()
-    null = fly(scenario(), register_fault(3_000_000, 5, null=True)).log
+    null = fly(scenario(), replace(register_fault(3_000_000, 5), null=True)).log
     assert null.injections[0].activated
     assert null.digest() == golden.log.digest()
 

@@ -36,8 +36,8 @@ def scenario():
 def flown(faults):
     """All that a flight leaves, as text."""
     logs = [flight.log for flight in fly_instruction_faults(scenario(), faults).flights]
-    told = [(log.digest(), log.injections[0].to_json(), asdict(log.kernel)) for log in logs]
-    return json.loads(json.dumps(told))
+    records = [(log.digest(), log.injections[0].to_json(), asdict(log.kernel)) for log in logs]
+    return json.loads(json.dumps(records))
 
 
 @pytest.fixture(scope="module")
@@ -50,27 +50,27 @@ def faults():
 
 
 @pytest.fixture(scope="module")
-def told(faults):
+def records(faults):
     return flown(faults)
 
 
-def test_they_are_faults_in_addresses_that_crash_corrupt_and_are_masked(told):
-    assert {kernel["effect"] for _, _, kernel in told} >= {"crash", "sdc", "masked"}
-    for _, record, _ in told:
+def test_they_are_faults_in_addresses_that_crash_corrupt_and_are_masked(records):
+    assert {kernel["effect"] for _, _, kernel in records} >= {"crash", "sdc", "masked"}
+    for _, record, _ in records:
         assert record["activated"] and record["details"]["value_class"] == "address"
         assert record["details"]["replayable"]
-    assert any(record["details"]["type"] == "ptr" for _, record, _ in told)
+    assert any(record["details"]["type"] == "ptr" for _, record, _ in records)
 
 
-def test_order_and_company_do_not_matter(faults, told):
-    assert flown(faults[::-1]) == told[::-1]
-    crashed = next(i for i, row in enumerate(told) if row[2]["effect"] == "crash")
-    corrupted = next(i for i, row in enumerate(told) if row[2]["effect"] == "sdc")
+def test_order_and_company_do_not_matter(faults, records):
+    assert flown(faults[::-1]) == records[::-1]
+    crashed = next(i for i, row in enumerate(records) if row[2]["effect"] == "crash")
+    corrupted = next(i for i, row in enumerate(records) if row[2]["effect"] == "sdc")
     for number in (crashed, corrupted):
-        assert flown([faults[number]]) == [told[number]]
+        assert flown([faults[number]]) == [records[number]]
 
 
-def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, told, tmp_path):
+def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, records, tmp_path):
     """With random addresses; other folders and CPUs: `tests/golden/test_machines.py`."""
     environment = {
         "PYTHONHASHSEED": "99", "SOMETHING": "x" * 5_000, "PATH": "/usr/bin", "LANG": "C", "HOME": str(tmp_path),
@@ -82,7 +82,7 @@ def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, told
         input=json.dumps([fault.to_json() for fault in faults]), text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == told
+    assert json.loads(done.stdout) == records
 
 
 def test_a_fault_of_other_machine_code_is_refused(faults):

@@ -169,8 +169,8 @@ def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effec
         [sys.executable, "-m", "mavfi", "replay", str(in_addresses), chosen.spec.run_id, "--json"],
         capture_output=True, text=True, check=True, env=os.environ | {"SOMETHING": "else"},
     )  # fmt: skip
-    told = json.loads(done.stdout)
-    assert told["same"] and told["replayable"]
+    verified = json.loads(done.stdout)
+    assert verified["same"] and verified["replayable"]
     again = replay(in_addresses, chosen.spec.run_id).flight.log
     assert plain([one.to_json() for one in again.injections]) == plain([i.to_json() for i in chosen.record.injections])
     assert again.kernel.effect == chosen.record.kernel.effect

@@ -82,7 +82,7 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gaussian", pytest.param("acceptance", marks=pytest.mark.long)])
-def test_a_flight_goes_on_whatever_becomes_of_its_detector(name):
+def test_a_flight_continues_whatever_becomes_of_its_detector(name):
     scenario = resolve(MissionSpec(environment="sparse", seed=7, dead_node="readback"))
     watching, _ = detector_for(scenario, name, "paper")
     drawn = draw_instruction_faults(scenario, InstructionRequest({name: 3}), "test", seed=1, detector=watching)

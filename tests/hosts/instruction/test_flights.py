@@ -110,13 +110,15 @@ def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(
         flight, published = fly_recorded(scenario(), faults[place])
         assert flight.log.digest() == flown.flights[place].log.digest()
         seen = [Publication(time_us, state) for state, time_us in published]
-        found, told = divergence.first_difference(golden, seen), effects[place].first_difference
-        if told is None:
+        found, reported = divergence.first_difference(golden, seen), effects[place].first_difference
+        if reported is None:
             assert found is None and len(seen) == len(golden)
         else:
             late_us = found.time_us - round(1e6 * flight.log.injections[0].time_s)
-            assert found.state == told["state"] and 0 <= late_us < 10_000, "published at the end of the injected step"
-            assert found.field.startswith(told["field"])
+            assert found.state == reported["state"] and 0 <= late_us < 10_000, (
+                "published at the end of the injected step"
+            )
+            assert found.field.startswith(reported["field"])
 
 
 def test_publications_are_recorded_for_levels_of_this_host_only():

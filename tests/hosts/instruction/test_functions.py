@@ -109,7 +109,7 @@ def test_a_fault_beyond_the_last_call_changes_nothing(planned, counted, golden):
 
 @pytest.mark.parametrize(("which", "bit"), [("floating_point", 61), ("address", None)])
 def test_a_fault_in_a_forked_child_leaves_the_parent_golden(planned, golden, which, bit):
-    """The child finishes the flight with the fault and reports; the parent goes on from the same instant without it."""
+    """The child finishes the flight with the fault and reports; the parent continues from that instant without it."""
     fault = planned(which, bit)
     point, ends = ForkPoint(), []
 

@@ -43,7 +43,7 @@ def died(faults):
     return crashed(faults, "fresh")
 
 
-def test_no_old_path_is_flown_anew_after_a_restart(died):
+def test_no_old_path_is_flown_again_after_a_restart(died):
     """Path and trajectory pass within the node; sent to it again, a path from the start would become a trajectory."""
     assert died
     for log in died:

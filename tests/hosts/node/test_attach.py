@@ -177,7 +177,7 @@ def bench_target():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (
             ["--topic", "/joint_state", "--field", "position[0]"],
@@ -196,10 +196,10 @@ def bench_target():
         (["--topic", "/joint_states", "--field", "position[0]", "--node", "/x"], "node /x: not in the graph"),
     ],
 )
-def test_bad_input_is_one_line_with_what_is_allowed(arm, capsys, arguments, told):
+def test_bad_input_is_one_line_with_what_is_allowed(arm, capsys, arguments, message):
     assert run(["ros", "corrupt", *arguments]) == 2
     err = capsys.readouterr().err
-    assert told in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1
 
 
 def test_a_register_of_a_node_is_injected_by_its_name_and_the_node_survives_the_null_fault(arm, transforms, capsys):
@@ -283,7 +283,7 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--topics", "/nothing"], "topic /nothing: not in the graph"),
         (["--topics", "/tf", "--fields", "nothing", "--train", "online"], "has no member 'nothing'"),
@@ -293,6 +293,6 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
         (["--topics", ","], "allowed: names, with commas between"),
     ],
 )
-def test_what_cannot_be_watched_is_refused(arm, capsys, arguments, told):
+def test_what_cannot_be_watched_is_refused(arm, capsys, arguments, message):
     assert run(["ros", "watch", *arguments]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err

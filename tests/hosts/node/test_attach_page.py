@@ -31,7 +31,7 @@ SAYS = {
 WORKS = {
     "--rate 0.01": r"message \d+: .*position\[0\]", "--train": r"learned from \d+", "--learn": r"learned from \d+",
 }  # fmt: skip
-"""What those say that go on until Ctrl-C, once they work."""
+"""Output of the commands that run until Ctrl-C, once they work."""
 CHANGED = "/joint_states_changed"
 """Nobody reads it, so nothing is said of its messages: that it is published shows that the command works."""
 READING = ("mavfi ros list", "rosbag record", "--learn")
@@ -59,21 +59,21 @@ def check(command, process, master):
     works = next((text for key, text in WORKS.items() if key in command), "")
     limit = threading.Timer(LONGEST_S, process.kill)
     limit.start()
-    told, asked = "", CHANGED in command
+    output, asked = "", CHANGED in command
     with process:
         if asked:
             until(lambda: CHANGED in master.graph().topics, LONGEST_S)
             process.send_signal(signal.SIGINT)
         for line in process.stdout:
-            told += line
-            if works and not asked and re.search(works, told):
+            output += line
+            if works and not asked and re.search(works, output):
                 process.send_signal(signal.SIGINT)
                 asked = True
     limit.cancel()
-    assert asked == bool(works) or CHANGED in command, f"{command}: {told}"
-    assert process.returncode in ((0, 130) if asked else (0,)), f"{command}: {process.returncode}: {told}"
+    assert asked == bool(works) or CHANGED in command, f"{command}: {output}"
+    assert process.returncode in ((0, 130) if asked else (0,)), f"{command}: {process.returncode}: {output}"
     says = next(text for key, text in SAYS.items() if key in command)
-    assert re.search(says, told), f"{command}: {told}"
+    assert re.search(says, output), f"{command}: {output}"
 
 
 def test_the_commands_of_the_page(arm, tmp_path):

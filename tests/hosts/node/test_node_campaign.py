@@ -73,7 +73,7 @@ def test_golden_outputs_repeat_and_another_golden_output_is_no_effect_of_a_fault
         ({"symbol": "KDL4Tree10addSegment", "timeout": 1.0}, "unknown", "did not call"),
     ],
 )
-def test_what_is_masked_corrupts_crashes_or_never_came_is_told_apart(ros, campaign, changes, effect, reason):
+def test_masked_corrupted_crashed_and_never_injected_are_distinguished(ros, campaign, changes, effect, reason):
     for _ in range(12 if effect == "sdc" else 1):  # the instant is the machine's, and half of the products are with 0
         found = run_trial(node(campaign), fault=fault(**changes))
         if found.effect == effect:
@@ -85,7 +85,7 @@ def test_what_is_masked_corrupts_crashes_or_never_came_is_told_apart(ros, campai
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"command": ("/nothing/there",)}, "cannot be started"),
         ({"inputs": {"type": "sensor_msgs/Nothing"}}, "type sensor_msgs/Nothing: not known"),
@@ -94,14 +94,14 @@ def test_what_is_masked_corrupts_crashes_or_never_came_is_told_apart(ros, campai
         ({"symbol": "no_such_symbol"}, "no_such_symbol"),
     ],
 )
-def test_what_cannot_be_tried_is_refused(ros, campaign, changes, told):
+def test_what_cannot_be_tried_is_refused(ros, campaign, changes, message):
     changes = dict(changes)
     wrong = fault(symbol=changes.pop("symbol")) if "symbol" in changes else None
     if "inputs" in changes:
         changes["inputs"] = campaign.node.inputs.model_copy(update=changes["inputs"])
     with pytest.raises(BadInputError, match=None) as error:
         run_trial(node(campaign, **changes), fault=wrong)
-    assert told in str(error.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.slow
@@ -109,8 +109,8 @@ def test_debians_rosbag_reads_and_plays_an_exported_flight(bench, tmp_path):
     flight, bag = tmp_path / "flight.npz", tmp_path / "flight.bag"
     assert cli.run(["fly", "--environment", "sparse", "--seed", "10000", "--save", str(flight)]) == 0
     assert cli.run(["export", str(flight), "--to", str(bag)]) == 0
-    told = subprocess.run(["/usr/bin/rosbag", "info", "--yaml", str(bag)], check=True, capture_output=True, text=True)
-    info = yaml.safe_load(told.stdout)
+    done = subprocess.run(["/usr/bin/rosbag", "info", "--yaml", str(bag)], check=True, capture_output=True, text=True)
+    info = yaml.safe_load(done.stdout)
     assert info["messages"] > 100 and info["duration"] > 1.0
     topics = {topic["topic"]: topic["type"] for topic in info["topics"]}
     assert "tf2_msgs/TFMessage" in topics.values()

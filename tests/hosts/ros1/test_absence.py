@@ -47,7 +47,7 @@ def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--kill", "octomap"], "NODE@SECONDS"),
         (["--kill", "octomap@x"], "NODE@SECONDS"),
@@ -74,11 +74,11 @@ def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
         (["--environment", "nowhere"], "nowhere"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, told):
+def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, message):
     monkeypatch.setattr(finder, "missing", list)
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
-    assert text.count("\n") == 1 and told in text
+    assert text.count("\n") == 1 and message in text
 
 
 def test_a_campaign_on_ros_refuses_that_a_dead_step_is_repeated_too():

@@ -148,7 +148,7 @@ def test_a_value_that_comes_late_displaces_no_later_one():
     assert [number for number in range(9) if kept.find(STATUS, number) is not None] == [5, 6]
 
 
-def test_a_node_that_begins_again_is_judged_again():
+def test_a_node_that_restarts_is_judged_again():
     shadow = Shadow()
     shadow.awaited = dict.fromkeys(("planning.path", "planning.trajectory", "control.command"))
     shadow.forget("planner")

@@ -89,10 +89,10 @@ def nodes_of(folder):
         for path in Path("/proc").glob("[0-9]*"):
             try:
                 name = (path / "comm").read_text().strip()
-                told = (path / "stat").read_text().rpartition(")")[2].split()
+                stat = (path / "stat").read_text().rpartition(")")[2].split()
                 if name in (*NODES, "world") and f"{folder}/" in (path / "cmdline").read_text():
                     found[name] = {
-                        "session": int(told[3]), "parent": Path(f"/proc/{told[1]}/comm").read_text().strip(),
+                        "session": int(stat[3]), "parent": Path(f"/proc/{stat[1]}/comm").read_text().strip(),
                         "command": (path / "cmdline").read_text().rstrip("\0").split("\0"),
                     }  # fmt: skip
             except OSError:
@@ -182,7 +182,7 @@ def test_an_injector_that_was_killed_does_not_inject_again():
     assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
 
 
-def test_a_killed_node_comes_back_and_the_flight_goes_on(capsys, tmp_path):
+def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
     saved = tmp_path / "flight.npz"
     assert run(["ros", "fly", "--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]) == 0
     data = json.loads(capsys.readouterr().out)
@@ -246,8 +246,8 @@ def test_no_process_is_left_behind(number, tmp_path):
     folder = folders[0].parents[2]
     assert len(left_behind(folder)) > 3
     process.send_signal(number)
-    _, told = process.communicate(timeout=30)
-    assert number == signal.SIGKILL or (process.returncode, told.count("\n")) == (130, 1)
+    _, stderr = process.communicate(timeout=30)
+    assert number == signal.SIGKILL or (process.returncode, stderr.count("\n")) == (130, 1)
     until = time.monotonic() + 20
     while (left_behind(folder) or folder.exists()) and time.monotonic() < until:
         time.sleep(0.05)
@@ -288,7 +288,7 @@ def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
 
 def test_debians_tools_see_the_flight(tmp_path):
     """As the page docs/ros.md shows them."""
-    told = {}
+    output = {}
 
     def look(folder):
         def ask(*command):
@@ -296,7 +296,7 @@ def test_debians_tools_see_the_flight(tmp_path):
             while time.monotonic() < until:
                 done = subprocess.run([folder / "join", *command], capture_output=True, text=True, check=False)
                 if done.returncode == 0 and done.stdout.strip():
-                    told[" ".join(command[:3])] = done.stdout
+                    output[" ".join(command[:3])] = done.stdout
                     return
                 time.sleep(0.2)
 
@@ -314,7 +314,7 @@ def test_debians_tools_see_the_flight(tmp_path):
     scenario = resolve(MissionSpec(environment="sparse", seed=7, goal=(40.0, 0.0, 3.0)))
     fly_there(Plan(scenario, configure(scenario), free_running=True), tell=look)
     threads[0].join()
-    assert {f"/{node}" for node in (*NODES, "world", "rosout")} <= set(told["rosnode list"].split())
-    assert 'child_frame_id: "base_link"' in told["rostopic echo /odometry"]
-    assert told["rosservice call /plan"].count("pose:") >= 2
-    assert "yaw_rate: " in told["rostopic echo /mavfi/control/command"]
+    assert {f"/{node}" for node in (*NODES, "world", "rosout")} <= set(output["rosnode list"].split())
+    assert 'child_frame_id: "base_link"' in output["rostopic echo /odometry"]
+    assert output["rosservice call /plan"].count("pose:") >= 2
+    assert "yaw_rate: " in output["rostopic echo /mavfi/control/command"]

@@ -94,7 +94,7 @@ def test_odometry_and_transform_agree():
     assert np.allclose(matrix(values[6:10]) @ xyz(came.twist.twist.linear), values[3:6], atol=1e-12)
 
 
-def test_a_trajectory_is_told_with_its_times():
+def test_a_trajectory_is_published_with_its_times():
     state = new_state("planning.trajectory", 3)
     points = floats(state.elements, 11).reshape(-1, 11)
     points[:] = np.arange(33).reshape(3, 11) / 10
@@ -125,7 +125,7 @@ def test_commands_and_paths():
     assert [tuple(xyz(pose.pose.position)) for pose in message("/path", path).poses] == [(1, 2, 3), (4, 5, 6)]
 
 
-def test_the_imu_is_told_in_the_body_frame():
+def test_the_imu_is_published_in_the_body_frame():
     came = mirrors.imu_message(np.arange(6.0), 20_000)
     assert came.header.frame_id == "base_link" and came.orientation_covariance[0] == -1.0
     assert tuple(xyz(came.linear_acceleration)) == (0.0, 1.0, 2.0)

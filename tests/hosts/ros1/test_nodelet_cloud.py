@@ -137,7 +137,7 @@ def test_the_nodelet_is_a_node_of_the_launch_file_only_where_it_is_wanted():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--point-cloud-node", "pcl"], "--point-cloud-node: 'pcl': allowed: mavfi, depth_image_proc"),
         (["--register-fault", "point_cloud_xyz"], "NODE@SECONDS"),
@@ -151,11 +151,11 @@ def test_the_nodelet_is_a_node_of_the_launch_file_only_where_it_is_wanted():
         (["--registers", "fp"], "with --register-fault only"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, told):
+def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, message):
     monkeypatch.setattr(finder, "missing", list)
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
-    assert text.count("\n") == 1 and told in text
+    assert text.count("\n") == 1 and message in text
 
 
 def test_the_older_names_of_options_still_work_and_say_what_they_are_now(capsys, monkeypatch):
@@ -176,7 +176,7 @@ def test_without_the_packages_it_says_what_to_install(capsys, monkeypatch, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("why", "activated", "told"),
+    ("why", "activated", "end"),
     [
         ("has ended", True, "crash"),
         ("did not answer", True, "hang"),
@@ -185,12 +185,12 @@ def test_without_the_packages_it_says_what_to_install(capsys, monkeypatch, tmp_p
         ("has ended", False, None),
     ],
 )
-def test_what_becomes_of_an_injected_node(why, activated, told):
+def test_what_becomes_of_an_injected_node(why, activated, end):
     injections = [Injection("register", "rax", 1e-6, 3, "0x0", "0x8", activated, details={"node": "a"})]
     events = [Event(2, "node_lost", {"node": "b", "why": "has ended"})]
     if why is not None:
         events.append(Event(3, "node_lost", {"node": "a", "why": why}))
-    assert end_of_nodes(injections, events) == told
+    assert end_of_nodes(injections, events) == end
 
 
 # ---- in flight ------------------------------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ class TestFlights:
     @pytest.mark.parametrize(
         ("number", "why"), [(signal.SIGSEGV, "has ended"), (signal.SIGSTOP, "did not answer")], ids=["crash", "hang"]
     )
-    def test_a_nodelet_that_fails_is_restarted_and_the_flight_goes_on(self, in_time, number, why):
+    def test_a_nodelet_that_fails_is_restarted_and_the_flight_continues(self, in_time, number, why):
         began = time.monotonic()
         flown = plan(None, Sender(number), 5, recovery=Recovery("observer"), restart_us=200_000)
         log = fly_there(flown).flight.log

@@ -37,7 +37,7 @@ SAYS = {
     "rosbag record": r"",
     "rosservice call": r"pose:[\s\S]*pose:",
 }
-"""What each tool must say beside a flight."""
+"""What each tool must print during a flight."""
 
 
 def need_nodelets():
@@ -81,8 +81,8 @@ def listed(folder):
 
 
 @contextmanager
-def going_on(command):
-    """Folder of a flight that goes on."""
+def running_flight(command):
+    """Folder of a running flight."""
     with subprocess.Popen(
         arguments(command, {}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as flown:
@@ -99,7 +99,7 @@ def going_on(command):
 @pytest.mark.alone
 def test_an_injection_from_a_second_terminal():
     need_nodelets()
-    with going_on(FREE[1]) as folder:
+    with running_flight(FREE[1]) as folder:
         time.sleep(10.0)  # until images come
         here = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
         done = subprocess.run(
@@ -112,7 +112,7 @@ def test_an_injection_from_a_second_terminal():
 @pytest.fixture(scope="module")
 def flight():
     """Folder of a flight that all look at."""
-    with going_on(FREE[0]) as folder:
+    with running_flight(FREE[0]) as folder:
         yield folder
 
 
@@ -120,24 +120,24 @@ def flight():
 @pytest.mark.parametrize("command", JOINED)
 def test_a_look_into_a_flight(command, flight, tmp_path):
     join, *rest = arguments(command, {"FLIGHT": flight})
-    wanted, told = SAYS[" ".join(rest[:2])], ""
+    wanted, output = SAYS[" ".join(rest[:2])], ""
     with subprocess.Popen(
         [join, *rest], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         limit = threading.Timer(60.0, process.kill)
         limit.start()
         for line in process.stdout:
-            told += line
-            if "hz" in rest and re.search(wanted, told):  # it goes on until Ctrl-C
+            output += line
+            if "hz" in rest and re.search(wanted, output):  # it runs until Ctrl-C
                 process.send_signal(signal.SIGINT)
                 break
         process.wait()
         limit.cancel()
-    assert process.returncode == 0 or "hz" in rest, told
-    assert re.search(wanted, told), told
+    assert process.returncode == 0 or "hz" in rest, output
+    assert re.search(wanted, output), output
     if "record" in rest:
-        told = subprocess.run(
+        output = subprocess.run(
             [sys.executable, "-c", "import rosbags.rosbag1 as b, sys; print(b.Reader(sys.argv[1]).__enter__().topics)",
              "flight.bag"], cwd=tmp_path, capture_output=True, text=True, check=True, env=environment(),
         )  # fmt: skip
-        assert all(topic in told.stdout for topic in ("/odometry", "/tf", "/command"))
+        assert all(topic in output.stdout for topic in ("/odometry", "/tf", "/command"))

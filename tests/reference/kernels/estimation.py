@@ -84,7 +84,7 @@ class Motion:
         self._swing, self._phase = random.uniform(0.5, 3.0, 6), random.uniform(0, 6, 6)
 
     def step(self):
-        """Go on by dt; gives the true sample of an IMU."""
+        """Advance by dt; gives the true sample of an IMU."""
         wave = np.sin(self._swing * self.time + self._phase)
         acceleration, rates = np.array([2.0, 2.0, 1.0]) * wave[:3], np.array([0.4, 0.4, 0.8]) * wave[3:]
         force = self.attitude.inv().apply(acceleration - WEIGHT)

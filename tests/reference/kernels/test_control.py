@@ -105,7 +105,7 @@ def test_the_integral_stops_at_its_limit_and_leaves_it_at_the_first_error_of_the
     np.testing.assert_array_equal(mirrored, -commands)
 
 
-def test_the_integral_goes_on_within_its_limit_while_the_command_is_saturated():
+def test_the_integral_continues_within_its_limit_while_the_command_is_saturated():
     law = only(p=np.ones(3), i=np.ones(3), limit=3.0, integral_limit=0.5)
     commands, memory = tracked(law, np.full(500, 9.0))
     assert commands == pytest.approx(3.0) and memory[0] == 0.5

@@ -242,7 +242,7 @@ def test_held_points_are_the_ends_of_their_intervals_with_the_mean_velocity_ahea
     np.testing.assert_allclose(held[:n], naive.hold_points(dense, per_point, 0.02, look), atol=1e-9)
 
 
-def test_hand_over_goes_one_point_on_when_the_present_one_is_used_up():
+def test_hand_over_advances_one_point_when_the_present_one_is_used_up():
     points = np.arange(33.0).reshape(3, 11)
     target = np.full(11, -1.0)
     assert waypoint.hand_over(points, -1, 5.0, target) == 0

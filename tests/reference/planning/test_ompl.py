@@ -1,4 +1,4 @@
-"""Our planners beside OMPL's: same maps, segment check, range, goal bias and number of samples, no shortcuts."""
+"""Our planners compared with OMPL's: same maps, segment check, range, goal bias and number of samples, no shortcuts."""
 
 import math
 

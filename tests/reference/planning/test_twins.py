@@ -85,7 +85,7 @@ def test_problems_of_both_kinds_are_among_them():
     assert outcomes == {True, False}
 
 
-def test_rrt_star_goes_on_to_the_first_path_where_the_budget_finds_none():
+def test_rrt_star_continues_to_the_first_path_where_the_budget_finds_none():
     given, path = problem(2, 0.25), np.zeros((3001, 3))
     tree = rrt_star.new_tree(3001)
     assert rrt_star.plan(*given, STEP, BIAS, 20, 20, seed_generator(1), tree, path) == 0

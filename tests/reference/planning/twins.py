@@ -1,4 +1,4 @@
-"""The three planners once more, plain and slow: Python lists, full scans, costs summed anew from the root each time."""
+"""The three planners once more, plain and slow: Python lists, full scans, costs summed from the root each time."""
 
 import math
 

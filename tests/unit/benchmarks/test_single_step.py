@@ -1,4 +1,4 @@
-"""The reference at machine level: what is executed is the same each time, strikes are seen, outcomes are told apart."""
+"""The reference at machine level: execution is the same each time, strikes are seen, outcomes distinguished."""
 
 import os
 import signal

@@ -165,7 +165,7 @@ class SlowHost(FakeHost):
 
 
 def fly(setup: ArmSetup, detector: Any, fault: Fault | None) -> Flight:
-    """Later with each fault that changes something; a detector repairs, and raises a false alarm now and then."""
+    """Later with each fault that changes something; a detector repairs, and raises false alarms at times."""
     scenario, seed = setup.scenario, setup.scenario.seed
     duration = 40.0 + seed % 7 + 10.0 * (scenario.environment.name == "dense") + 3.0 * (scenario.planner.name == "rrt")
     duration += scenario.wind.gust + (setup.recovery.coupling == "observer")

@@ -185,10 +185,10 @@ def test_a_campaign_is_read_from_a_file_of_the_users_own(tmp_path):
         load_campaign(tmp_path / "absent.yaml")
 
 
-@pytest.mark.parametrize("beside", [True, False])
-def test_keys_of_a_mission_stand_in_an_arm_or_under_its_mission(beside):
+@pytest.mark.parametrize("inline", [True, False])
+def test_keys_of_a_mission_stand_in_an_arm_or_under_its_mission(inline):
     keys = {"stack": "hardened", "wind": 2, "coupling": "observer"}
-    arm = {"detector": "gaussian", **(keys if beside else {"mission": keys})}
+    arm = {"detector": "gaussian", **(keys if inline else {"mission": keys})}
     campaign = Campaign.model_validate({**BASE, "mission": {"autopilot": "published"}, "arms": {"x": arm}})
     own = {"autopilot": "hardened", "wind": 2.0, "coupling": "observer"}
     assert campaign.arms["x"].mission == own

@@ -39,7 +39,7 @@ def test_a_changed_element_is_named_with_its_place():
     assert first_difference([Publication(0, before)], [Publication(0, after)]).field == "y[2]"
 
 
-def test_a_list_of_another_length_is_told_by_its_length():
+def test_a_list_of_another_length_is_described_by_its_length():
     before, after = new_state("planning.path", 3), new_state("planning.path", 4)
     found = first_difference([Publication(0, before)], [Publication(0, after)])
     assert (found.field, found.golden, found.injected) == ("number of elements", 3, 4)
@@ -63,7 +63,7 @@ def test_publications_are_compared_by_state_and_number():
     assert (found.field, found.golden, found.injected, found.golden_us, found.injected_us) == ("x", 2.0, 3.0, 10, 12)
 
 
-def test_the_first_in_time_is_told_whatever_state_comes_first_in_the_lists():
+def test_the_first_in_time_is_reported_whatever_state_comes_first_in_the_lists():
     golden = [_publication(0), _publication(2, name="sensor.odometry"), _publication(9, name="sensor.odometry")]
     injected = [_publication(0), _publication(2, 5.0, name="sensor.odometry"), _publication(9, 7.0)]
     found = first_difference(golden, injected)

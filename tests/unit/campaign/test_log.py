@@ -1,4 +1,4 @@
-"""The log beside the ledger says what happened to missions, workers and the machine, and never stops a campaign."""
+"""The log next to the ledger says what happened to missions, workers and the machine, and never stops a campaign."""
 
 import errno
 import json
@@ -33,7 +33,7 @@ def digest(directory):
         return store.digest()
 
 
-def test_a_session_says_what_it_begins_with_and_how_it_ends(tmp_path):
+def test_a_session_logs_its_start_and_its_end(tmp_path):
     before = datetime.now(UTC)
     flown_into(tmp_path, workers=2)
     begin, *missions, end = events(tmp_path)
@@ -49,7 +49,7 @@ def test_a_session_says_what_it_begins_with_and_how_it_ends(tmp_path):
     assert all(entry["worker_peak_mib"] > 10 for entry in ended), "workers report their memory"
 
 
-def test_a_campaign_that_is_resumed_goes_on_in_the_same_log(tmp_path):
+def test_a_campaign_that_is_resumed_continues_the_same_log(tmp_path):
     def interrupt(progress):
         if progress.flown == 30:
             os.kill(os.getpid(), signal.SIGINT)

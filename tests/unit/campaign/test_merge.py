@@ -64,7 +64,7 @@ def test_a_shard_says_which_it_is_and_stays_the_one(halves):
         fly(halves[0])
 
 
-def test_the_campaign_goes_on_in_what_was_merged_so_far(halves, whole, tmp_path):
+def test_the_campaign_continues_in_what_was_merged_so_far(halves, whole, tmp_path):
     found = merge(halves[:1], tmp_path)
     assert not found.complete and found.total == TOTAL
     assert fly(tmp_path).complete

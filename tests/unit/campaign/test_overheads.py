@@ -26,7 +26,7 @@ def watched_runs(**about):
     return runs(golden(1), golden(1, arm="gaussian"), injected(1, flown(**spent), arm="gaussian"), **about)
 
 
-def test_modelled_shares_by_hand_beside_the_papers():
+def test_modelled_shares_by_hand_next_to_the_papers():
     found = {row["stage"]: row for row in table(watched_runs(), "overheads_as_in_the_paper").entries()}
     assert found["perception"]["modelled"] == found["all"]["modelled"] == pytest.approx(200 / 1000)
     assert found["control"]["modelled"] == 0
@@ -43,7 +43,7 @@ def test_the_papers_autoencoder_has_one_row_for_all_stages():
     assert found["control"]["paper_detection"] is None
 
 
-def test_what_was_measured_stands_beside_what_is_modelled():
+def test_measured_values_are_compared_with_modelled_ones():
     own = table(watched_runs(overheads=MEASURED), "overheads_as_in_the_paper")
     found = {row["stage"]: row for row in own.entries()}
     assert found["all"]["measured_detection"] == 0.01 and found["all"]["measured_recovery"] == 0.02
@@ -62,11 +62,11 @@ def test_medians_of_flights_are_divided_by_the_time_of_the_kernels(monkeypatch):
         )
 
     monkeypatch.setattr(overheads, "cost", cost)
-    told = []
-    found = overheads.measure(campaign(), 3, progress=lambda *done: told.append(done))
+    shown = []
+    found = overheads.measure(campaign(), 3, progress=lambda *done: shown.append(done))
     assert [row["stage"] for row in found["rows"]] == ["perception", "planning", "control", "all"]
     assert found["rows"][0]["detection"] == pytest.approx(0.1) and found["rows"][0]["recovery"] == pytest.approx(0.2)
-    assert told == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
+    assert shown == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
 
 
 def test_without_a_detector_there_is_nothing_to_measure():

@@ -1,4 +1,4 @@
-"""The time that is left is not told before it can be known, and is sensible from then on.
+"""The time that is left is not shown before it can be known, and is sensible from then on.
 
 `paces.json` holds two campaigns of short missions, flown by two workers: instant (s), mission, what was completed
 (golden run, injected run, `e` the mission itself), wall time (s).
@@ -16,7 +16,7 @@ RECORDED = json.loads((Path(__file__).parent / "paces.json").read_text(encoding=
 WORKERS = 2
 
 
-def told(events):
+def estimates_of(events):
     """Time left as it was, and as it was estimated, after each run."""
     pace, end = Pace(0.0), events[-1][0]
     left = {golden: sum(kind == name for _, _, kind, _ in events) for golden, name in ((True, "g"), (False, "i"))}
@@ -32,15 +32,15 @@ def told(events):
 @pytest.mark.parametrize("level", RECORDED)
 def test_an_estimate_is_never_far_off(level):
     end = RECORDED[level][-1][0]
-    until_shortly_before = [(true, found) for true, found in told(RECORDED[level]) if true > 0.1 * end]
+    until_shortly_before = [(true, found) for true, found in estimates_of(RECORDED[level]) if true > 0.1 * end]
     estimates = [(true, found) for true, found in until_shortly_before if math.isfinite(found)]
-    assert estimates[0][0] > 0.5 * end, "it is told early"
+    assert estimates[0][0] > 0.5 * end, "it is shown early"
     assert all(true / 1.5 < found < 1.5 * true for true, found in estimates)
 
 
 @pytest.mark.parametrize("level", RECORDED)
 def test_the_rate_since_the_first_run_was_far_off(level):
-    """What was told before: golden runs first and bursts make it wrong several times over."""
+    """What was shown before: golden runs first and bursts make it wrong several times over."""
     runs = [now for now, _, kind, _ in RECORDED[level] if kind != "e"]
     before = [
         (len(runs) - done) / ((done - 1) / (now - runs[0])) / (runs[-1] - now)
@@ -50,7 +50,7 @@ def test_the_rate_since_the_first_run_was_far_off(level):
     assert max(max(before), 1 / min(before)) > 2
 
 
-def test_nothing_is_told_before_a_mission_is_over():
+def test_no_time_is_shown_before_a_mission_is_over():
     pace, left = Pace(0.0), {True: 5, False: 100}
     assert pace.remaining_s(left, WORKERS) == math.inf and pace.rate == 0.0
     for second in range(1, 11):

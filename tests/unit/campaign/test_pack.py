@@ -1,4 +1,4 @@
-"""A campaign travels in one file: what arrives is what was sent, goes on to the same end, or is refused."""
+"""A campaign travels in one file: what arrives is what was sent, continues to the same end, or is refused."""
 
 import hashlib
 import json
@@ -120,7 +120,7 @@ def test_the_same_ledger_gives_the_same_bytes_wherever_it_is(whole, packed, tmp_
 
 
 @pytest.mark.parametrize("stop_after", [0, 1, 30, 60])
-def test_somebody_else_goes_on_to_the_same_digest(whole, models, tmp_path, stop_after):
+def test_another_user_resumes_to_the_same_digest(whole, models, tmp_path, stop_after):
     kept = flown_into(tmp_path / "here", TRAINED, stop_after, models_dir=models)
     manifest = pack(tmp_path / "here", tmp_path / "part.zip")
     assert kept >= stop_after and (manifest.done, manifest.complete) == (kept, False)
@@ -235,7 +235,7 @@ def elsewhere(rows):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda rows: [r for r in rows if r[2] != 7], "runs are missing or were added"),
         (lambda rows: [*rows, rows[-1]], "UNIQUE constraint failed"),
@@ -248,13 +248,13 @@ def elsewhere(rows):
         (lambda rows: [[], *rows], "is no pack of a campaign, or damaged"),
     ],
 )
-def test_a_ledger_with_other_rows_is_refused(packed, tmp_path, change, told):
+def test_a_ledger_with_other_rows_is_refused(packed, tmp_path, change, message):
     file = written(tmp_path / "a.zip", changed_ledger(content_of(packed), change))
-    assert told in refused(file, tmp_path / "there")
+    assert message in refused(file, tmp_path / "there")
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"),
+    ("key", "value", "message"),
     [
         ("digest", "0" * 64, f"is not the one of {MANIFEST}"),
         ("done", 3, f"is not the one of {MANIFEST}"),
@@ -267,11 +267,11 @@ def test_a_ledger_with_other_rows_is_refused(packed, tmp_path, change, told):
         ("extra", 1, "extra: Extra inputs are not permitted"),
     ],
 )
-def test_a_manifest_that_says_something_else_is_refused(packed, tmp_path, key, value, told):
+def test_a_manifest_that_says_something_else_is_refused(packed, tmp_path, key, value, message):
     members = content_of(packed)
     manifest = json.dumps({**json.loads(members[MANIFEST]), key: value}).encode()
     file = written(tmp_path / "a.zip", {**members, MANIFEST: manifest})
-    assert told in refused(file, tmp_path / "there")
+    assert message in refused(file, tmp_path / "there")
 
 
 def test_a_model_that_was_changed_is_refused(packed, tmp_path):

@@ -25,7 +25,7 @@ def flown(tmp_path_factory):
 
 
 def again(directory):
-    """Digest after the campaign went on, and how many runs were flown for that."""
+    """Digest after the campaign was resumed, and how many runs were flown for that."""
     reports = []
     run_campaign(small(), directory, executor=LocalExecutor(1), progress=reports.append)
     with Store.open(directory) as store:
@@ -96,9 +96,9 @@ def test_what_cannot_be_repaired_is_one_line_and_left_as_it_is(flown, tmp_path, 
     (tmp_path / FILE).write_bytes(flown[0])
     assert run(["campaign", "repair", str(tmp_path)]) == 0
     assert run(["campaign", "repair", str(tmp_path)]) == 2
-    told = capsys.readouterr()
-    assert f"{flown[2]} runs kept, 0 damaged." in told.out
-    lines = told.err.splitlines()
+    printed = capsys.readouterr()
+    assert f"{flown[2]} runs kept, 0 damaged." in printed.out
+    lines = printed.err.splitlines()
     assert len(lines) == 3
     for line, word in zip(lines, ("holds no campaign", "its metadata are damaged", "exists already"), strict=True):
         assert word in line

@@ -231,7 +231,7 @@ def in_order(turned):
     return small(arms=arms, sampling={"strata": strata})
 
 
-def test_a_file_whose_keys_are_in_another_order_goes_on_to_the_same_ledger(tmp_path):
+def test_a_file_whose_keys_are_in_another_order_resumes_to_the_same_ledger(tmp_path):
     flown_into(tmp_path / "whole", in_order(False))
     with pytest.raises(KeyboardInterrupt):
         flown_into(tmp_path / "part", in_order(False), progress=stop_at(30))
@@ -272,7 +272,7 @@ def test_versions_are_not_mixed_within_a_campaign(flown, tmp_path, monkeypatch):
     flown_into(flown[0])  # nothing is left to fly, so nothing is mixed
 
 
-def test_another_python_goes_on_with_faults_in_states_but_not_in_instructions(tmp_path, monkeypatch):
+def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_path, monkeypatch):
     instructions = small(sampling=INSTRUCTIONS, null_runs=0, arms={})
     for name, campaign in (("state", small()), ("instruction", instructions)):
         with pytest.raises(KeyboardInterrupt):
@@ -412,9 +412,7 @@ def test_a_machine_that_fails_for_a_moment_leaves_no_trace(flown, tmp_path, monk
 @pytest.mark.slow
 @pytest.mark.parametrize("number", MACHINE)
 @pytest.mark.parametrize("done", [0, 7, 40])
-def test_a_machine_that_goes_on_failing_stops_the_campaign_until_it_is_mended(
-    flown, tmp_path, monkeypatch, number, done
-):
+def test_a_machine_that_keeps_failing_stops_the_campaign_until_it_is_mended(flown, tmp_path, monkeypatch, number, done):
     monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
     folder = tmp_path / "failures"
 

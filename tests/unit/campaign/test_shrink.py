@@ -54,7 +54,7 @@ def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory,
                 assert fly(setup, None, smaller).log.status.label == "success", f"bit {bit} is smaller and loses, too"
 
 
-def test_the_steps_and_other_instants_are_told(directory, lost):
+def test_the_steps_and_other_instants_are_printed(directory, lost):
     found = shrink(directory, lost[0], instants=4)
     assert [step.what for step in found.steps][:2] == ["publications", "width"]
     assert found.steps[0].tried == 1, "once is enough here"
@@ -83,9 +83,9 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
 )  # fmt: skip
 def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
     spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
-    told = shlex.split(command(Shrunk(directory, spec, trial, trial, (), (), None)))
-    assert told[:2] == ["mavfi", "fly"] and told[-len(words) - 2 :] == [*words, "--fault", text_of(fault)]
-    parse(told[-1])
+    printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), (), None)))
+    assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == [*words, "--fault", text_of(fault)]
+    parse(printed[-1])
 
 
 def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):

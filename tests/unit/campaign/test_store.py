@@ -144,7 +144,7 @@ def test_a_second_writer_is_refused(tmp_path):
 
 @pytest.mark.parametrize("seed", range(200))
 def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
-    """The lock is gone (removed, or on a file system without locks), and the first writer goes on after a pause."""
+    """The lock is gone (removed, or on a file system without locks), and the first writer continues after a pause."""
     draw = random.Random(seed)
     older = Store.create(tmp_path, IDENTITY)
     plan(older, SPECS)
@@ -164,8 +164,8 @@ def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
                     lambda: write(older, left[0], digest="older"), lambda: plan(older, [INJECTED]),
                     lambda: older.end_plan(("sparse", 1)), lambda: older.write_meta({"missions": 9}),
                 ))()  # fmt: skip
-        told = [run.record.digest for run in younger.runs()]
-    assert told == ["older"] * before + ["younger"] * (len(SPECS) - before)
+        digests = [run.record.digest for run in younger.runs()]
+    assert digests == ["older"] * before + ["younger"] * (len(SPECS) - before)
     older.close()
     with Store.open(tmp_path) as store:
         assert store.meta("missions") is None and not any(store.is_planned(spec.world) for spec in SPECS)
@@ -219,15 +219,15 @@ def test_a_run_is_found_by_the_beginning_of_its_id(store):
 
 
 def test_an_ambiguous_id_lists_candidates(store):
-    with pytest.raises(BadInputError, match="4 runs begin so; allowed, among others: sparse-0-golden-.*, sparse-3-g"):
+    with pytest.raises(BadInputError, match="4 runs match; allowed, among others: sparse-0-golden-.*, sparse-3-g"):
         store.run("sparse")
     plan(store, [RunSpec("golden", "golden", "sparse", seed, "key", position=seed) for seed in range(10, 100)])
-    with pytest.raises(BadInputError, match="94 runs begin so") as caught:
+    with pytest.raises(BadInputError, match="94 runs match") as caught:
         store.run("sparse")
     assert str(caught.value).count("-golden-") == 5
 
 
-def test_a_whole_id_is_meant_even_if_another_begins_so(store):
+def test_a_whole_id_is_meant_even_if_it_is_the_prefix_of_another(store):
     longer = f"{SPECS[0].run_id}-and-more"
     with store._connection as connection:  # two targets whose names begin alike
         columns = "position, kind, setting, environment, seed, spec, note, checksum"
@@ -301,7 +301,7 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ("DELETE FROM runs WHERE position = 4", "mission sparse-2: runs are missing or were added"),
         ("UPDATE runs SET seed = 3 WHERE position = 4", "run '.*': checksum mismatch"),
@@ -313,12 +313,12 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
         ("DROP TABLE missions", "no such table: missions"),
     ],
 )
-def test_a_change_by_hand_is_named(tmp_path, change, told):
+def test_a_change_by_hand_is_named(tmp_path, change, message):
     filled(tmp_path)
     with closing(sqlite3.connect(tmp_path / FILE)) as connection, connection:
         connection.execute(change)
     for attempt in (lambda: Store.open(tmp_path), lambda: Store.create(tmp_path, IDENTITY)):
-        with pytest.raises(BadInputError, match=rf"campaign.sqlite: is damaged: {told}"):
+        with pytest.raises(BadInputError, match=rf"campaign.sqlite: is damaged: {message}"):
             attempt()
 
 
@@ -354,7 +354,7 @@ def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
-def test_a_campaign_that_begins_while_its_ledger_is_read_is_one_line(tmp_path):
+def test_a_campaign_that_starts_while_its_ledger_is_read_is_one_line(tmp_path):
     Store.create(tmp_path, IDENTITY).close()
     with closing(sqlite3.connect(tmp_path / FILE)) as reader:
         reader.execute("BEGIN")
@@ -395,7 +395,7 @@ def test_a_disk_that_fails_for_a_moment_is_no_damage(tmp_path, monkeypatch):
     assert read(tmp_path) is not None
 
 
-def test_a_disk_that_goes_on_failing_is_no_damage(tmp_path, monkeypatch):
+def test_a_disk_that_keeps_failing_is_no_damage(tmp_path, monkeypatch):
     def open_it(path, *mode):
         raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
 

@@ -42,7 +42,7 @@ def test_sizes_of_a_study_come_before_those_of_its_campaigns():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"campaigns": {}}, "campaigns"),
         ({"sections": [{"title": "a", "campaign": "b"}]}, "sections: campaign: 'b': not known; allowed: ., kernels"),
@@ -50,6 +50,6 @@ def test_sizes_of_a_study_come_before_those_of_its_campaigns():
         ({"scales": {"quick": {"b": {"missions": 1}}}}, "scales: quick: 'b': not known; allowed: ., kernels"),
     ],
 )
-def test_wrong_studies_are_refused(change, told):
-    with pytest.raises(BadInputError, match=told):
+def test_wrong_studies_are_refused(change, message):
+    with pytest.raises(BadInputError, match=message):
         study(**change)

@@ -30,10 +30,10 @@ def _no_simulator(monkeypatch):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
-    told = []
-    recordings = record_flights(SCENARIO, 6, workers, lambda kept, wanted: told.append((kept, wanted)))
+    shown = []
+    recordings = record_flights(SCENARIO, 6, workers, lambda kept, wanted: shown.append((kept, wanted)))
     assert list(recordings) == [TRAINING_SEED + offset for offset in (1, 2, 3, 5, 6, 7)]
-    assert (told[0], told[-1]) == ((0, 6), (6, 6))
+    assert (shown[0], shown[-1]) == ((0, 6), (6, 6))
     assert all(len(recording.times_us) for recording in recordings.values())
 
 
@@ -44,10 +44,10 @@ def test_training_flies_its_own_worlds_as_the_mission_asks_for():
     assert (scenario.stack.name, scenario.v_max) == ("hardened", 2.0)
 
 
-def _stop_at(wanted, told):
+def _stop_at(wanted, shown):
     def tell(kept, _):
-        told.append(kept)
-        if kept == wanted and len(told) > 1:
+        shown.append(kept)
+        if kept == wanted and len(shown) > 1:
             raise KeyboardInterrupt
 
     return tell
@@ -58,13 +58,13 @@ def _content(recordings):
 
 
 def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
-    disk, told = KeptRecordings(tmp_path, SCENARIO), []
+    disk, shown = KeptRecordings(tmp_path, SCENARIO), []
     with pytest.raises(KeyboardInterrupt):
-        record_flights(SCENARIO, 6, 1, _stop_at(4, told), disk)
-    assert told == [0, 1, 2, 3, 4]
-    told.clear()
-    found = record_flights(SCENARIO, 6, 1, lambda kept, _: told.append(kept), disk)
-    assert told[0] == 4
+        record_flights(SCENARIO, 6, 1, _stop_at(4, shown), disk)
+    assert shown == [0, 1, 2, 3, 4]
+    shown.clear()
+    found = record_flights(SCENARIO, 6, 1, lambda kept, _: shown.append(kept), disk)
+    assert shown[0] == 4
     assert _content(found) == _content(record_flights(SCENARIO, 6, 1))
     disk.delete()
     assert not list(tmp_path.iterdir())

@@ -37,9 +37,9 @@ def test_a_record_that_differs_is_named(directory, capsys, monkeypatch):
     assert "27 of 27 runs replayed, all records equal; at most 11 %" in capsys.readouterr().out
     monkeypatch.setattr(TROUBLE, "stray", 1e-9)
     assert run(["campaign", "verify", str(directory), "--share", "1", "--json"]) == 1
-    told = capsys.readouterr()
-    assert len(json.loads(told.out)["differing"]) == 27
-    assert "27 of 27 replayed runs have another record: dense-" in told.err and told.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert len(json.loads(printed.out)["differing"]) == 27
+    assert "27 of 27 replayed runs have another record: dense-" in printed.err and printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def test_missions_are_in_the_air_until_they_end():
     assert flying_missions([*session_of(log), entry("retry", reason="disk")]) == ()
 
 
-def test_the_latest_trouble_is_told(tmp_path):
+def test_the_latest_trouble_is_shown(tmp_path):
     log = Log(tmp_path)
     for number in range(9):
         log.note("unknown", run=f"run-{number}", reason="a mistake\n of ours")

@@ -140,6 +140,6 @@ def test_states_as_a_table(capsys):
         assert (name in text) == STATES[name].exists_with("estimator")
 
 
-def test_a_localization_that_is_not_known_is_told(capsys):
+def test_a_localization_that_is_not_known_is_refused(capsys):
     assert run(["states", "--localization", "gps"]) == 2
     assert "--localization: 'gps': allowed: truth, estimator" in capsys.readouterr().err

@@ -74,8 +74,8 @@ def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypa
     path.write_text(FAKE.format(missions=3).replace("faults: 1", "faults: 3"))  # one of them with the seed `BROKEN`
     command = ["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--workers", "1"]
     assert run(command) == 1
-    told = capsys.readouterr()
-    assert f"{tmp_path / 'out'}: 3 of 13 runs have status unknown" in told.err and "Done" not in told.out
+    printed = capsys.readouterr()
+    assert f"{tmp_path / 'out'}: 3 of 13 runs have status unknown" in printed.err and "Done" not in printed.out
     listed = _json(capsys, "runs", str(tmp_path / "out"), "--where", "judged=false")
     assert len(listed["rows"]) == 3
     assert run([*command, "--allow-unknown"]) == 0
@@ -88,8 +88,8 @@ def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
     with closing(sqlite3.connect(tmp_path / "copy" / "campaign.sqlite")) as connection, connection:
         connection.execute("UPDATE runs SET record = replace(record, 'success', 'timeout') WHERE position = 0")
     assert run([*verb, str(tmp_path / "copy"), *(["sparse"] if verb == ["explain"] else [])]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in told
+    stderr = capsys.readouterr().err
+    assert stderr.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in stderr
 
 
 def test_runs_of_a_campaign_that_was_sent_are_verified(capsys, really_flown, tmp_path):
@@ -127,16 +127,16 @@ def test_a_dry_run_assumes_a_time_where_nothing_is_measured_and_says_so(capsys, 
     path = tmp_path / "tiny.yaml"
     path.write_text(CAMPAIGN.format(missions=100).replace("faults: 1", "faults: 1000"))
     assert run(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--dry-run", "--workers", "1"]) == 0
-    told = "ledger about 7.8 MB (assumed from the shipped campaigns, not measured here)"
-    assert f"about 26 min 40 s left with 1 worker, {told}" in capsys.readouterr().out
+    ledger = "ledger about 7.8 MB (assumed from the shipped campaigns, not measured here)"
+    assert f"about 26 min 40 s left with 1 worker, {ledger}" in capsys.readouterr().out
 
 
 def test_runs_are_sorted_and_an_ambiguous_id_lists_its_candidates(capsys, flown):
     rows = _json(capsys, "runs", str(flown), "--sort", "-run_id")["rows"]
     assert [row["run_id"] for row in rows] == sorted((row["run_id"] for row in rows), reverse=True)
     assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "3 runs begin so; allowed, among others: sparse-10000-fi-" in told
+    stderr = capsys.readouterr().err
+    assert stderr.count("\n") == 1 and "3 runs match; allowed, among others: sparse-10000-fi-" in stderr
 
 
 @pytest.mark.slow
@@ -198,7 +198,7 @@ def test_explain_tells_the_story(capsys, really_flown):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
         (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bench_golden"),
@@ -213,7 +213,7 @@ def test_explain_tells_the_story(capsys, really_flown):
         (["replay", "OUT", "run"], "holds no campaign"),
         (["explain", "OUT", "run"], "holds no campaign"),
         (["replay", "FLOWN", "nothing"], "no run of that name"),
-        (["replay", "FLOWN", "sparse"], "5 runs begin so; allowed, among others: sparse-10000-golden-"),
+        (["replay", "FLOWN", "sparse"], "5 runs match; allowed, among others: sparse-10000-golden-"),
         (["explain", "FLOWN", "sparse-10000-golden-"], "no fault to explain"),
         (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
         (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
@@ -226,7 +226,7 @@ def test_explain_tells_the_story(capsys, really_flown):
         (["nothing"], "nothing"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, told):
+def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, message):
     places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown, "OLD": tmp_path / "old.yaml"}
     places["OLD"].write_text("name: old\nenvironments: [sparse]\nflights: 3\n")
     places["STUDY"] = tmp_path / "study"
@@ -234,7 +234,7 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     assert run([str(places.get(argument, argument)) for argument in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("mavfi: ") and error.count("\n") == 1
-    assert told in error
+    assert message in error
     assert not (tmp_path / "out").exists()
     assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
 
@@ -246,7 +246,7 @@ def _of_sqlite(code, text):
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (OSError(errno.EMFILE, "", "/ledger"), "Too many open files (/ledger)"),
         (MemoryError(), "out of memory"),
@@ -257,13 +257,13 @@ def _of_sqlite(code, text):
         ),
     ],
 )
-def test_a_machine_that_fails_is_one_line_and_exit_code_1(capsys, monkeypatch, config, tmp_path, error, told):
+def test_a_machine_that_fails_is_one_line_and_exit_code_1(capsys, monkeypatch, config, tmp_path, error, message):
     def fail(*arguments, **options):
         raise error
 
     monkeypatch.setattr(run_module, "run_campaign", fail)
     assert run(["campaign", "run", str(config), "--out", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == f"mavfi: {told}\n"
+    assert capsys.readouterr().err == f"mavfi: {message}\n"
 
 
 def test_a_folder_on_a_full_disk_is_no_bad_input(capsys, monkeypatch, config, tmp_path):
@@ -285,7 +285,7 @@ def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
 
 
 @pytest.mark.slow
-def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(capsys, tmp_path):
+def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path):
     config, out = tmp_path / "many.yaml", tmp_path / "out"
     config.write_text(FAKE.format(missions=8).replace("FakeHost", "SlowHost"))
     command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]
@@ -318,13 +318,13 @@ def test_a_campaign_is_sent_as_one_file(capsys, config, flown, tmp_path):
     assert arrived == {**sent, "file": str(tmp_path / "there")}
     assert sent["digest"] == _json(capsys, "campaign", "digest", str(flown))["digest"]
     assert run(["campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there")]) == 2
-    told = capsys.readouterr().err
-    assert told == f"mavfi: {tmp_path / 'there'}: exists already; allowed: a folder that is empty or absent\n"
+    stderr = capsys.readouterr().err
+    assert stderr == f"mavfi: {tmp_path / 'there'}: exists already; allowed: a folder that is empty or absent\n"
     assert run(["campaign", "pack", str(flown), "--out", str(tmp_path / "a.tar")]) == 2
     assert f"--out: {tmp_path / 'a.tar'}: allowed ending: .zip" in capsys.readouterr().err
 
 
-def test_who_unpacks_a_part_is_told_how_to_go_on(capsys, config, tmp_path, monkeypatch):
+def test_unpacking_a_part_prints_how_to_continue(capsys, config, tmp_path, monkeypatch):
     really, plans = Store.plan, []
 
     def stop(store, specs):
@@ -339,11 +339,11 @@ def test_who_unpacks_a_part_is_told_how_to_go_on(capsys, config, tmp_path, monke
     assert run(["campaign", "pack", str(tmp_path / "here")]) == 0
     capsys.readouterr()
     assert run(["campaign", "unpack", str(tmp_path / "here.zip"), "--out", str(tmp_path / "there")]) == 0
-    told = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr().out.splitlines()
     start = re.escape(f"{tmp_path / 'there'}: campaign tiny, ")
     done = "[01] of 5 runs"  # a golden run that arrives together with the second plan is written after it
-    assert re.match(f"{start}{done}, 0 trained models, digest ", told[0])
-    command = told[1].removeprefix("Resume: mavfi ").split()
+    assert re.match(f"{start}{done}, 0 trained models, digest ", printed[0])
+    command = printed[1].removeprefix("Resume: mavfi ").split()
     assert run(command) == 0
     monkeypatch.setattr("mavfi.campaign.fingerprint.version", lambda _: "0.0")
     shutil.rmtree(tmp_path / "there")

@@ -39,7 +39,7 @@ def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
 
 
 @pytest.mark.slow
-def test_wind_and_an_estimator_fly_and_are_told(capsys, golden_digest):
+def test_wind_and_an_estimator_fly_and_are_printed(capsys, golden_digest):
     windy = _fly(capsys, "--wind", "3")
     assert (windy["wind"], windy["localization"], windy["status"]) == (3.0, "truth", "success")
     believed = _fly(capsys, "--localization", "estimator", "--fault", "state:perception.odometry.x:bit=56@5.0")
@@ -92,13 +92,13 @@ def test_text_for_people_names_autopilot_effect_fault_and_digest(capsys, golden_
     assert "golden" in text and "digest" in text
 
 
-def test_a_detector_without_a_model_is_told_without_a_profile(capsys, golden_digest):
+def test_a_detector_without_a_model_is_printed_without_a_profile(capsys, golden_digest):
     data = _fly(capsys, "--detector", "mavfi.detectors.registry:NoDetector")
     assert data["detector"] == "mavfi.detectors.registry:NoDetector"
     assert data["digest"] == golden_digest
 
 
-def test_a_start_beside_the_goal_of_the_environment(capsys):
+def test_a_start_next_to_the_goal_of_the_environment(capsys):
     from mavfi.hosts.loop.compose import resolve
     from mavfi.mission import MissionSpec
     from mavfi.sim.environments import build_world
@@ -139,7 +139,7 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--environment", "nowhere"], "allowed: clutter, dense"),
         (["--environment", "nowhere"], "a path to a .yaml, .bt or .ot file"),
@@ -192,13 +192,13 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--frobnicate"], "--frobnicate"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, told):
+def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     assert run(["fly", *arguments]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("mavfi: ") and captured.err.count("\n") == 1
-    assert told in captured.err
+    assert message in captured.err
     assert not list(tmp_path.iterdir())
 
 

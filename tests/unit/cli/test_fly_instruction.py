@@ -18,7 +18,7 @@ MISSION = ["fly", "--environment", "sparse", "--seed", "7"]
 
 
 @pytest.fixture(scope="module")
-def told():
+def flown():
     """What the command of the manual prints."""
     with pytest.MonkeyPatch.context() as patch:
         lines = []
@@ -27,8 +27,8 @@ def told():
     return json.loads(lines[0])
 
 
-def test_the_record_names_the_instruction_and_its_line(told):
-    (record,) = told["injections"]
+def test_the_record_names_the_instruction_and_its_line(flown):
+    (record,) = flown["injections"]
     details = record["details"]
     assert record["activated"] is True
     assert (record["level"], record["site"]) == ("instruction", f"octomap.{details['function']}")
@@ -43,29 +43,29 @@ def test_the_record_names_the_instruction_and_its_line(told):
     assert isinstance(details["replayable"], bool)
 
 
-def test_the_record_is_of_the_fault_that_was_drawn(told):
-    (record,), fault = told["injections"], told["fault"]
+def test_the_record_is_of_the_fault_that_was_drawn(flown):
+    (record,), fault = flown["injections"], flown["fault"]
     details = record["details"]
     assert fault["function"] == name_of(getattr(PLAIN, details["function"]))
     for key in ("ir_sha256", "index", "call", "bits", "value_class"):
         assert fault[key] == details[key], key
 
 
-def test_the_text_of_the_drawn_fault_flies_it_again(capsys, told):
-    text = text_of(fault_from_json(told["fault"]))
+def test_the_text_of_the_drawn_fault_flies_it_again(capsys, flown):
+    text = text_of(fault_from_json(flown["fault"]))
     assert run([*MISSION, "--fault", text, "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
-    assert again["digest"] == told["digest"] and again["kernel"] == told["kernel"]
-    assert again["injections"] == told["injections"]
+    assert again["digest"] == flown["digest"] and again["kernel"] == flown["kernel"]
+    assert again["injections"] == flown["injections"]
     assert run([*MISSION, "--fault", re.sub("ir=.{8}", "ir=00000000", text)]) != 0
     assert "drawn for IR 00000000" in capsys.readouterr().err
 
 
-def test_the_effects_on_kernel_and_mission_are_told(told):
-    assert told["kernel"]["effect"] in ("masked", "sdc", "crash", "hang", "exception")
-    assert told["golden"]["status"] == "success"
-    if told["kernel"]["effect"] == "masked":
-        assert told["digest"] == told["golden"]["digest"]
+def test_the_effects_on_kernel_and_mission_are_reported(flown):
+    assert flown["kernel"]["effect"] in ("masked", "sdc", "crash", "hang", "exception")
+    assert flown["golden"]["status"] == "success"
+    if flown["kernel"]["effect"] == "masked":
+        assert flown["digest"] == flown["golden"]["digest"]
 
 
 @pytest.mark.parametrize("kernel", ["pid", "octomap"])

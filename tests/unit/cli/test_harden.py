@@ -10,7 +10,7 @@ from mavfi.hardening.plan import Coverage, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--certify",), "--plan: not given"),
         (("--certify", "--plan", "p.yaml", "--budget", "0.1"), "--budget: 0.1: allowed: without --certify"),
@@ -22,11 +22,11 @@ from mavfi.hardening.plan import Coverage, load_plan, save_plan
         ((), "holds no campaign"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(words, told, tmp_path, capsys, monkeypatch):
+def test_bad_input_is_one_line_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(["harden", str(tmp_path), *words]) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1
 
 
 CAMPAIGN = """
@@ -47,8 +47,8 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     assert run(["campaign", "run", "tiny.yaml", "--out", "out"]) == 0
     capsys.readouterr()
     assert run(["harden", "out", "--budget", "0.01", "--plan", "plan.yaml", "--html", "harden.html"]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("Protect pid: ") and "It does not buy missions" in told
+    output = capsys.readouterr().out
+    assert output.startswith("Protect pid: ") and "It does not buy missions" in output
     assert "track" in Path("harden.html").read_text()
     plan = load_plan(Path("plan.yaml"))
     (planned,) = plan.functions

@@ -32,8 +32,8 @@ def test_a_few_flights_give_no_estimate(capsys, clock):
         for done in (41, 42, 50):
             clock[0] += 20.0
             bar.show(done, 100)
-    told = capsys.readouterr().err
-    assert "50/100 flights  estimating the time left" in told and "min" not in told
+    stderr = capsys.readouterr().err
+    assert "50/100 flights  estimating the time left" in stderr and "min" not in stderr
 
 
 def test_parts_follow_each_other_in_one_count(capsys, clock):

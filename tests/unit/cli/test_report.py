@@ -23,25 +23,25 @@ def flown(tmp_path_factory):
     return directory
 
 
-def told(capsys, *arguments):
+def printed(capsys, *arguments):
     assert run([str(argument) for argument in arguments]) == 0
     return capsys.readouterr().out
 
 
 def test_the_report_ends_with_the_headline(capsys, flown):
-    text = told(capsys, "report", flown, "--no-draw-run")
+    text = printed(capsys, "report", flown, "--no-draw-run")
     assert "State level: success rates" in text and "How missions ended" not in text
     assert "· Without a fault" in text and "report.md" in text
     assert {"report.md", "readme_block.md", "summary.json", "success.png"} <= {path.name for path in flown.iterdir()}
-    assert "How missions ended" in told(capsys, "report", flown, "--no-draw-run", "--all")
-    data = json.loads(told(capsys, "report", flown, "--no-draw-run", "--json"))
+    assert "How missions ended" in printed(capsys, "report", flown, "--no-draw-run", "--all")
+    data = json.loads(printed(capsys, "report", flown, "--no-draw-run", "--json"))
     assert data["campaign"]["name"] == "small" and data["tables"]["endings"]["rows"]
 
 
 def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
     shutil.copytree(flown, tmp_path / "states")
     write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path, fly=False)
-    text = told(capsys, "report", tmp_path, "--no-draw-run", "--figures", tmp_path / "out")
+    text = printed(capsys, "report", tmp_path, "--no-draw-run", "--figures", tmp_path / "out")
     assert "State level: success rates" in text and "study.md" in text
     shutil.rmtree(tmp_path / "states")
     assert run(["report", str(tmp_path)]) == 2
@@ -49,33 +49,33 @@ def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
 
 
 def test_one_table_by_name(capsys, flown):
-    assert "How missions ended" in told(capsys, "report", flown, "--view", "endings")
-    rows = list(csv.DictReader(io.StringIO(told(capsys, "report", flown, "--view", "endings", "--csv"))))
+    assert "How missions ended" in printed(capsys, "report", flown, "--view", "endings")
+    rows = list(csv.DictReader(io.StringIO(printed(capsys, "report", flown, "--view", "endings", "--csv"))))
     assert {row["setting"] for row in rows} == {"golden", "golden_gaussian", "fi", "dr_gaussian"}
-    assert json.loads(told(capsys, "report", flown, "--view", "endings", "--json"))["name"] == "endings"
-    assert "kernel_errors" in told(capsys, "report", flown, "--view", "list")
+    assert json.loads(printed(capsys, "report", flown, "--view", "endings", "--json"))["name"] == "endings"
+    assert "kernel_errors" in printed(capsys, "report", flown, "--view", "list")
 
 
 def test_runs_are_listed_and_filtered(capsys, flown):
-    failed = told(capsys, "runs", flown, "--failed", "--where", "environment=sparse", "--csv")
+    failed = printed(capsys, "runs", flown, "--failed", "--where", "environment=sparse", "--csv")
     rows = list(csv.DictReader(io.StringIO(failed)))
     assert rows and {(row["environment"], row["status"]) for row in rows} == {("sparse", "collision")}
-    assert rows[0]["run_id"] in told(capsys, "runs", flown, "--failed")
-    assert len(json.loads(told(capsys, "runs", flown, "--json"))["rows"]) == 2 * (2 * (5 + 30) + 3)
+    assert rows[0]["run_id"] in printed(capsys, "runs", flown, "--failed")
+    assert len(json.loads(printed(capsys, "runs", flown, "--json"))["rows"]) == 2 * (2 * (5 + 30) + 3)
 
 
 @pytest.mark.parametrize("width", [80, 100])
 def test_names_stay_whole(capsys, flown, monkeypatch, width):
     monkeypatch.setenv("COLUMNS", str(width))
-    text = told(capsys, "runs", flown)
-    with_ids = json.loads(told(capsys, "runs", flown, "--json"))["rows"]
+    text = printed(capsys, "runs", flown)
+    with_ids = json.loads(printed(capsys, "runs", flown, "--json"))["rows"]
     assert all(row["run_id"] in text for row in with_ids)
     assert all(len(line) <= width for line in text.splitlines())
 
 
 def test_runs_as_a_file(capsys, flown, tmp_path):
     for name, read in (("runs.parquet", pl.read_parquet), ("runs.csv", pl.read_csv)):
-        assert "runs" in told(capsys, "export", flown, "--to", tmp_path / name)
+        assert "runs" in printed(capsys, "export", flown, "--to", tmp_path / name)
         frame = read(tmp_path / name)
         assert frame.height == 146 and {"run_id", "effect", "inflation"} <= set(frame.columns)
 
@@ -101,14 +101,14 @@ def test_what_is_not_there_is_one_line(capsys, flown, tmp_path, arguments, messa
 
 def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
     page = tmp_path / "report.html"
-    text = told(capsys, "report", flown, "--no-draw-run", "--html", page, "--flights", "0")
+    text = printed(capsys, "report", flown, "--no-draw-run", "--html", page, "--flights", "0")
     assert f"wrote {page}, with 0 flights" in text
     assert "Campaign small" in page.read_text(encoding="utf-8")
 
 
 def test_figures_for_papers(capsys, flown, tmp_path):
     folder = tmp_path / "figures"
-    assert "success.pdf" in told(capsys, "report", flown, "--no-draw-run", "--figures", folder)
+    assert "success.pdf" in printed(capsys, "report", flown, "--no-draw-run", "--figures", folder)
     assert {path.suffix for path in folder.iterdir()} == {".pdf", ".png", ".csv"}
 
 

@@ -105,7 +105,7 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
 
 
 @pytest.mark.parametrize(
-    ("section", "told"),
+    ("section", "message"),
     [
         ({"campaign": ".", "views": ["none"]}, "small.yaml: section 'a': views: 'none': not known; allowed: success"),
         ({"campaign": ".", "figures": ["none"]}, "section 'a': figures: 'none': not known; allowed: success"),
@@ -113,11 +113,11 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
         ({"campaign": "elsewhere", "views": ["success"]}, "campaign: 'elsewhere': not known; allowed: ., instructions"),
     ],
 )
-def test_wrong_names_are_refused_before_anything_is_flown(section, told, capsys, tmp_path):
+def test_wrong_names_are_refused_before_anything_is_flown(section, message, capsys, tmp_path):
     out = tmp_path / "out"
     sections = [{"title": "a", **section}]
     assert run(["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out)]) == 2
-    assert told in capsys.readouterr().err and not out.exists()
+    assert message in capsys.readouterr().err and not out.exists()
 
 
 def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
@@ -134,12 +134,12 @@ def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
 @pytest.mark.slow
 def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
     out, arguments = tmp_path / "out", ["reproduce", study(tmp_path), "--workers", "1"]
-    show, told = StudyBar.show, []
+    show, shown = StudyBar.show, []
 
     def stop(bar, done, total):
-        told.append((done, total))
+        shown.append((done, total))
         show(bar, done, total)
-        if done == 2 and len(told) > 1:
+        if done == 2 and len(shown) > 1:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(StudyBar, "show", stop)
@@ -147,10 +147,10 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
     no_report(monkeypatch)
     assert run([*arguments, "--out", str(out)]) == 130
     assert "the same command resumes" in capsys.readouterr().err
-    assert told == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
-    told.clear()
+    assert shown == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
+    shown.clear()
     assert run([*arguments, "--out", str(out)]) == 0
-    assert told == [(2, 3), (3, 3)]
+    assert shown == [(2, 3), (3, 3)]
     assert [path.name for path in (out / "models").glob("*.json")] == ["published-i9-9940x-gaussian-paper.json"]
     assert not (out / "models" / ".flights").exists()
 

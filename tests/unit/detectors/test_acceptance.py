@@ -240,7 +240,7 @@ def test_every_consumed_state_but_map_and_cloud_has_a_rule_and_every_rule_a_muta
     assert {good(stack)[case][0].spec.name for stack, case, *_ in MUTANTS} == set(RULES)
 
 
-def test_repeated_alarms_are_told_by_the_epoch_of_the_last_trajectory():
+def test_repeated_alarms_are_recognized_by_the_epoch_of_the_last_trajectory():
     again = status(2, True, 4.0)
     once = flying("published", again)
     assert once.check(again, NOW).fields == (f"{STATUS}.collision",)

@@ -95,7 +95,7 @@ def test_no_training_flight_raises_an_alarm(folder, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_detector_goes_on_from_what_it_remembered(folder, name):
+def test_a_detector_continues_from_what_it_remembered(folder, name):
     detector, other = load(name, folder), load(name, folder)
     events = flight(5, ticks=400)
     events = strike(events, later(events, "control.command", 300), "vx", 1e3)

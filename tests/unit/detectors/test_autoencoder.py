@@ -110,7 +110,7 @@ def test_check_remembers_nothing(models):
         assert detector.memory() == undisturbed.memory()
 
 
-def test_a_new_flight_starts_anew(models, events):
+def test_a_new_flight_starts_afresh(models, events):
     detector = AutoencoderDetector(models["autoencoder-paper"])
     struck = later(events, "planning.waypoint", 20)
     wrong = strike(events, struck, "x", -1e30)

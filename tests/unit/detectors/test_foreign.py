@@ -67,7 +67,7 @@ def test_numbers_of_any_size_can_be_learned(profile):
 
 
 @pytest.mark.parametrize(
-    ("kind", "states", "told"),
+    ("kind", "states", "message"),
     [
         ("oracle", normal(100), "allowed: gaussian, autoencoder"),
         ("gaussian", normal(49), "49 messages of /arm; allowed: 50 or more"),
@@ -78,7 +78,7 @@ def test_numbers_of_any_size_can_be_learned(profile):
         ),
     ],
 )
-def test_what_cannot_be_learned_is_refused(kind, states, told):
+def test_what_cannot_be_learned_is_refused(kind, states, message):
     with pytest.raises(BadInputError) as error:
         learn(kind, "tuned", [states], SPECS)
-    assert told in str(error.value)
+    assert message in str(error.value)

@@ -61,7 +61,7 @@ def test_few_samples_raise_no_alarm_but_what_is_not_finite_does():
     assert (alarm.score, alarm.fields) == (NOT_FINITE, ("control.command.vy", "control.command.vz"))
 
 
-def test_statistics_go_on_online_with_normal_values_only():
+def test_statistics_continue_online_with_normal_values_only():
     detector = paper(trained(100.0))
     speeds = [0.0, 0.3, 0.9, 0.3, 1e12, 0.3, 0.3]
     publish(detector, *(command([speed, 0, 0]) for speed in speeds))

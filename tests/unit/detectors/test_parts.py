@@ -69,7 +69,7 @@ def test_every_watched_publication_has_a_score_that_agrees_with_the_alarm(model_
 
 
 @pytest.mark.parametrize(("name", "profile"), DETECTORS)
-def test_a_detector_goes_on_from_what_it_remembered(model_folder, name, profile):
+def test_a_detector_continues_from_what_it_remembered(model_folder, name, profile):
     detector, other = (load_detector(name, profile, model_folder, FITS)[0] for _ in range(2))
     events = flight(5, ticks=400)
     detector.start()
@@ -87,7 +87,7 @@ def test_a_detector_goes_on_from_what_it_remembered(model_folder, name, profile)
 
 
 @pytest.mark.parametrize(("name", "profile"), [*DETECTORS, ("acceptance", "paper")])
-def test_a_pickled_detector_goes_on_from_what_it_remembered(model_folder, name, profile):
+def test_a_pickled_detector_continues_from_what_it_remembered(model_folder, name, profile):
     detector, _ = load_detector(name, profile, model_folder, {**FITS, "limits": LIMITS["published"]})
     events = flight(6, ticks=200)
     detector.start()

@@ -84,7 +84,7 @@ def test_random_alarms_have_their_rate_and_depend_on_the_mission_alone():
     assert alarms(first, events) == found
 
 
-def test_random_alarms_go_on_from_what_was_remembered():
+def test_random_alarms_continue_from_what_was_remembered():
     events = flight(3, ticks=1000)
     detector, other = (RandomAlarms(9, per_hour=50_000.0) for _ in range(2))
     alarms(detector, events[:800])

@@ -34,9 +34,10 @@ def test_a_topic_that_is_not_there_is_refused(bag):
 
 
 @pytest.mark.parametrize(
-    ("name", "told"), [("x.bag", "is not a ROS 1 bag that can be read"), ("x.txt", "allowed: .bag"), ("x", "allowed")]
+    ("name", "message"),
+    [("x.bag", "is not a ROS 1 bag that can be read"), ("x.txt", "allowed: .bag"), ("x", "allowed")],
 )
-def test_what_is_no_flight_log_is_refused(tmp_path, name, told):
+def test_what_is_no_flight_log_is_refused(tmp_path, name, message):
     (tmp_path / name).write_text("nothing")
-    with pytest.raises(BadInputError, match=told):
+    with pytest.raises(BadInputError, match=message):
         list(open_flight_log(tmp_path / name).messages(["/a"]))

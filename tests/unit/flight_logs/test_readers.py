@@ -77,15 +77,15 @@ def test_times_of_tables(tmp_path, head, cell, time_us):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [("a,b\n1,2\n", "no column of time"), ("time,a\n1\n", "line 2: 1 values; allowed: 2"),
      ("time,a,a\n1,2,3\n", "columns"),
      ("time,a\n", "has no rows"), ("time,a\nx,2\n", "column time: is not a time")],
 )  # fmt: skip
-def test_tables_that_cannot_be_read(tmp_path, text, told):
+def test_tables_that_cannot_be_read(tmp_path, text, message):
     path = tmp_path / "x.csv"
     path.write_text(text)
-    with pytest.raises(BadInputError, match=told):
+    with pytest.raises(BadInputError, match=message):
         list(open_flight_log(path).messages([]))
 
 

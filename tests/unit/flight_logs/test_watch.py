@@ -117,7 +117,7 @@ def test_the_answer_comes_first(files, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ([], "--train, --split: allowed: one of them"),
         (["--train", "{}", "--split", "0.5"], "--train, --split: allowed: one of them"),
@@ -128,8 +128,8 @@ def test_the_answer_comes_first(files, capsys):
         (["--train", "none.log"], "no reader of flight logs knows this format"),
     ],
 )
-def test_bad_input_is_one_line(files, arguments, told, capsys):
+def test_bad_input_is_one_line(files, arguments, message, capsys):
     log = str(files("csv", "a"))
     assert run(["watch", log, *(text.format(log) for text in arguments)]) == 2
     err = capsys.readouterr().err
-    assert told in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1

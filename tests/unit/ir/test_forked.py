@@ -1,4 +1,4 @@
-"""Children: every way to end is told apart, and nothing is left behind."""
+"""Children: every way to end is distinguished, and nothing is left behind."""
 
 import ctypes
 import errno
@@ -62,7 +62,7 @@ def test_a_child_does_not_collect_what_it_inherited():
         (lambda: os._exit(0), "exception", "ended with status 0 without a report"),
     ],
 )
-def test_ends_are_told_apart(work, how, detail, capfd):
+def test_ends_are_distinguished(work, how, detail, capfd):
     ended = run_in_child(work)
     assert (ended.how, ended.payload, ended.detail) == (how, b"", detail)
     assert capfd.readouterr().err == ""  # no trace of a crash that was meant

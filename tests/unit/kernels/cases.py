@@ -376,7 +376,7 @@ def struck_memory(case, position):
 
 @kernel_jit
 def read_at(values, index):
-    """The canary: reads where it is told to."""
+    """The canary: reads at the given place."""
     return values[index]
 
 

@@ -140,9 +140,9 @@ def of_the_c_library(angle):
 
 def text_of(function, *arguments):
     """Machine code and IR; code from a cache does not show them."""
-    anew = uncached_copy(function)
-    anew(*arguments)
-    return "".join(anew.inspect_asm().values()), "".join(anew.inspect_llvm().values())
+    recompiled = uncached_copy(function)
+    recompiled(*arguments)
+    return "".join(recompiled.inspect_asm().values()), "".join(recompiled.inspect_llvm().values())
 
 
 NAMES = "|".join(["sin", "cos", "tan", "a(sin|cos|tan2?)", "exp", "tanh", "log", "pow", "cbrt", "sincos"])

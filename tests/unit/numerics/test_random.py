@@ -27,7 +27,7 @@ def test_numbers_are_spread_evenly_over_the_unit_interval():
     assert ((counts - 1000) ** 2 / 1000).sum() < 50.0  # chi-square, 19 degrees of freedom: p < 0.0002
 
 
-def test_a_copied_state_goes_on_the_same():
+def test_a_copied_state_continues_the_same():
     state = seed_generator(5, 1)
     uniform(state)
     copy = state.copy()

@@ -62,7 +62,7 @@ def test_a_point_is_a_segment_of_one_voxel():
     assert first_blocked(counter, GRID, point, point, True) == 0.0
 
 
-def test_leaving_the_grid_blocks_only_if_asked_and_the_walk_goes_on_behind():
+def test_leaving_the_grid_blocks_only_if_asked_and_the_walk_continues_behind():
     counter = np.zeros(GRID.size, np.int16)
     a, b = np.array([-3.0, 0.25, 0.75]), np.array([1.25, 0.25, 0.75])
     assert first_blocked(counter, GRID, a, b, True) == 0.0

@@ -1,4 +1,4 @@
-"""The state estimator as a kernel: its memory, what it refuses, how it begins anew."""
+"""The state estimator as a kernel: its memory, what it refuses, how it restarts."""
 
 import numpy as np
 import pytest

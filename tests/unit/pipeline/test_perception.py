@@ -125,7 +125,7 @@ def test_an_obstacle_on_the_trajectory_is_predicted_once_for_each_epoch(stack):
     assert bool(next_.header["collision"][0]) == (stack == "hardened")  # published waits for an answer
 
 
-def test_counting_goes_on_from_whatever_was_published():
+def test_counting_continues_from_whatever_was_published():
     kernel = checker("hardened")
     grid = map_grid(config("hardened"))
     kernel.receive(map_update([at(grid, 5.0, 5.0, 3.0)]), 0)

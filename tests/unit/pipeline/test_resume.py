@@ -1,4 +1,4 @@
-"""Nodes that died begin where they left off: what they read back is what an undisturbed node remembers."""
+"""Nodes that died start where they stopped: what they read back is what an undisturbed node remembers."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def period(stack):
 
 
 @pytest.mark.parametrize("stack", STACKS)
-def test_a_kernel_that_published_nothing_begins_as_at_take_off(stack):
+def test_a_kernel_that_published_nothing_starts_as_at_take_off(stack):
     for new, plain in zip(build_pipeline(config(stack)).values(), build_pipeline(config(stack)).values(), strict=True):
         assert new.resume({}, TICK) == ()
         assert new.same(plain.save())
@@ -56,7 +56,7 @@ def test_the_planner_knows_the_trajectory_and_which_alarms_it_has_answered(stack
     assert after.decisions.alarm == 4.0
 
 
-def test_plans_of_the_node_go_on_counting():
+def test_plans_of_the_node_continue_the_count():
     planner = MotionPlanner(config())
     back = TrajectoryGenerator(config(), planner.room)
     flown = trajectory(seq=4, epoch=2)
@@ -93,7 +93,7 @@ def numbers(states):
     return [(int(state.header["future_collision_seq"][0]), bool(state.header["collision"][0])) for state in states]
 
 
-def test_the_check_goes_on_counting():
+def test_the_check_continues_counting():
     undisturbed, back, fresh = check(), check(), check()
     said = status(seq=6)
     undisturbed.receive(said, 0)
@@ -127,7 +127,7 @@ def test_a_repeated_alarm_ends_when_the_way_is_free():
     assert numbers(kernel.step(0)) == [(1, False)]
 
 
-def test_the_tracker_goes_on_with_the_way_point_in_force():
+def test_the_tracker_continues_with_the_way_point_in_force():
     undisturbed, back = Tracker(config()), Tracker(config())
     in_force = waypoint(position=(4.0, 5.0, 3.0))
     undisturbed.receive(in_force, 0)
@@ -152,7 +152,7 @@ def hand_over(stack, *given):
 
 
 @pytest.mark.parametrize("stack", STACKS)
-def test_the_setpoint_generator_goes_on_along_its_trajectory(stack):
+def test_the_setpoint_generator_continues_along_its_trajectory(stack):
     flown = trajectory(seq=3, epoch=2, period=period(stack), count=100)
     undisturbed, in_force = hand_over(stack, [flown], [tracking(0.0)], [tracking(0.0)])
     back = WaypointHandOver(config(stack))

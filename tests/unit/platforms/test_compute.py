@@ -30,7 +30,7 @@ def test_what_runs_on_the_flight_controller_costs_nothing():
     assert redo_latency(platform, "octomap", Stage.PERCEPTION) == 18
 
 
-def test_a_kernel_that_the_platform_does_not_know_is_told():
+def test_a_kernel_that_the_platform_does_not_know_is_named():
     platform = PlatformConfig(name="toy", latency_us={"pid": 5})
     with pytest.raises(BadInputError, match="platform toy: key 'latency_us': no kernel 'octomap'; it has pid"):
         latency(platform, "octomap")

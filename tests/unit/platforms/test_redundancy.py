@@ -114,7 +114,7 @@ def test_the_ends_of_a_band_change_one_parameter():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("name: x\nmass: 1\n", "key 'max_thrust': is required"),
         ("name: x\nmass: 1\nmax_thrust: 5\n", "5 N: cannot hover; allowed: above the weight with one processor, 10.9"),
@@ -124,9 +124,9 @@ def test_the_ends_of_a_band_change_one_parameter():
         ("name: x\nmass: 1\nmax_thrust: 20\nbands: {mass: {low: 3, high: 2}}\n", "low: 3: allowed: at most high, 2"),
     ],
 )  # fmt: skip
-def test_a_wrong_vehicle_file_is_told(tmp_path, text, told):
+def test_a_wrong_vehicle_file_is_refused(tmp_path, text, message):
     path = tmp_path / "mine.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(BadInputError) as raised:
         find_design(str(path))
-    assert str(path) in str(raised.value) and told in str(raised.value)
+    assert str(path) in str(raised.value) and message in str(raised.value)

@@ -41,7 +41,7 @@ def found(injected, golden=None, fault=FAULT, first=None, **changes):
     return Explanation(spec, *flights, same=True, first=first, departure=ON_PATH)
 
 
-def told(explanation):
+def story_of(explanation):
     return dict(lines(explanation))
 
 
@@ -68,16 +68,19 @@ def test_the_verdict_comes_first_and_says_masked():
     ],
 )  # fmt: skip
 def test_the_verdict_says_what_became_of_the_mission(injected, golden, verdict):
-    assert told(found(injected, golden))["verdict"] == verdict
+    assert story_of(found(injected, golden))["verdict"] == verdict
 
 
 def test_a_fault_that_was_not_activated_is_no_masked_one():
     missed = Injection("state", str(SITE), 1.0, 62, None, None, activated=False)
-    story = told(found(log(injections=[missed])))
+    story = story_of(found(log(injections=[missed])))
     assert story["verdict"].startswith("not activated; the mission succeeds")
     assert story["fault"] == "planning.waypoint.x: not activated, no such publication came"
     nowhere = StateFault(SITE, NO_SITE, 62)
-    assert "no site, the golden run never published it" in told(found(log(injections=[missed]), fault=nowhere))["fault"]
+    assert (
+        "no site, the golden run never published it"
+        in story_of(found(log(injections=[missed]), fault=nowhere))["fault"]
+    )
 
 
 def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kernel():
@@ -85,7 +88,7 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
                           INSTRUCTION)  # fmt: skip
     first = {"state": "control.command", "field": "vx", "element": None, "before": 1.0, "after": 8.0}
     fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track", stratum="exponent")
-    story = told(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
+    story = story_of(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
     assert story["fault"] == "pid.track, bit 62 (exponent), at 2.500 s: 1 → -1"
     assert story["source line"] == (
         "mavfi/kernels/control/pid.py:90, inlined at mavfi/kernels/control/pid.py:12: fmul double of rate "
@@ -94,12 +97,12 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     assert story["kernel"] == "pid: silent data corruption, first in control.command.vx: golden 1, here 8"
     assert "first difference" not in story
     crashed = log(injections=[injection], kernel=KernelEffect("crash", "SIGSEGV"))
-    story = told(found(crashed, fault=fault))
+    story = story_of(found(crashed, fault=fault))
     assert story["verdict"].startswith("crash (SIGSEGV) of a kernel, its node was restarted; the mission succeeds")
     assert story["kernel"] == "pid: crashed (SIGSEGV); its node was restarted"
     for policy, what in (("readback", "its node was restarted (readback)"), ("end", "the mission ended with it")):
         crashed.meta["scenario"] = {"dead_node": policy}
-        assert told(found(crashed, fault=fault))["kernel"] == f"pid: crashed (SIGSEGV); {what}"
+        assert story_of(found(crashed, fault=fault))["kernel"] == f"pid: crashed (SIGSEGV); {what}"
 
 
 @pytest.mark.parametrize(
@@ -115,7 +118,7 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     ],
 )  # fmt: skip
 def test_the_first_difference(first, sentence):
-    assert told(found(log(injections=[INJECTION]), first=first))["first difference"] == sentence
+    assert story_of(found(log(injections=[INJECTION]), first=first))["first difference"] == sentence
 
 
 def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
@@ -133,10 +136,10 @@ def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
 
 def test_the_detector_is_named_with_its_profile_if_it_has_one():
     flight = log(injections=[INJECTION])
-    story = told(found(flight, arm="gaussian", detector="gaussian", detector_profile="paper", model="sha"))
+    story = story_of(found(flight, arm="gaussian", detector="gaussian", detector_profile="paper", model="sha"))
     assert story["run"].endswith("detector gaussian (paper)")
     assert story["golden run"].startswith("the same mission without the fault, with the detector on")
-    assert told(found(flight, arm="idle", detector="own.module:Mine"))["run"].endswith("detector own.module:Mine")
+    assert story_of(found(flight, arm="idle", detector="own.module:Mine"))["run"].endswith("detector own.module:Mine")
 
 
 @pytest.fixture(scope="module")

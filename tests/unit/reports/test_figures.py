@@ -57,7 +57,7 @@ def test_success_at_every_level_with_counts_the_paper_and_words(level, populatio
     assert [text.get_text() for text in axes.texts] == ["2", "2", "1"], "number of missions at each point"
 
 
-def test_the_paper_stands_beside_its_own_profile_only():
+def test_the_paper_is_compared_with_its_own_profile_only():
     axes = figures.success(runs({"success": True}, campaign={"profile": "hardened"})).axes[0]
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["fault"]
 

@@ -63,7 +63,7 @@ def test_a_place_that_cannot_be_written(flights, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not SCAN.is_file(), reason="the scanned building is not beside the repository")
+@pytest.mark.skipif(not SCAN.is_file(), reason="the scanned building is not next to the repository")
 def test_a_scanned_building(tmp_path):
     scenario = resolve(MissionSpec(environment=str(SCAN), start=(-5.0, 0.0, 1.2), goal=(1.0, -0.8, 0.9)))
     assert isinstance(scenario.environment, EnvironmentConfig)

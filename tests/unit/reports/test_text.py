@@ -50,7 +50,7 @@ def test_hidden_columns_are_for_files():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "told"),
+    ("before", "after", "expected"),
     [
         (2.5, 1e300, ("2.5", "1e+300")),
         (2.7495712345, 2.7495712346, ("2.7495712345", "2.7495712346")),
@@ -61,8 +61,8 @@ def test_hidden_columns_are_for_files():
         (2.5, 2.5, ("2.5", "2.5")),
     ],
 )
-def test_as_short_as_shows_the_difference(before, after, told):
-    assert text.change(before, after) == told
+def test_as_short_as_shows_the_difference(before, after, expected):
+    assert text.change(before, after) == expected
 
 
 def test_digits_are_given_by_the_caller():
@@ -70,7 +70,7 @@ def test_digits_are_given_by_the_caller():
     assert text.change(51.30162, 51.30163, digits=4) == ("51.30162", "51.30163")
 
 
-def test_nans_are_told_by_their_bits():
+def test_nans_are_shown_by_their_bits():
     (other,) = struct.unpack(">d", bytes.fromhex("7ff8000000000001"))
     assert text.change(math.nan, other) == ("nan (0x7ff8000000000000)", "nan (0x7ff8000000000001)")
 
@@ -86,8 +86,8 @@ def test_null_runs_are_reported_either_way():
 def test_runs_that_could_not_be_judged_are_named():
     assert text.checks(runs(golden(1))) == ["Null runs: none flown."]
     own = runs(golden(1), injected(1, UNKNOWN))
-    told = f"Unknown: 1 runs could not be judged: {own.injected['run_id'][0]}"
-    assert text.checks(own) == ["Null runs: none flown.", told]
+    unknown = f"Unknown: 1 runs could not be judged: {own.injected['run_id'][0]}"
+    assert text.checks(own) == ["Null runs: none flown.", unknown]
 
 
 def test_a_campaign_that_is_not_complete_or_on_design_seeds_says_so():
@@ -101,3 +101,8 @@ def test_what_was_flown_comes_first_and_our_version_before_others():
     assert text.header(ABOUT) == [
         "campaign handmade", "9 missions", "9 of 9 runs done · digest dddddddddddddddd…", "mavfi 1 · numba 2"
     ]  # fmt: skip
+
+
+def test_a_markdown_grid_aligns_numbers_and_escapes_bars():
+    assert text.markdown_grid(("a", "n"), [("x|y", "1")], left=1) == "| a | n |\n| --- | ---: |\n| x\\|y | 1 |"
+    assert text.markdown_grid(("a", "b"), []) == "| a | b |\n| --- | --- |"

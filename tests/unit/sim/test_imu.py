@@ -18,7 +18,7 @@ def test_white_noise_has_the_stated_random_walk():
     np.testing.assert_allclose(rows[:, 3:].std(axis=0), GYRO_RANDOM_WALK / np.sqrt(0.02), rtol=0.08)
 
 
-def test_biases_begin_at_zero_and_walk():
+def test_biases_start_at_zero_and_walk():
     assert not Imu(3).bias.any()
     imu, _ = samples()
     assert imu.bias.all() and np.abs(imu.bias[:3]).max() < 1e-3 and np.abs(imu.bias[3:]).max() < 1e-4

@@ -144,7 +144,7 @@ def test_touching_a_voxel_is_a_collision():
 
 
 @pytest.mark.parametrize("world", (open_world(5.0, [(4.0, -2.0, 0.0)], [(6.0, 2.0, 9.0)]), room()))
-def test_a_restored_snapshot_goes_on_bit_by_bit(world):
+def test_a_restored_snapshot_continues_bit_by_bit(world):
     """Through a contact, with sensor noise, into the same simulator and into another one."""
     flight = Simulator(world, scenario(noise=0.02))
     fly(flight, (2.0, 0.3, 0.1, 0.4), 0.8)

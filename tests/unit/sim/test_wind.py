@@ -106,7 +106,7 @@ def test_the_velocity_of_the_air_is_what_drag_acts_on():
     np.testing.assert_allclose(with_it[-1, 3:] - (*mean, *[0.0] * 7), at_rest[-1, 3:], atol=5e-3)
 
 
-def test_a_flight_in_wind_goes_on_from_a_snapshot_bit_by_bit():
+def test_a_flight_in_wind_continues_from_a_snapshot_bit_by_bit():
     flight, other = in_wind(gust=9.0, interval=1.0), in_wind(gust=9.0, interval=1.0)
     fly(flight, (2.0, 0.0, 0.0, 0.0), 6.0)
     snapshot = flight.snapshot()
@@ -128,6 +128,6 @@ def test_in_wind_it_does_not_matter_how_often_time_is_advanced():
 
 @pytest.mark.parametrize("data", [{"gust": -1.0}, {"gust": 31.0}, {"gust": math.nan}, {"mean": (30.0, 1.0, 0.0)},
                                   {"interval": 0.0}, {"length": 0.0}, {"speed": 1.0}])  # fmt: skip
-def test_wind_that_cannot_be_is_told(data):
+def test_impossible_wind_is_refused(data):
     with pytest.raises(BadInputError, match=f"wind: .*{next(iter(data))}"):
         parse(WindConfig, data, "wind")

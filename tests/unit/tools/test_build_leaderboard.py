@@ -41,13 +41,13 @@ def test_each_rule_has_its_faults(bench):
 
 
 def test_the_headline_counts_what_comes_back(bench):
-    told = headline(bench / "sites")
-    assert "Of 6 missions lost" in told and "Gaussian detector brings back 1 (17 %)" in told
-    assert "autoencoder 1 (17 %)" in told and "recommended` 6 (100 %)" in told
+    sentence = headline(bench / "sites")
+    assert "Of 6 missions lost" in sentence and "Gaussian detector brings back 1 (17 %)" in sentence
+    assert "autoencoder 1 (17 %)" in sentence and "recommended` 6 (100 %)" in sentence
 
 
 @pytest.mark.parametrize("arguments", [[], ["a", "b", "c"], ["no-such-folder"]])
 def test_bad_input_is_one_line(arguments, capsys):
     assert main(arguments) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("bad input: ") and told.count("\n") == 1
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("bad input: ") and stderr.count("\n") == 1

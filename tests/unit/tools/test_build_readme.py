@@ -17,7 +17,7 @@ Generated on 2026-11-20 by mavfi 0.1.0 (numba 0.68.1): campaign `table1_instruct
 | Gaussian-based | here, node restarts | 100.0 [95.3, 100.0] 78/78 | 98.7 [93.1, 99.8] 77/78 |
 |  | paper | 99.3 % | 83.0 % |
 
-- smaller differences are not told apart: farm 16 / 4; dense 16 / 9
+- smaller differences are not distinguished: farm 16 / 4; dense 16 / 9
 """
 
 

@@ -106,6 +106,6 @@ def test_rows_are_flown_in_the_order_of_seeds_on_any_number_of_workers():
     assert fly_row(FARM, 1, 1, 20_001).flights == row.flights[1:2]
 
 
-def test_what_cannot_be_flown_is_told_before_the_first_flight():
+def test_what_cannot_be_flown_is_refused_before_the_first_flight():
     with pytest.raises(BadInputError, match="nowhere"):
         fly_row(Setting.of("nowhere", "hardened"), 1, 1)

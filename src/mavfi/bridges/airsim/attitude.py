@@ -1,11 +1,11 @@
 """Rotor commands for attitudes, body rates and motors, from the inner loops of our cascade."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavfi.bridges.airsim.vehicle import ApiVehicle
+from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, YAW_REFERENCE, mix_rotors, wanted_rates
 from mavfi.sim.engine import GRAVITY
@@ -66,9 +66,9 @@ def at_attitude(
     def rotors(time_us: int, odometry: np.ndarray) -> np.ndarray:
         matrix, heading = np.empty((3, 3)), float(yaw_of(odometry[6:10]))
         rotation_matrix(odometry[6:10], matrix)
-        c, s = math.cos(heading), math.sin(heading)
-        forward, left = math.sin(-pitch) * math.cos(roll), -math.sin(roll)
-        up = math.cos(pitch) * math.cos(roll)
+        c, s = cos(heading), sin(heading)
+        forward, left = sin(-pitch) * cos(roll), -sin(roll)
+        up = cos(pitch) * cos(roll)
         force = np.array([c * forward - s * left, s * forward + c * left, up])
         if yaw_rate is None:
             memory[YAW_REFERENCE] = -yaw

@@ -24,9 +24,10 @@ LANDING_SPEED, HIGH_LANDING_SPEED, LOW = 0.2, 2.0, 2.0
 APPROX_ZERO_SPEED = 0.05
 STILL_PERIODS = 10
 _FOREVER_S = 1e6
-_HOLD_S = 0.06
+HOLD_S = 0.06
 """Validity of a command that is renewed every period (s)."""
-_YAW_GAIN, _YAW_RATE = 2.5, 1.5
+YAW_GAIN, YAW_RATE = 2.5, 1.5
+"""Yaw rate (rad/s) per error (rad), and its limit (rad/s)."""
 _HEIGHT_GAIN, _CLIMB = 1.0, 3.0
 _LEAST_SPEED = 0.4
 """At the end of a path (m/s)."""
@@ -55,10 +56,11 @@ class Yaw:
             if math.hypot(velocity[0], velocity[1]) < 0.1:
                 return 0.0
             wanted += float(atan2(velocity[1], velocity[0]))
-        return _clip(_YAW_GAIN * math.remainder(wanted - vehicle.yaw, 2.0 * math.pi), _YAW_RATE)
+        return clip(YAW_GAIN * math.remainder(wanted - vehicle.yaw, 2.0 * math.pi), YAW_RATE)
 
 
-def _clip(value: float, limit: float) -> float:
+def clip(value: float, limit: float) -> float:
+    """The value, limited to -limit .. limit."""
     return min(limit, max(-limit, value))
 
 
@@ -75,7 +77,7 @@ def fly_velocity(vehicle: ApiVehicle, velocity: Triple, seconds: float, yaw: Yaw
         vehicle.send(velocity, yaw.value, seconds)
     while vehicle.now_us < end:
         if not yaw.is_rate:
-            vehicle.send(velocity, yaw.rate(vehicle, velocity), _HOLD_S)
+            vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
         yield
     return True
 
@@ -84,8 +86,8 @@ def fly_velocity_at(vehicle: ApiVehicle, velocity: tuple[float, float], z: float
     """Fly at a horizontal velocity and a height, for a time."""
     end = _end_of(vehicle, seconds)
     while vehicle.now_us < end:
-        down = _clip(_HEIGHT_GAIN * (z - vehicle.position[2]), _CLIMB)
-        vehicle.send((*velocity, down), yaw.rate(vehicle, velocity), _HOLD_S)
+        down = clip(_HEIGHT_GAIN * (z - vehicle.position[2]), _CLIMB)
+        vehicle.send((*velocity, down), yaw.rate(vehicle, velocity), HOLD_S)
         yield
     return True
 
@@ -146,7 +148,7 @@ def fly_path(
         pace = min(speed, max(_LEAST_SPEED, path.length - arc))
         scale = pace / max(float(np.linalg.norm(way)), 1e-9)
         velocity = (float(way[0]) * scale, float(way[1]) * scale, float(way[2]) * scale)
-        vehicle.send(velocity, yaw.rate(vehicle, velocity), _HOLD_S)
+        vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
         yield
     return False
 
@@ -168,7 +170,7 @@ def land(vehicle: ApiVehicle, timeout: float) -> Task:
     end, still = _end_of(vehicle, timeout), 0
     while vehicle.now_us < end:
         sink = LANDING_SPEED if vehicle.sim.height < LOW else min(HIGH_LANDING_SPEED, 0.5 * vehicle.sim.height)
-        vehicle.send((0.0, 0.0, sink), 0.0, _HOLD_S)
+        vehicle.send((0.0, 0.0, sink), 0.0, HOLD_S)
         yield
         still = still + 1 if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED else 0
         if still > STILL_PERIODS:
@@ -193,7 +195,7 @@ def turn_to(vehicle: ApiVehicle, yaw: float, timeout: float, margin: float) -> T
         if abs(off) < max(margin, math.radians(1.0)) and abs(vehicle.rates[2]) < APPROX_ZERO_SPEED:
             return True
         back = [0.5 * (wanted - now) for wanted, now in zip(here, vehicle.position, strict=True)]
-        vehicle.send((back[0], back[1], back[2]), _clip(_YAW_GAIN * off, _YAW_RATE), _HOLD_S)
+        vehicle.send((back[0], back[1], back[2]), clip(YAW_GAIN * off, YAW_RATE), HOLD_S)
         yield
     return False
 

@@ -57,7 +57,7 @@ class ApiVehicle:
         origin: Origin of NED in the world (m). Shape (3,).
         landed: Whether it stands on the ground.
         api: Whether a program controls it.
-        failures: Failures of its sensors and motors; they outlast a reset.
+        failures: Failures of its sensors and motors; they persist across resets.
         ended: Tasks that ended; the owner removes them.
 
     Raises:
@@ -208,7 +208,7 @@ class ApiVehicle:
                 self._act()
 
     def _let_controller_fail(self) -> None:
-        """With failures, the flight controller reads and commands through them; `Grounded` renews it now and then."""
+        """With failures, the controller reads and commands through them; arming and placing replace it."""
         sim = self.sim
         if self.failures.active and not isinstance(sim.controller, FailingController):
             sim.controller = FailingController(sim.controller, self.failures, sim.max_thrust, self._base_us)

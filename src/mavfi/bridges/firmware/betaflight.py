@@ -11,12 +11,16 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import closing, suppress
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
 
 from mavfi.bridges.firmware.process import FIRST_NS, Firmware
 from mavfi.errors import MavfiError
+from mavfi.flight_logs.ned import HOME
+from mavfi.sim.engine import GRAVITY
 
 EEPROM = "eeprom.bin"
 """File of the configuration, in the working directory."""
@@ -42,12 +46,10 @@ airframe, whose rotors give little torque."""
 
 _PACKETS = struct.Struct("<Q18dd16H")
 _SEA_LEVEL_PA = 101_325.0
-_LONGITUDE, _LATITUDE = 8.545594, 47.397742
 _SET_MODE_RANGE, _RC_TUNING, _SET_RC_TUNING, _PID, _SET_PID, _EEPROM_WRITE = 35, 111, 204, 112, 202, 250
 _API_VERSION, _FC_VARIANT, _FC_VERSION = 1, 2, 3
 _ARM, _ANGLE = 0, 1
 _HEAD = 5
-_MOST_PERIODS = 60_000
 _MSP_WALL_S, _ATTEMPTS = 4.0, 5
 """Time limit of an answer on the serial port (s), and number of starts.  A race of its threads at boot may cost the
 firmware the port that it has just opened; then it is started again."""
@@ -80,9 +82,9 @@ def state_of(position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray,
         force: Specific force, body frame (m/s^2). Shape (3,).
     """
     (w, x, y, z), (p, q, r), (ax, ay, az) = quaternion.tolist(), rates.tolist(), force.tolist()
-    height = float(position[2])
+    height, (latitude, longitude, _) = float(position[2]), HOME
     pressure = _SEA_LEVEL_PA * max(0.0, 1.0 - 2.25577e-5 * height) ** 5.25588  # ISA, ICAO Doc 7488
-    return (p, -q, -r, -ax, -ay, -az, w, x, -y, -z, *velocity.tolist(), _LONGITUDE, _LATITUDE, height, pressure)
+    return (p, -q, -r, -ax, -ay, -az, w, x, -y, -z, *velocity.tolist(), longitude, latitude, height, pressure)
 
 
 def channels(roll: float, pitch: float, throttle: float, yaw_rate: float) -> list[int]:
@@ -105,17 +107,14 @@ def _stick(share: float) -> int:
     return CENTRE + round((HIGH - CENTRE) * min(1.0, max(-1.0, share)))
 
 
-AT_REST = state_of(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.80665]))
+AT_REST = state_of(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY]))
 """State of a vehicle that stands level."""
 
 
 def message(code: int, data: bytes = b"") -> bytes:
     """An MSP request (version 1)."""
     body = bytes([len(data), code]) + data
-    check = 0
-    for byte in body:
-        check ^= byte
-    return b"$M<" + body + bytes([check])
+    return b"$M<" + body + bytes([reduce(xor, body)])
 
 
 def reply(buffer: bytes, code: int) -> bytes | None:
@@ -126,10 +125,7 @@ def reply(buffer: bytes, code: int) -> bytes | None:
     """
     if len(buffer) < _HEAD or len(buffer) < _HEAD + 1 + buffer[3]:
         return None
-    body = buffer[3 : _HEAD + buffer[3] + 1]
-    check = 0
-    for byte in body:
-        check ^= byte
+    check = reduce(xor, buffer[3 : _HEAD + buffer[3] + 1])
     if buffer[:3] != b"$M>" or buffer[4] != code or check:
         raise MavfiError(f"the firmware refused the MSP request {code} ({buffer[:_HEAD].hex()})")
     return buffer[_HEAD : _HEAD + buffer[3]]

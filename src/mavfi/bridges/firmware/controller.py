@@ -18,6 +18,7 @@ from mavfi.numerics.elementary import atan2
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, wanted_thrust
 from mavfi.sim.controller import Start
+from mavfi.sim.engine import GRAVITY
 from mavfi.sim.scene import STEP_US
 from mavfi.sim.vehicle import airframe_of
 
@@ -52,7 +53,7 @@ class BetaflightController:
         needed = installed()
         self.firmware = Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})
         try:
-            betaflight.arm(self.firmware, _state(start.odometry, np.zeros(3), np.array([0.0, 0.0, 9.80665])))
+            betaflight.arm(self.firmware, _state(start.odometry, np.zeros(3), np.array([0.0, 0.0, GRAVITY])))
         except BaseException:
             self.close()
             raise

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 from mavfi.bridges.firmware.controller import BetaflightController
 from mavfi.bridges.firmware.injector import NODE, WALK, FirmwareInjector
@@ -22,9 +22,9 @@ from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.mission import Scenario
 
 
-def register_fault(time_us: int, seed: int, registers: str = "all", **given: Any) -> RegisterFault:  # noqa: ANN401
+def register_fault(time_us: int, seed: int, registers: str = "all") -> RegisterFault:
     """A fault in a register of the firmware's main thread, from an instant of the flight on (us)."""
-    return RegisterFault(registers, node=NODE, time_us=time_us, seed=seed, **{"walk": WALK, **given})
+    return RegisterFault(registers, node=NODE, time_us=time_us, seed=seed, walk=WALK)
 
 
 def fly(

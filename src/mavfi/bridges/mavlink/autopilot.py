@@ -7,7 +7,7 @@ from typing import Any
 
 from mavfi.bridges.airsim.attitude import Vertical, at_attitude, at_rates
 from mavfi.bridges.airsim.tasks import land
-from mavfi.bridges.airsim.vehicle import Task
+from mavfi.bridges.airsim.vehicle import TICK_US, Task
 from mavfi.bridges.mavlink import telemetry
 from mavfi.bridges.mavlink.flying import (
     FOREVER_S,
@@ -93,7 +93,7 @@ class Autopilot:
     def step(self, until_us: int) -> None:
         """Let time pass up to an instant (us), a multiple of 20 ms, and send what is due."""
         while self.vehicle.now_us < until_us:
-            self.vehicle.step(min(until_us, self.vehicle.now_us + 20_000))
+            self.vehicle.step(min(until_us, self.vehicle.now_us + TICK_US))
             self._end_tasks()
             self._prove_failures()
             for message in self._schedule.due(self.vehicle.now_us):

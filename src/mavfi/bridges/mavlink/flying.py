@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavfi.bridges.airsim.tasks import Yaw, fly_path, land
+from mavfi.bridges.airsim.tasks import HOLD_S, YAW_GAIN, YAW_RATE, Yaw, clip, fly_path, from_body, land
 from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
 from mavfi.flight_logs.ned import Triple
+from mavfi.numerics.elementary import atan2
 
-HOLD_S = 0.06
-"""Validity of a command that is renewed every period (s)."""
 SETPOINT_TIMEOUT_US = 1_000_000
 """Age of a set-point of mode offboard from which the vehicle stops (us); PX4: COM_OF_LOSS_T."""
 RETURN_HEIGHT = 5.0
@@ -19,7 +18,6 @@ RETURN_HEIGHT = 5.0
 FOREVER_S = 1e5
 _POSITION_GAIN, _HOLD_SPEED, _APPROACH_SPEED = 0.9, 2.0, 5.0
 _ORBIT_GAIN = 1.0
-_YAW_GAIN, _YAW_RATE = 2.5, 1.5
 
 
 class MavVehicle(ApiVehicle):
@@ -51,16 +49,12 @@ class Setpoint:
     rotors: Callable[[int, np.ndarray], np.ndarray] | None = None
 
 
-def _clip(value: float, limit: float) -> float:
-    return min(limit, max(-limit, value))
-
-
 def hold(vehicle: ApiVehicle) -> Task:
     """Stay here."""
     here = vehicle.position
     while True:
         if not vehicle.landed:
-            back = [_clip(_POSITION_GAIN * (a - b), _HOLD_SPEED) for a, b in zip(here, vehicle.position, strict=True)]
+            back = [clip(_POSITION_GAIN * (a - b), _HOLD_SPEED) for a, b in zip(here, vehicle.position, strict=True)]
             vehicle.send((back[0], back[1], back[2]), 0.0, HOLD_S)
         yield
 
@@ -93,11 +87,11 @@ def orbit(vehicle: ApiVehicle, centre: Triple, radius: float, speed: float, cloc
         away = north - centre[0], east - centre[1]
         distance = max(math.hypot(*away), 1e-6)
         n, e = away[0] / distance, away[1] / distance
-        inward = _clip(_ORBIT_GAIN * (distance - radius), speed)
-        velocity = -n * inward - sign * e * speed, -e * inward + sign * n * speed, _clip(centre[2] - down, 2.0)
-        off = math.remainder(math.atan2(-e, -n) - vehicle.yaw, 2.0 * math.pi)
+        inward = clip(_ORBIT_GAIN * (distance - radius), speed)
+        velocity = -n * inward - sign * e * speed, -e * inward + sign * n * speed, clip(centre[2] - down, 2.0)
+        off = math.remainder(float(atan2(-e, -n)) - vehicle.yaw, 2.0 * math.pi)
         turn = sign * speed / max(distance, 1.0)
-        vehicle.send(velocity, _clip(_YAW_GAIN * off + turn, _YAW_RATE), HOLD_S)
+        vehicle.send(velocity, clip(YAW_GAIN * off + turn, YAW_RATE), HOLD_S)
         yield
 
 
@@ -119,12 +113,11 @@ def _velocity_for(vehicle: ApiVehicle, setpoint: Setpoint) -> Triple:
     """Velocity (NED, m/s): feed-forward, plus what a position set-point asks for."""
     x, y, z = (value or 0.0 for value in setpoint.velocity)
     if setpoint.body:
-        c, s = math.cos(vehicle.yaw), math.sin(vehicle.yaw)
-        x, y = c * x - s * y, s * x + c * y
+        x, y = from_body(vehicle, x, y)
     found = [x, y, z]
     for axis, (wanted, here) in enumerate(zip(setpoint.position, vehicle.position, strict=True)):
         if wanted is not None:
-            found[axis] += _clip(_POSITION_GAIN * (wanted - here), _APPROACH_SPEED)
+            found[axis] += clip(_POSITION_GAIN * (wanted - here), _APPROACH_SPEED)
     return found[0], found[1], found[2]
 
 

@@ -5,6 +5,7 @@ import socket
 import time
 from typing import Any
 
+from mavfi.bridges.airsim.vehicle import TICK_US
 from mavfi.bridges.mavlink.autopilot import Autopilot
 from mavfi.bridges.mavlink.flying import MavVehicle
 from mavfi.errors import BadInputError
@@ -16,7 +17,6 @@ PORT = 14_580
 OFFBOARD_PORT, GROUND_STATION_PORT = 14_540, 14_550
 FASTEST = 12.0
 """Largest speed that may be commanded (m/s)."""
-_TICK_US = 20_000
 _POLL_S = 0.004
 
 
@@ -73,10 +73,10 @@ class Server:
 
     def run(self, seconds: float) -> None:
         """Serve for a wall time (s)."""
-        begin, start_us = time.monotonic(), self.vehicle.now_us
-        while (now := time.monotonic() - begin) < seconds:
+        start, start_us = time.monotonic(), self.vehicle.now_us
+        while (now := time.monotonic() - start) < seconds:
             self.receive()
-            target = start_us + int(1e6 * self._speed * now) // _TICK_US * _TICK_US
+            target = start_us + int(1e6 * self._speed * now) // TICK_US * TICK_US
             if target > self.vehicle.now_us:
                 self.autopilot.step(target)
             select.select([self._socket], [], [], _POLL_S)

@@ -45,8 +45,8 @@ def _kinds(own: Runs) -> str:
 def _systematic_note(runs: Runs) -> str:
     parts = _golden_watched(runs).groups("setting", "environment").values()
     always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
-    others = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
-    return f"systematic: same state and instant in more than 90 % of the flights{others}"
+    alarms = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
+    return f"systematic: same state and instant in more than 90 % of the flights{alarms}"
 
 
 def _detected(runs: Runs) -> Runs:
@@ -175,7 +175,7 @@ register(
             m.count("flights", "flights"), *(_recomputed(str(stage)) for stage in PPC_STAGES),
             _recomputed(""),
             Measure("compute_s", "compute time", "number .1f s", lambda own: m.compute_us(own) * 1e-6, hidden=True),
-            paper.beside(_papers_overhead, "paper (stages)", "small percents"),
+            paper.column(_papers_overhead, "paper (stages)", "small percents"),
         ),
         where=lambda runs: of_missions(runs).where(pl.col("detector") != "", end="flown"),
         notes=lambda _: (

@@ -77,8 +77,8 @@ def _worst_stage(runs: Runs) -> list[str]:
     if len(rates) < 2:
         return []
     ordered = sorted(rates.items(), key=lambda item: -(item[1].rate or 0.0))
-    listed = "; ".join(f"{stage} {_percent(rate)}" for stage, rate in ordered)
-    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {listed}."]
+    stages = "; ".join(f"{stage} {_percent(rate)}" for stage, rate in ordered)
+    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {stages}."]
 
 
 def _recovery(runs: Runs) -> list[str]:
@@ -98,8 +98,10 @@ def _recovery(runs: Runs) -> list[str]:
 def _false_alarms(runs: Runs) -> list[str]:
     own = runs.golden.where(pl.col("detector") != "", end="flown")
     rates = {arm: m.alarm_rate(part) for (arm,), part in own.groups("arm").items()}
-    listed = "; ".join(f"{arm} {rate.per_hour:.1f} per hour" for arm, rate in rates.items() if rate.per_hour is not None)
-    return [f"Alarms on flights without a fault: {listed}."] if listed else []
+    by_arm = "; ".join(
+        f"{arm} {rate.per_hour:.1f} per hour" for arm, rate in rates.items() if rate.per_hour is not None
+    )
+    return [f"Alarms on flights without a fault: {by_arm}."] if by_arm else []
 
 
 def _flight_time(runs: Runs) -> list[str]:

@@ -77,7 +77,7 @@ def unknown_note(own: Runs) -> list[str]:
 def separable_note(runs: Runs) -> list[str]:
     """Note with the smallest differences that a success table can resolve."""
     parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
-    start = "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): "
+    start = "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): "
     return [start + "; ".join(parts)] if parts else []
 
 
@@ -104,7 +104,7 @@ register(
         (
             Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success"),
                     counted=lambda own: m.in_leading(own, m.population_names(own, ()))),
-            paper.beside(paper.success),
+            paper.column(paper.success),
         ),
         where=faulty_and_bare, across="environment", headings=("",),
         notes=lambda runs: (
@@ -113,7 +113,7 @@ register(
         ), leads=True, applies=_by_stages,
     ),
     View(
-        "success", "Success of missions", SETTING, (m.leading_success, paper.beside(paper.success), m.other_success),
+        "success", "Success of missions", SETTING, (m.leading_success, paper.column(paper.success), m.other_success),
         where=of_missions,
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,

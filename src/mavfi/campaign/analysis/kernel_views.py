@@ -92,7 +92,7 @@ register(
             Measure("here", "here", RATE, _success("golden", "success")),
             Measure("restart", "here, node restarts", RATE, _success("injected", "success")),
             Measure("end", "here, mission ends", RATE, _success("injected", "success_if_ended")),
-            paper.beside(paper.success),
+            paper.column(paper.success),
         ),
         where=faulty_and_bare, across="environment", headings=("",),
         notes=lambda runs: (

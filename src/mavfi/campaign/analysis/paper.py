@@ -50,7 +50,7 @@ def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
     return campaign.get("profile") == data["profile"] and detector_profile in ("", data["detector_profile"])
 
 
-def beside(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
+def column(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
     """A column with the published value for an environment and setting, in rows comparable with the paper."""
 
     def of(own: Runs) -> Any:

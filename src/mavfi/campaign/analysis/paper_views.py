@@ -177,7 +177,7 @@ register(
             m.count("pairs", "pairs", "paired"),
             Measure("p95", "95 % increase", SIGNED, _increase(0.95)),
             Measure("worst", "worst increase", SIGNED, _increase(1.0)),
-            paper.beside(paper.worst_time, "paper's worst", SIGNED),
+            paper.column(paper.worst_time, "paper's worst", SIGNED),
             Measure("recovered", "recovered by", "signed points", _recovered(1.0, "fi_worst")),
             Measure("paper_recovered", "paper's", "signed points", _papers),
             Measure("recovered_p95", "of the 95 %", "signed points", _recovered(0.95, "fi_tail")),

@@ -194,7 +194,7 @@ def summary(designs: Sequence[DesignConfig]) -> list[str]:
         times, (low, high) = ratio(design, TMR), band(design, TMR)
         printed = paper.figure("redundancy_time", vehicle=design.craft, scheme=TMR)
         reach = f", band {_between(low, high)}" if design.bands else ""
-        beside = f"; the paper: {printed:.2f} times" if printed is not None else ""
+        reference = f"; the paper: {printed:.2f} times" if printed is not None else ""
         what = "cannot hover" if math.isinf(times) else f"takes {times:.2f} times as long as with a detector{reach}"
-        found.append(f"{design.craft} ({design.calibration}): with TMR it {what}{beside}.")
+        found.append(f"{design.craft} ({design.calibration}): with TMR it {what}{reference}.")
     return found

@@ -100,7 +100,7 @@ register(
         ),
         where=against_base, headings=("scheme",),
         notes=lambda _: (
-            *_NOTES, "died / sdc: the kernel died of the fault, or went on with a wrong value",
+            *_NOTES, "died / sdc: the kernel died of the fault, or continued with a wrong value",
             "faults are those of one number of call and value; a scheme that changes the flight, by false alarms or "
             "latencies, meets other computations there: compare lost with lost under it", ONE_FAULT,
         ),

@@ -16,7 +16,7 @@ def time_table(campaigns: Mapping[str, Runs]) -> Table:
         "times", "Where the time goes", _COLUMNS, rows,
         notes=(
             "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
-            "include the counting of instructions, and those with a fault begin at checkpoints of golden runs",
+            "include the counting of instructions, and those with a fault start at checkpoints of golden runs",
         ),
     )  # fmt: skip
 

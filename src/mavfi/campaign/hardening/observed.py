@@ -16,6 +16,9 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
 
+_CALLS = 12
+"""Recorded calls per signature, about."""
+
 
 @dataclass(slots=True)
 class Seen:
@@ -56,12 +59,11 @@ class Observing:
     Args:
         entry: Name of the function.
         function: Compiled by `kernel_jit`.
-        most: Recorded calls per signature, about.
         ahead: Fetches the IR, which takes seconds for the first time, during the flight.
     """
 
-    def __init__(self, entry: str, function: Any, most: int, ahead: Executor) -> None:
-        self._entry, self._function, self._most, self._ahead = entry, function, most, ahead
+    def __init__(self, entry: str, function: Any, ahead: Executor) -> None:
+        self._entry, self._function, self._ahead = entry, function, ahead
         self._seen: dict[tuple[Any, ...], tuple[Seen, Recording]] = {}
 
     def __call__(self, *args: Any) -> Any:
@@ -71,7 +73,7 @@ class Observing:
             variant = variant_for(self._function, args)
             blocks = np.zeros(len(variant.table.blocks), np.int64)
             seen = Seen(self._function, self._entry, signature, variant, blocks)
-            self._seen[signature] = seen, Recording(self._most)
+            self._seen[signature] = seen, Recording(_CALLS)
             self._ahead.submit(cached_source, self._function, signature)
         seen, recording = self._seen[signature]
         recording.note(args)
@@ -92,7 +94,7 @@ def entries_of(kernels: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
 
 
-def observe(scenario: Scenario, kernels: Sequence[str], most: int = 12) -> dict[str, list[Seen]]:
+def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[Seen]]:
     """Fly a golden mission; returns the executed functions by kernel.
 
     Raises:
@@ -101,6 +103,6 @@ def observe(scenario: Scenario, kernels: Sequence[str], most: int = 12) -> dict[
     """
     names = entries_of(kernels)
     with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):
-        made = {name: Observing(name, getattr(PLAIN, name), most, ahead) for name in names}
+        made = {name: Observing(name, getattr(PLAIN, name), ahead) for name in names}
         fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name]))
     return {kernel: [seen for name in INJECTABLE[kernel] for seen in made[name].seen()] for kernel in kernels}

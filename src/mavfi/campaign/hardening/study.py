@@ -83,13 +83,13 @@ class Study:
         scenario: Scenario = host_of(self.campaign).resolve(self.campaign.spec(environment, seed, {"planner": planner}))
         return scenario
 
-    def fresh(self, planner: str, missions: int = FRESH) -> list[Scenario]:
+    def fresh(self, planner: str) -> list[Scenario]:
         """Missions that the ledger does not contain: the seeds after its own."""
         first = self.campaign.seeds.stop
         return [
             self.scenario(environment, seed, planner)
             for environment in self.campaign.environments
-            for seed in range(first, first + missions)
+            for seed in range(first, first + FRESH)
         ]
 
 

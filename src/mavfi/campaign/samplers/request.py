@@ -54,7 +54,7 @@ def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[St
 
 
 def draw_sensor(scenario: Scenario, request: SensorRequest, seed: int) -> tuple[SensorFault, Flight | None]:
-    """Draw the begin of a failure; also returns the golden flight if one was flown for the draw."""
+    """Draw the start of a failure; also returns the golden flight if one was flown for the draw."""
     check_read(request.fault.unit, scenario.flight_controller, scenario.localization.kind)
     if not request.drawn:
         return request.resolve(seed, 0), None
@@ -63,7 +63,7 @@ def draw_sensor(scenario: Scenario, request: SensorRequest, seed: int) -> tuple[
 
 
 def seed_of(fault: Fault) -> int | None:
-    """The seed that a fault needs besides its text, for random choices during the flight; None = none."""
+    """The seed that a fault needs in addition to its text, for random choices during the flight; None = none."""
     if isinstance(fault, SensorFault):
         return fault.seed if fault.kind in RANDOM else None
     return fault.seed if isinstance(fault, StateFault) and fault.share < 1.0 else None

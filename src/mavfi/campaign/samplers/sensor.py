@@ -1,6 +1,6 @@
 """Failures of sensors and motors: `faults` for each unit, its types in equal shares.
 
-The begin is uniform over the golden flight; of several motors, the number is uniform.
+The start is uniform over the golden flight; of several motors, the number is uniform.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from mavfi.mission import MissionSpec
 
 
 class SensorSampler(OwnMissions):
-    """Draws the begin of a failure, and of several motors one.
+    """Draws the start of a failure, and of several motors one.
 
     Raises:
         BadInputError: The sampling names a unit that nothing in the mission reads.

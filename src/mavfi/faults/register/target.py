@@ -35,7 +35,7 @@ def check_target(pid: int, tool: int) -> None:
     if status["TracerPid"].strip() != "0":
         raise BadInputError(f"pid {pid}: is traced already, by process {status['TracerPid'].strip()}")
     if state in "Tt":
-        raise BadInputError(f"pid {pid}: is stopped; let it go on first (kill -CONT {pid})")
+        raise BadInputError(f"pid {pid}: is stopped; continue it first (kill -CONT {pid})")
     _check_program(pid)
 
 

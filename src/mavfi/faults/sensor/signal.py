@@ -54,7 +54,7 @@ class Signal:
         return self.stuck(time_us, values) if self._unit.lost is None else np.full_like(values, self._unit.lost)
 
     def stuck(self, time_us: int, values: np.ndarray) -> np.ndarray:
-        """The held value: that at the begin."""
+        """The held value: that at the start of the failure."""
         del time_us, values
         assert self._held is not None  # set by the first sample
         return self._held.copy()
@@ -71,7 +71,7 @@ class Signal:
         return self._with_error(values, 1.0)
 
     def drift(self, time_us: int, values: np.ndarray) -> np.ndarray:
-        """An error in proportion to the time since the begin."""
+        """An error in proportion to the time since the start of the failure."""
         return self._with_error(values, (time_us - self._fault.time_us) / DRIFT_US)
 
     def _with_error(self, values: np.ndarray, share: float) -> np.ndarray:
@@ -92,7 +92,7 @@ class Signal:
         return self.stuck(time_us, values)
 
     def _remember(self, time_us: int, values: np.ndarray) -> None:
-        """Keep the samples that are still needed, from before the begin on."""
+        """Keep the samples that are still needed, from before the start on."""
         self._past.append((time_us, values.copy()))
         while len(self._past) > 1 and self._past[1][0] <= time_us - DELAY_US:
             self._past.popleft()

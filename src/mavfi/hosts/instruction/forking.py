@@ -364,7 +364,7 @@ def _is_contained(entry: str, before: Any, golden: Any, injected: Any) -> bool:
     """Whether a call changed no argument that checkpoints do not compare, other than as without the fault.
 
     They compare the memory of kernels.  Inputs are not memory, so they must be as before; of maps they compare the
-    cells, but not the stamps and counters beside them.
+    cells, but not their stamps and counters.
     """
     if isinstance(golden, tuple):
         return all(_is_contained(entry, *parts) for parts in zip(before, golden, injected, strict=True))

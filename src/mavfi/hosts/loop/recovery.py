@@ -34,7 +34,7 @@ Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
 """Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
-by which the down time grows with each restart in a flight.  Their sum outlasts a fault of 1 s."""
+by which the down time grows with each restart in a flight.  Their sum exceeds the duration of a fault of 1 s."""
 MOST_RESTARTS = 5
 """Limit per flight: a faulty detector must not keep a vehicle from flying."""
 PERSISTS_US, GAP_US = 2_000_000, 500_000

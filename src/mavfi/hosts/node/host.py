@@ -105,7 +105,7 @@ def golden_trial(node: NodeConfig) -> Trial:
     if len({tuple(trial.outputs) for trial in trials}) > 1:
         raise BadInputError(
             f"node {node.name}: the outputs on {node.outputs.topic} of {node.golden_runs} golden trials differ, so "
-            "nothing can be told from them; name what changes by itself in node.outputs.ignore"
+            "nothing follows from them; name what changes by itself in node.outputs.ignore"
         )
     return trials[-1]
 

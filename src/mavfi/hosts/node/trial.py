@@ -79,8 +79,8 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
     try:
         answer = json.loads(done.stdout)
     except ValueError:
-        stderr = done.stderr.decode(errors="replace").strip().splitlines()
-        last = stderr[-1] if stderr else f"exit code {done.returncode}"
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        last = lines[-1] if lines else f"exit code {done.returncode}"
         raise MavfiError(f"node {node.name}: the trial ended without a result ({last})") from None
     if "refused" in answer:
         raise BadInputError(answer["refused"])

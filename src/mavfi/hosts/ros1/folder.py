@@ -16,7 +16,7 @@ INJECTIONS = "injections.json"
 LAUNCH_FILE, PACKAGE, EXECUTABLE = "flight.launch", "mavfi", "node"
 _CORE = "roscore.xml"
 _PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
-_TOLD = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+_EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
 def flight_folder() -> Path:
@@ -88,7 +88,7 @@ def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
     enter = "--user --preserve-credentials --net" if own_users else "--net"
     prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
     variables = environment(folder)
-    exports = " ".join(f"{name}='{variables[name]}'" for name in _TOLD if name in variables)
+    exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)
     path = folder / JOIN
     path.write_text(
         f'#!/bin/sh\nexec {prefix}env {exports} PATH="{finder.find_file("usr/bin/roslaunch").parent}:$PATH" "$@"\n'

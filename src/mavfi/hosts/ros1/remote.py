@@ -107,7 +107,7 @@ class Link:
         import rospy
         from mavfi_msgs.srv import Drive
 
-        self._begin_anew()
+        self._restart()
         self._proxy = rospy.ServiceProxy(f"/{self.node}/drive", Drive, persistent=True)
         self.pid, self.since, self.lost = pid, since, False
 
@@ -115,7 +115,7 @@ class Link:
         """Mark the node as down, its memory as lost."""
         self.lost = True
         self.life += 1
-        self._begin_anew()
+        self._restart()
 
     def reset(self, kernel: str, since: int) -> None:
         """Initialize the memory of a kernel's node without restarting its process."""
@@ -123,7 +123,7 @@ class Link:
         self.since = since
         self._recalled.clear()
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self._pending.clear()
         self._recalled.clear()
 

@@ -110,9 +110,9 @@ function joined(roles, line, [low, high]) {
 }
 
 function describe(line, roles) {
-  const told = roles.map((role) => {
+  const values = roles.map((role) => {
     const [low, high] = bounds(line.data[role][1].filter((value) => value !== null));
     return `${role} flight from ${low.toPrecision(4)} to ${high.toPrecision(4)} ${line.unit}`;
   });
-  return `${line.label}: ${told.join(", ")}`;
+  return `${line.label}: ${values.join(", ")}`;
 }

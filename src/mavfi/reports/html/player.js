@@ -40,7 +40,7 @@ class Player {
   tellLines() {
     if (!this.flight.lines.length) return;
     this.find(".lines-title").textContent = "Around the fault";
-    this.find(".lines-told").hidden = false;
+    this.find(".lines-caption").hidden = false;
   }
 
   flightRow(path) {

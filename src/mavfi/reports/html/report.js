@@ -53,8 +53,8 @@ function showRun(id) {
 function rowFacts(run) {
   const texts = Object.entries(runList.data.filters).map(([name, heading]) => [heading, runList.text(name, run)]);
   const numbers = Object.entries(NUMBER_HEADINGS).map(([name, heading]) => [heading, runList.number(name, run)]);
-  const told = [...texts, ...numbers].filter(([, value]) => value !== "" && value !== "—");
-  return told.map(([heading, value]) => element("div", {}, element("dt", {}, heading), element("dd", {}, value)));
+  const shown = [...texts, ...numbers].filter(([, value]) => value !== "" && value !== "—");
+  return shown.map(([heading, value]) => element("div", {}, element("dt", {}, heading), element("dd", {}, value)));
 }
 
 /** Mark the section that is read in the table of contents. */

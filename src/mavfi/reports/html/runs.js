@@ -80,10 +80,10 @@ class RunList {
   }
 
   show() {
-    const told = { ...this.shared(), ...this.chosen };
-    const filters = Object.entries(told).map(([name, value]) => `${this.data.filters[name] ?? name} ${value}`);
+    const chosen = { ...this.shared(), ...this.chosen };
+    const filters = Object.entries(chosen).map(([name, value]) => `${this.data.filters[name] ?? name} ${value}`);
     const source = this.set === null ? "" : " behind the chosen cell or point";
-    document.getElementById("runs-told").textContent =
+    document.getElementById("runs-summary").textContent =
       `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.`
       + ` ${this.stored.size} have their flight in this file (●).`;
     const rows = this.found.slice(ROWS * this.page, ROWS * (this.page + 1));

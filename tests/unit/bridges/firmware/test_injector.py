@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
@@ -21,7 +22,7 @@ def _small_periods(monkeypatch):
 
 
 def fault(seed, time_us=0, **given):
-    return register_fault(time_us, seed, walk=128, **given)
+    return replace(register_fault(time_us, seed), walk=128, **given)
 
 
 def fly(programs, planned):

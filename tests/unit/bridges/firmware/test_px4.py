@@ -81,7 +81,7 @@ def test_lost_frames_are_counted_over_all_messages():
     assert stream.lost == 3
 
 
-def test_after_a_restart_time_begins_again():
+def test_after_a_restart_time_starts_again():
     stream = Stream()
     stream.feed(frame(9_000_000, sequence=9))
     stream.feed(frame(9_004_000, sequence=10)[:20])

@@ -47,8 +47,8 @@ pytestmark = [
 
 def fly(program, seconds, last, folder):
     """Run a program with a vehicle for some time (s); it must print a line."""
-    told = folder / "server.json"
-    words = [sys.executable, PYTHON, str(program), str(seconds), str(told)]
+    summary = folder / "server.json"
+    words = [sys.executable, PYTHON, str(program), str(seconds), str(summary)]
     done = subprocess.run(
         [*NAMESPACE, "sh", "-c", SCRIPT, "sh", *words],
         capture_output=True,
@@ -57,7 +57,7 @@ def fly(program, seconds, last, folder):
         check=False,
     )
     assert last in done.stdout, done.stdout + done.stderr
-    end = json.loads(told.read_text())
+    end = json.loads(summary.read_text())
     assert end["messages"] > 5 and not end["collided"]
 
 

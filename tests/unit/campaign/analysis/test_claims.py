@@ -13,11 +13,11 @@ def test_holm_is_that_of_the_textbook():
 
 
 @pytest.mark.parametrize(
-    ("corrected", "supports", "told"),
+    ("corrected", "supports", "expected"),
     [(0.01, True, "confirmed"), (0.01, False, "contradicted"), (0.05, True, "undecided"), (None, True, "undecided")],
 )
-def test_verdicts(corrected, supports, told):
-    assert verdict(Evidence("", 0.001, supports=supports), corrected) == told
+def test_verdicts(corrected, supports, expected):
+    assert verdict(Evidence("", 0.001, supports=supports), corrected) == expected
 
 
 def test_the_correction_is_over_all_claims_of_the_table():
@@ -46,7 +46,7 @@ def states(stage_lost, arm_saves=True):
 
 
 @pytest.mark.parametrize(
-    ("name", "stage_lost", "arm_saves", "told"),
+    ("name", "stage_lost", "arm_saves", "expected"),
     [
         ("fault_loses_missions_in_states", True, True, "confirmed"),
         ("fault_loses_missions_in_states", False, True, "undecided"),
@@ -54,16 +54,16 @@ def states(stage_lost, arm_saves=True):
         ("gaussian_recovers_in_states", False, False, "contradicted"),
     ],
 )
-def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, told):
+def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, expected):
     [found] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
-    assert found["verdict"] == told, found["here"]
+    assert found["verdict"] == expected, found["here"]
 
 
 def test_a_bound_is_tested_on_recomputation_over_compute_time():
     def flight(spent):
         return flown(recompute_us={"control": spent}, compute_us={"pid": 1_000_000 + spent})
 
-    for spent, told in ((10_000, "confirmed"), (100_000, "contradicted")):
+    for spent, expected in ((10_000, "confirmed"), (100_000, "contradicted")):
         own = [injected(seed, flight(spent), arm="gaussian") for seed in range(10)]
         [found] = claims_table(["gaussian_overhead"], [runs(*own, name="table1_instructions")]).entries()
-        assert found["verdict"] == told and "10 runs" in found["here"]
+        assert found["verdict"] == expected and "10 runs" in found["here"]

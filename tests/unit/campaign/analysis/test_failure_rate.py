@@ -77,14 +77,14 @@ def test_shipped_upsets_have_sources():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ("altitude: {value: 5, low: 6, high: 9}", "value: 5: allowed: 6 to 9, its low and high"),
         ("altitude: {value: 5, low: 0, high: 30000}", "altitude: 30000 m: allowed: up to 18000"),
         ("altitude: {value: 5, low: 0, high: 9}\nsources: {fit: x}", "sources: 'fit': not known; allowed: fit_"),
     ],
 )  # fmt: skip
-def test_wrong_upsets_are_told(tmp_path, changes, told):
+def test_wrong_upsets_are_refused(tmp_path, changes, message):
     path = tmp_path / "mine.yaml"
     path.write_text(
         "name: x\nfit_per_mbit: {value: 1, low: 1, high: 1}\nunprotected_mbit: 1\nvisible: 1\n"
@@ -92,7 +92,7 @@ def test_wrong_upsets_are_told(tmp_path, changes, told):
     )
     with pytest.raises(BadInputError) as raised:
         find_upsets(str(path))
-    assert str(path) in str(raised.value) and told in str(raised.value)
+    assert str(path) in str(raised.value) and message in str(raised.value)
 
 
 # ---- dilution ----------------------------------------------------------------------------------------------------

@@ -5,19 +5,21 @@ from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flo
 
 
 def test_the_headline_is_the_success_table_and_five_sentences(fake):
-    told = findings(fake)
+    sentences = findings(fake)
     assert views_for(fake)[0].name == "success_as_in_the_paper"
-    assert len(told) == MOST
-    assert told[0].startswith("Without a fault 100.0 % [83.9, 100.0] of missions succeed, with one fault (sign + exp")
-    assert any("gaussian brings back" in line and "newly loses 0" in line for line in told)
-    assert any(line.startswith("Missions that fail or take more than 5 % longer, by stage") for line in told)
+    assert len(sentences) == MOST
+    assert sentences[0].startswith(
+        "Without a fault 100.0 % [83.9, 100.0] of missions succeed, with one fault (sign + exp"
+    )
+    assert any("gaussian brings back" in line and "newly loses 0" in line for line in sentences)
+    assert any(line.startswith("Missions that fail or take more than 5 % longer, by stage") for line in sentences)
 
 
 def test_figures_are_those_of_the_frame():
     own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
-    told = findings(own)
-    assert "the fault loses 1 of 2 missions and saves 0" in told[0]
-    assert told[1] == "50 % of 2 faults are masked bit for bit, 50 % change the flight silently."
+    sentences = findings(own)
+    assert "the fault loses 1 of 2 missions and saves 0" in sentences[0]
+    assert sentences[1] == "50 % of 2 faults are masked bit for bit, 50 % change the flight silently."
 
 
 def test_kernels_that_die_are_said():

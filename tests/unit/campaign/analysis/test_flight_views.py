@@ -132,8 +132,8 @@ def test_fields_with_few_flights_are_not_in_the_report():
 
 
 def test_tables_on_faults_say_that_rates_are_conditional(fake):
-    told = "rates are conditional on one fault per mission"
+    expected = "rates are conditional on one fault per mission"
     for name in ("success", "recovery", "flight_times", "by_stage"):
-        assert told in table(fake, name).notes
+        assert expected in table(fake, name).notes
     assert any("recovery equals detection by construction" in note for note in table(fake, "recovery").notes)
     assert paper.STATE_LEVEL in table(fake, "success").notes

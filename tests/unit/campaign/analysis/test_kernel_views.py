@@ -63,7 +63,7 @@ def test_stages_add_up(own):
     assert sum(entry["died"] for entry in parts) == 2 and sum(entry["not_activated"] for entry in parts) == 1
 
 
-def test_only_the_papers_profile_stands_beside_its_figures(own):
+def test_only_the_papers_profile_is_compared_with_its_figures(own):
     hardened = replace(own, campaign={**own.campaign, "profile": "hardened"})
     assert "paper" not in table(hardened, "instructions_as_in_the_paper").column("measure")
 

@@ -31,10 +31,10 @@ def test_filters(own, where, count):
 
 
 @pytest.mark.parametrize(
-    ("where", "told"), [("seed", "allowed: column=value"), ("seeds=1", "column 'seeds': not known")]
+    ("where", "message"), [("seed", "allowed: column=value"), ("seeds=1", "column 'seeds': not known")]
 )
-def test_filters_that_are_none_are_refused(own, where, told):
-    with pytest.raises(BadInputError, match=told):
+def test_filters_that_are_none_are_refused(own, where, message):
+    with pytest.raises(BadInputError, match=message):
         listing(own, [where])
 
 

@@ -124,5 +124,5 @@ def test_selecting_grouping_and_totals_keep_the_order_of_the_plan():
         ("sparse",): [2, 1], ("dense",): [2, 1]
     }  # fmt: skip
     assert own.with_total("environment", "all")["environment"][4:] == ["all"] * 4
-    assert own.with_total("setting", "all") is own, "one value has no total beside it"
+    assert own.with_total("setting", "all") is own, "one value has no total"
     assert own.where("success", environment="dense")["seed"] == [2, 1]

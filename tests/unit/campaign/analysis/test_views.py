@@ -38,7 +38,7 @@ def test_values_across_make_columns_and_measures_rows(own):
     assert (setting, heading, sparse.successes, dense.successes) == ("fi", "here", 1, 0)
 
 
-def test_a_measure_that_raises_gives_unknown_and_the_rest_goes_on(own):
+def test_a_measure_that_raises_gives_unknown_and_the_rest_continues(own):
     broken = Measure("ratio", "a ratio", NUMBER, lambda own: 1 / 0)
     found = View("x", "X", ("environment",), (count("n", "n"), broken)).table(own)
     assert found.rows == [("sparse", 2, UNKNOWN), ("dense", 1, UNKNOWN)]
@@ -66,7 +66,7 @@ def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
 
 
 def test_no_run_is_behind_a_figure_of_the_paper(own):
-    found = View("x", "X", ("environment",), (count("n", "n"), paper.beside(paper.success))).table(own)
+    found = View("x", "X", ("environment",), (count("n", "n"), paper.column(paper.success))).table(own)
     assert [len(ids) for ids in found.behind[0]] == [2, 2, 0]
 
 
@@ -128,7 +128,7 @@ def test_figures_of_the_paper_have_sources_and_are_found_by_key():
     assert paper.worst_time("farm", "dr_own") is None
 
 
-def test_only_the_papers_profiles_stand_beside_its_figures():
+def test_only_the_papers_profiles_are_compared_with_its_figures():
     published, hardened = {"profile": "published"}, {"profile": "hardened"}
     assert paper.comparable(published, "") and paper.comparable(published, "paper")
     assert not paper.comparable(published, "tuned") and not paper.comparable(hardened, "")

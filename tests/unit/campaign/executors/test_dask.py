@@ -40,13 +40,13 @@ def dask_process(folder, role, *words):
 @contextlib.contextmanager
 def dask_cluster(folder, count):
     """A scheduler with its address, and workers, all of them processes of their own, and these."""
-    told = folder / "scheduler.json"
-    processes = [dask_process(folder, "scheduler", "--port", "0", "--scheduler-file", str(told))]
+    file = folder / "scheduler.json"
+    processes = [dask_process(folder, "scheduler", "--port", "0", "--scheduler-file", str(file))]
     try:
-        while not told.is_file():
+        while not file.is_file():
             assert processes[0].poll() is None
             time.sleep(0.1)
-        address = json.loads(told.read_text())["address"]
+        address = json.loads(file.read_text())["address"]
         processes += [dask_process(folder, "worker", address, "--nthreads", "1") for _ in range(count)]
         yield address, processes[0]
     finally:
@@ -79,7 +79,7 @@ def test_what_a_mission_gives_comes_in_its_order_and_ends_with_done(executor):
         assert items_of(results, number) == [*range(number), Done()]
 
 
-def test_items_are_handed_over_while_the_mission_goes_on(executor):
+def test_items_are_handed_over_while_the_mission_continues(executor):
     results = executor.map(hang, [60.0])
     assert next(results) == (60.0, ["begun"])
     started = time.monotonic()

@@ -101,7 +101,7 @@ def test_what_a_mission_gives_comes_in_its_order_and_ends_with_done(workers):
         assert items_of(results, number) == [*range(number), Done()]
 
 
-def test_items_are_handed_over_while_the_mission_goes_on():
+def test_items_are_handed_over_while_the_mission_continues():
     results = LocalExecutor(1).map(hang, [60.0])
     assert next(results) == (60.0, ["begun"])
     results.close()
@@ -194,9 +194,9 @@ def test_an_exception_that_cannot_be_sent_comes_through_as_text():
 
 
 @pytest.mark.parametrize(
-    ("how", "told"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGTERM, "SIGTERM"), (7, "exit code 7")]
+    ("how", "reason"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGTERM, "SIGTERM"), (7, "exit code 7")]
 )
-def test_a_worker_that_dies_loses_its_mission_only(how, told):
+def test_a_worker_that_dies_loses_its_mission_only(how, reason):
     missions = [(number, how if number == 2 else None) for number in range(1, 7)]
     results = flat(LocalExecutor(2).map(die, missions))
     for mission in missions:
@@ -205,8 +205,8 @@ def test_a_worker_that_dies_loses_its_mission_only(how, told):
             assert found == [mission[0], -mission[0], Done()]
         else:
             assert found[0] == mission[0], "what it gave before is kept"
-            by = told if isinstance(how, signal.Signals) else ""
-            assert found[1:] == [Lost(f"its worker died ({told})", died=True, signal=by)]
+            by = reason if isinstance(how, signal.Signals) else ""
+            assert found[1:] == [Lost(f"its worker died ({reason})", died=True, signal=by)]
 
 
 def test_a_worker_that_dies_while_it_is_idle_loses_what_it_is_given_next():
@@ -333,7 +333,7 @@ def short_of_memory(number):
     raise MemoryError
 
 
-def test_a_mission_without_memory_is_told_as_such(capfd):
+def test_a_mission_without_memory_is_reported_as_such(capfd):
     results = singly(LocalExecutor(1).map(short_of_memory, [5]))
     assert next(results) == 5
     with pytest.raises(MemoryError):

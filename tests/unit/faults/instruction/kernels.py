@@ -1,4 +1,4 @@
-"""Small kernels whose every fault can be foretold."""
+"""Small kernels whose every fault can be predicted."""
 
 import math
 

@@ -60,7 +60,7 @@ def test_an_injected_call_changes_its_arguments_and_tells():
     assert isinstance(result, int)
 
 
-def test_outcomes_are_told_apart_and_arguments_stay():
+def test_outcomes_are_distinguished_and_arguments_stay():
     values = numbers()
     before = digest(values)
     sdc = run_forked(fill, replace(first(fill, "fmul", values, 2.0), bits=(62,)), values, 2.0)
@@ -100,7 +100,7 @@ def test_a_loop_that_does_not_end_is_a_hang():
     assert outcome.injection.activated and outcome.injection.after == 2.0**1023
 
 
-def test_exceptions_are_told_apart():
+def test_exceptions_are_distinguished():
     fault = first(raising, "icmp", numbers(), 3)
     outcome = run_forked(raising, fault, numbers(), 3)
     assert (outcome.how, outcome.detail) == ("exception", "ValueError: negative")

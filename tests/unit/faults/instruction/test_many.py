@@ -37,7 +37,7 @@ def test_many_injections_of_all_kinds_leave_nothing_behind(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"children": 1}, "1 children at injection 500"),
         ({"files": 7}, "open files: 6 before, 7 after"),
@@ -45,10 +45,10 @@ def test_many_injections_of_all_kinds_leave_nothing_behind(tmp_path):
         ({"left_behind": 4}, "temporary files: 3 before, 4 after"),
     ],
 )
-def test_what_is_left_is_told(change, told):
+def test_leaks_are_reported(change, message):
     seen = [NOTHING, replace(NOTHING, injections=250), replace(NOTHING, injections=500)]
     assert leaks(seen) == []
-    assert leaks([*seen[:2], replace(seen[2], **change)]) == [told]
+    assert leaks([*seen[:2], replace(seen[2], **change)]) == [message]
 
 
 def test_zombies_and_open_files_are_seen():

@@ -101,7 +101,7 @@ def test_bytes_of_another_type_are_refused(size):
 
 
 @pytest.mark.parametrize(
-    ("path", "told"),
+    ("path", "message"),
     [
         ("", "allowed: names with dots"),
         ("position[", "allowed: names with dots"),
@@ -115,11 +115,11 @@ def test_bytes_of_another_type_are_refused(size):
         ("header.stamp", "is a time, no number; allowed: header.stamp.nsecs, header.stamp.secs"),
     ],
 )
-def test_a_path_that_leads_nowhere_is_refused_with_what_is_allowed(path, told):
+def test_a_path_that_leads_nowhere_is_refused_with_what_is_allowed(path, message):
     definition, _ = made("sensor_msgs/JointState")
     with pytest.raises(BadInputError) as error:
         definition.check(path)
-    assert told in str(error.value)
+    assert message in str(error.value)
 
 
 def test_an_index_beyond_a_fixed_list_is_refused():
@@ -156,7 +156,7 @@ def test_a_definition_that_lacks_a_type_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("kind", "fields", "told"),
+    ("kind", "fields", "message"),
     [
         ("sensor_msgs/Nothing", {}, "not known; allowed: "),
         ("Nothing", {}, "not known; allowed: "),
@@ -167,7 +167,7 @@ def test_a_definition_that_lacks_a_type_is_refused():
         ("sensor_msgs/JointState", {"name": [3]}, "3: allowed: string"),
     ],
 )
-def test_a_message_that_cannot_be_made_is_refused(kind, fields, told):
+def test_a_message_that_cannot_be_made_is_refused(kind, fields, message):
     with pytest.raises(BadInputError) as error:
         Composer(kind).pack(fields)
-    assert told in str(error.value)
+    assert message in str(error.value)

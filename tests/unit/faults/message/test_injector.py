@@ -27,19 +27,19 @@ class FakeRelay:
 
 
 def test_the_named_message_is_changed_and_no_other():
-    relay, told = FakeRelay(), []
-    injector = MessageInjector(MessageFault("/t", "position[0]", 51, at=3), told.append)
+    relay, reported = FakeRelay(), []
+    injector = MessageInjector(MessageFault("/t", "position[0]", 51, at=3), reported.append)
     for _ in range(5):
         injector(MESSAGE, relay)
     assert [message == MESSAGE for message in relay.sent] == [True, True, False, True, True]
-    (injection,) = told
+    (injection,) = reported
     assert (injection.details["message"], injection.before, injection.after, injection.details["readers"]) == (
         3,
         0.5,
         0.75,
         2,
     )
-    assert injection.activated and injector.done.is_set() and told == injector.injections
+    assert injection.activated and injector.done.is_set() and reported == injector.injections
 
 
 def test_a_message_that_nobody_got_is_not_activated():
@@ -50,7 +50,7 @@ def test_a_message_that_nobody_got_is_not_activated():
     assert not injector.injections[0].activated
 
 
-def test_a_rate_draws_from_the_seed_and_stops_when_told():
+def test_a_rate_draws_from_the_seed_and_stops_on_request():
     def injections(seed):
         relay, injector = FakeRelay(), MessageInjector(MessageFault("/t", "position[0]", rate=0.3, seed=seed))
         for _ in range(200):
@@ -70,7 +70,7 @@ def test_messages_without_the_element_pass_unchanged():
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         ({"field": "position[0]", "at": 0}, "at: 0: allowed: 1 or more"),
         ({"field": "position[0]", "rate": 0.0}, "allowed: above 0, to 1"),
@@ -78,7 +78,7 @@ def test_messages_without_the_element_pass_unchanged():
         ({"field": "header.seq", "bit": 32}, "allowed: 0 to 31"),
     ],
 )
-def test_faults_that_cannot_be_are_refused(fault, told):
+def test_faults_that_cannot_be_are_refused(fault, message):
     with pytest.raises(BadInputError) as error:
         check_fault(MessageFault("/t", **fault), DEFINITION)
-    assert told in str(error.value)
+    assert message in str(error.value)

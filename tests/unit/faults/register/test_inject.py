@@ -275,10 +275,10 @@ class TestRefusals:
 
 def test_the_command_tells_what_it_did(spin, capsys):
     assert run(["inject", "--pid", str(spin.pid), "--null", "--count", "2", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["injections"]) == 2
-    assert {"site", "bit", "before", "after", "details"} <= set(told["injections"][0])
-    assert {"address", "symbol", "instruction", "register"} <= set(told["injections"][0]["details"])
+    record = json.loads(capsys.readouterr().out)
+    assert len(record["injections"]) == 2
+    assert {"site", "bit", "before", "after", "details"} <= set(record["injections"][0])
+    assert {"address", "symbol", "instruction", "register"} <= set(record["injections"][0]["details"])
     assert run(["inject", "--pid", str(spin.pid), "--null"]) == 0
     assert "injected" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""SIGKILL of the tracer: a target that is not stepped goes on; one that is stepped dies, by the kernel's rules."""
+"""SIGKILL of the tracer: a target that is not stepped survives; one that is stepped dies, by the kernel's rules."""
 
 import os
 import random
@@ -38,4 +38,4 @@ def test_a_step_of_a_tracer_that_dies_is_deadly(spin, steps):
         finally:
             os._exit(1)
     assert os.waitpid(tracer, 0)[1] == signal.SIGKILL
-    assert tracers.goes_on(spin) == ("it ended with -5" if steps else "")
+    assert tracers.survives(spin) == ("it ended with -5" if steps else "")

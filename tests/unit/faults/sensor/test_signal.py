@@ -40,7 +40,7 @@ def test_all_readers_of_an_instant_receive_the_same(unit, kind, seed):
         assert signal(time_us, row).tobytes() == signal(time_us, row).tobytes()
 
 
-def test_stuck_keeps_the_value_at_the_begin():
+def test_stuck_keeps_the_value_at_the_start():
     assert (received("stuck")[FIRST:LAST] == RAMP[FIRST]).all()
 
 

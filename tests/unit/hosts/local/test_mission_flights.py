@@ -86,7 +86,7 @@ def test_flights_of_a_mission_share_what_is_known_of_their_scenario(calls, arms)
     assert [way for way, *_ in calls.flown] == ["fast"] * 5
     assert calls.made == ["own", "other"]
     assert calls.flown[2] == ("fast", FAULT, "watcher", "g", Recovery("observer")), (
-        "known flights are told apart by arm"
+        "known flights are distinguished by arm"
     )
     assert calls.flown[3][3] == "", "without a detector it is the scenario alone that counts"
     assert calls.detectors == 1

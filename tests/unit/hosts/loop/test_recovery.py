@@ -194,7 +194,7 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     endless = pause == 1
     assert [kind for _, kind in flight.events] == (["detector_silenced"] if endless else [])
     assert (len(flight.outcomes) == MOST_ALARMS) == endless
-    assert detector.accepted[-1] == values[-1][0], "it goes on to take note"
+    assert detector.accepted[-1] == values[-1][0], "it continues to take note"
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_without_a_restart_left_a_rule_broken_twice_ends_in_hover():
     assert flight.outcomes == [("recompute", "rejected"), ("hover", "accepted")] and flight.restarted == []
 
 
-def test_the_command_that_begins_it_is_withheld():
+def test_the_command_that_starts_it_is_withheld():
     flight = Flight()
     values = [(1, new_state(COMMAND)), (2, new_state(COMMAND)), (3, new_state(COMMAND))]
     assert shown(Always(hard=True), HOVERS, values, flight, 0) == [False] * 3

@@ -65,7 +65,7 @@ def run(campaign, directory, **options):
     return run_campaign(campaign, directory, executor=LocalExecutor(1), **options)
 
 
-def test_a_campaign_stops_and_goes_on_and_its_ledger_does_not_tell(campaign, tmp_path):
+def test_a_campaign_stops_and_resumes_and_its_ledger_does_not_show_it(campaign, tmp_path):
     def stop(progress):
         if progress.done == 5:
             raise KeyboardInterrupt
@@ -133,7 +133,7 @@ def test_the_older_spelling_is_the_same_campaign(campaign, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"sampling": {"level": "register", "registers": ["general", "general"]}}, "named 2 times; allowed: once"),
         ({"sampling": {"level": "register", "access": "both"}}, "sampling.access: 'both': not known"),
@@ -141,10 +141,10 @@ def test_the_older_spelling_is_the_same_campaign(campaign, tmp_path):
         ({"host": "local"}, "the key node goes with host node"),
     ],
 )
-def test_what_cannot_be_asked_for_is_refused(tmp_path, changes, told):
+def test_what_cannot_be_asked_for_is_refused(tmp_path, changes, message):
     with pytest.raises(BadInputError) as error:
         read(tmp_path / "x.yaml", environments=["n"], **changes)
-    assert told in str(error.value)
+    assert message in str(error.value)
 
 
 def test_faults_in_states_need_another_host(campaign, tmp_path):
@@ -156,8 +156,8 @@ def test_faults_in_states_need_another_host(campaign, tmp_path):
 def test_the_report_counts_what_was_judged(campaign, tmp_path, capsys):
     run(campaign, tmp_path)
     assert cli(["report", str(tmp_path), "--all"]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "33.3 [9.7, 70.0] 2/6" in told  # Wilson, in all
-    assert "crashes: SIGSEGV 2" in told
+    output = " ".join(capsys.readouterr().out.split())
+    assert "33.3 [9.7, 70.0] 2/6" in output  # Wilson, in all
+    assert "crashes: SIGSEGV 2" in output
     text = (tmp_path / "report.md").read_text()
     assert "Silent corruptions" in text and "| rax bit 3 |" in text and "| data | 1.0 | 2.0 | 1 of 10 |" in text

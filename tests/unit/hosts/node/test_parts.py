@@ -69,7 +69,7 @@ def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(st
         Source("/writer", "http://127.0.0.1:9/", "/other")
 
 
-def test_a_reader_follows_the_publishers_that_it_is_told_of(station):
+def test_a_reader_follows_the_publishers_of_an_update(station):
     arrived, heard = [], threading.Event()
 
     def hear(message):
@@ -97,10 +97,10 @@ def test_fields_are_given_to_the_topics_that_have_them():
     assert list(make_probes(first, ["position[0]"])) == ["/a", "/b"]
     assert make_probes(first, [])["/b"].read(MESSAGE).header["position[0]"][0] == 0.5
     assert make_probes(first, ["velocity[0]"])["/a"].read(MESSAGE) is None
-    for wanted, told in ((["/c:position[0]"], "not watched; allowed: /a, /b"), (["nothing"], "no member 'nothing'")):
+    for wanted, message in ((["/c:position[0]"], "not watched; allowed: /a, /b"), (["nothing"], "no member 'nothing'")):
         with pytest.raises(BadInputError) as error:
             make_probes(first, wanted)
-        assert told in str(error.value)
+        assert message in str(error.value)
 
 
 @pytest.mark.parametrize(

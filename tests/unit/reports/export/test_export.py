@@ -219,7 +219,7 @@ def test_a_saved_request_of_a_wrong_type_is_one_line(flight, tmp_path, change, t
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["{}/flight.npz", "--to", "x.txt"], "--to: x.txt: allowed"),
         (["{}", "--to", "{}/x.bag"], "name the run"),
@@ -228,11 +228,11 @@ def test_a_saved_request_of_a_wrong_type_is_one_line(flight, tmp_path, change, t
         (["{}/flight.npz", "--to", "{}/absent/x.bag"], "cannot be written"),
     ],
 )
-def test_bad_input_is_one_line(flight, tmp_path, arguments, told, capsys):
+def test_bad_input_is_one_line(flight, tmp_path, arguments, message, capsys):
     flight.log.save(tmp_path / "flight.npz")
     assert run(["export", *(text.format(tmp_path) for text in arguments)]) == 2
     err = capsys.readouterr().err
-    assert told in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1
 
 
 def test_a_saved_flight_gives_the_same_file_as_the_flight(flight, tmp_path):

@@ -2,18 +2,21 @@
 
 import json
 import struct
+from typing import Any
 
 
 class Viewer:
     """A minimal client of the Foxglove WebSocket protocol."""
 
-    def __init__(self, address):
+    def __init__(self, address: str) -> None:
         import websocket
 
         self._socket = websocket.create_connection(address, subprotocols=["foxglove.sdk.v1"], timeout=10)
-        self.channels, self._topics, self.messages = {}, {}, []
+        self.channels: dict[str, Any] = {}
+        self._topics: dict[int, str] = {}
+        self.messages: list[tuple[str, int, bytes]] = []
 
-    def subscribe(self, count):
+    def subscribe(self, count: int) -> None:
         """Subscribe to every topic, once `count` are advertised."""
         while len(self.channels) < count:
             data = json.loads(self._socket.recv())
@@ -22,7 +25,7 @@ class Viewer:
         wanted = [{"id": number, "channelId": self.channels[topic]["id"]} for number, topic in self._topics.items()]
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
-    def collect(self):
+    def collect(self) -> None:
         """Messages until the server stops: topic, stamp (ns), content."""
         try:
             while True:

@@ -117,7 +117,7 @@ def test_a_cell_opens_exactly_the_runs_behind_it(browser, report_html):
     counted = browser.run("return document.querySelector('.headline .data td a').parentElement.textContent")
     n = int(counted.rpartition("/")[2])
     browser.until("return location.hash.startsWith('#runs')")
-    browser.until(f"return document.getElementById('runs-told').textContent.startsWith('{n} of ')")
+    browser.until(f"return document.getElementById('runs-summary').textContent.startsWith('{n} of ')")
     assert browser.count(".runs tbody tr") == n
     assert browser.complaints() == []
 
@@ -125,8 +125,8 @@ def test_a_cell_opens_exactly_the_runs_behind_it(browser, report_html):
 def test_a_point_of_a_figure_opens_its_runs(browser, report_html):
     browser.open(report_html)
     browser.driver.find_element("css selector", "figure a[aria-label*='setting fi']").click()
-    browser.until("return document.getElementById('runs-told').textContent.includes('arm fi')")
-    assert not browser.text("#runs-told").startswith("0 of")
+    browser.until("return document.getElementById('runs-summary').textContent.includes('arm fi')")
+    assert not browser.text("#runs-summary").startswith("0 of")
     assert len(browser.driver.window_handles) == 1
 
 
@@ -142,12 +142,12 @@ def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_pat
         const box = band.getBoundingClientRect();
         return [box.right - 2, box.y + box.height / 2];"""
     browser.click_at(*browser.run(right_end, box))
-    browser.until(f"return document.getElementById('runs-told').textContent.startsWith('{len(shown)} of ')")
+    browser.until(f"return document.getElementById('runs-summary').textContent.startsWith('{len(shown)} of ')")
     listed = browser.run(
         "return [...document.querySelectorAll('.runs tbody td:first-child a')].map((a) => a.textContent)"
     )
     assert sorted(listed) == sorted(shown["run_id"])
-    assert "bit class mantissa" in browser.text("#runs-told")
+    assert "bit class mantissa" in browser.text("#runs-summary")
     on_curve = """const line = document.querySelector(arguments[0] + ' path');
         line.scrollIntoView({block: 'center', behavior: 'instant'});
         const place = line.getPointAtLength(0.7 * line.getTotalLength()).matrixTransform(line.getScreenCTM());
@@ -189,9 +189,9 @@ def test_filters_narrow_the_list(browser, report_html, runs):
         select.value = 'masked';
         select.dispatchEvent(new Event('input', {bubbles: true}))""")
     masked = len(runs.where(effect="masked"))
-    assert browser.text("#runs-told").startswith(f"{masked} of {len(runs)} runs")
+    assert browser.text("#runs-summary").startswith(f"{masked} of {len(runs)} runs")
     browser.click(".filters [type=reset]")
-    browser.until(f"return document.getElementById('runs-told').textContent.startsWith('{len(runs)} of')")
+    browser.until(f"return document.getElementById('runs-summary').textContent.startsWith('{len(runs)} of')")
 
 
 def test_the_page_of_a_run_has_its_flight_and_the_way_back(browser, report_html, runs):

@@ -59,7 +59,7 @@ def test_the_same_runs_are_stored_once():
 def test_any_section_is_shown_in_the_order_in_which_it_is_given(tmp_path, report, flown):
     tables = {table.name: table for table in report.tables}
     sections = [
-        Section("Last things first", [tables["endings"]], text="Told before."),
+        Section("Last things first", [tables["endings"]], text="Shown first."),
         Section("Then", [tables["success"]]),
     ]
     _, text = written(tmp_path, report, flown, sections)

@@ -50,8 +50,8 @@ def test_a_start_inside_of_an_obstacle_is_refused():
 def test_a_goal_that_the_hull_would_not_fit_is_refused():
     config = shipped("environments", EnvironmentConfig, "dense")
     world = build_world(config, 0)
-    beside = np.array([world.lower[0, 0] - 0.2, *(0.5 * (world.lower[0] + world.upper[0]))[1:]])
-    assert "goal" in message(config, 0, goal=tuple(beside))
+    outside = np.array([world.lower[0, 0] - 0.2, *(0.5 * (world.lower[0] + world.upper[0]))[1:]])
+    assert "goal" in message(config, 0, goal=tuple(outside))
 
 
 @pytest.mark.parametrize("goal", ((500.0, 0.0, 3.0), (60.0, 0.0, 11.0), (60.0, 0.0, 0.5), (float("nan"), 0.0, 3.0)))

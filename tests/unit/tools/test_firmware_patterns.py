@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.bridges.firmware import patterns
-from mavfi.bridges.firmware.patterns import PatternFlight
 from mavfi.flight_log import Injection
+from tools import firmware_patterns as patterns
+from tools.firmware_patterns import PatternFlight
 
 TRACK = np.linspace((0.0, 0.0, 8.0), (6.0, 0.0, 8.0), 100)
 
