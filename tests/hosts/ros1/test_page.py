@@ -100,7 +100,8 @@ def going_on(command):
 def test_an_injection_from_a_second_terminal():
     need_nodelets()
     with going_on(FREE[1]) as folder:
-        time.sleep(10.0)  # until images come
+        first = [f"{folder}/join", "rostopic", "echo", "-n", "1", "/points/header"]  # images come
+        subprocess.run(first, stdout=subprocess.DEVNULL, check=True, timeout=60)
         here = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
         done = subprocess.run(
             arguments(INJECT, {"FLIGHT": folder}), env=here, capture_output=True, text=True, check=False
