@@ -15,6 +15,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import install
+from tests.hosts.ros1.flights import NODES
 from tests.hosts.ros1.needs import environment, ros
 from tests.pages import DOCS, arguments, commands
 
@@ -118,6 +119,15 @@ def flight():
 
 
 @pytest.mark.alone
+def test_debians_tools_see_the_frame_of_the_vehicle(flight):
+    done = subprocess.run(
+        [f"{flight}/join", "rostopic", "echo", "-n", "1", "/odometry"], capture_output=True, text=True, timeout=60,
+        check=True,
+    )  # fmt: skip
+    assert 'child_frame_id: "base_link"' in done.stdout
+
+
+@pytest.mark.alone
 @pytest.mark.parametrize("command", JOINED)
 def test_a_look_into_a_flight(command, flight, tmp_path):
     join, *rest = arguments(command, {"FLIGHT": flight})
@@ -136,6 +146,8 @@ def test_a_look_into_a_flight(command, flight, tmp_path):
         limit.cancel()
     assert process.returncode == 0 or "hz" in rest, told
     assert re.search(wanted, told), told
+    if "rosnode" in rest:
+        assert {f"/{node}" for node in (*NODES, "world", "rosout")} <= set(told.split())
     if "record" in rest:
         told = subprocess.run(
             [sys.executable, "-c", "import rosbags.rosbag1 as b, sys; print(b.Reader(sys.argv[1]).__enter__().topics)",
