@@ -9,6 +9,7 @@ a process that has imported the compiler and compiled nothing; a fork of it prep
 """
 
 import contextlib
+import fcntl
 import os
 import pickle
 import socket
@@ -17,7 +18,7 @@ import sys
 import tempfile
 import threading
 import weakref
-from functools import partial, reduce
+from functools import reduce
 from importlib import import_module
 from typing import Any
 
@@ -146,14 +147,21 @@ def main() -> None:
     channel.settimeout(_IDLE_S)
     with contextlib.suppress(OSError), channel.makefile("rb") as reader:
         while request := _read(reader):
-            channel.sendall(framed(pickle.dumps(_serve(*pickle.loads(request)))))
+            channel.sendall(framed(pickle.dumps(_serve(channel, *pickle.loads(request)))))
 
 
-def _serve(timeout: float, *request: Any) -> Ended | MachineError:  # noqa: ANN401 - for `_prepare`
-    """How a fork ended that served a request."""
+def _serve(channel: socket.socket, timeout: float, *request: Any) -> Ended | MachineError:  # noqa: ANN401 - `_prepare`
+    """How a fork ended that served a request; it ends at once if the program does."""
+
+    def work() -> bytes:
+        fcntl.fcntl(channel, fcntl.F_SETOWN, os.getpid())
+        flags = fcntl.fcntl(channel, fcntl.F_GETFL)
+        fcntl.fcntl(channel, fcntl.F_SETFL, flags | os.O_ASYNC)  # SIGIO at the end of the channel, by default deadly
+        return _prepare(folder, *request)
+
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         try:
-            return run_in_child(partial(_prepare, folder, *request), timeout)
+            return run_in_child(work, timeout)
         except MachineError as error:
             return error
 

@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numba
@@ -35,6 +36,12 @@ def surroundings_of(kernel, signature):
 
 def hang(kernel, signature):
     time.sleep(60)
+
+
+def tell_and_hang(kernel, signature, told):
+    told.with_suffix(".part").write_text(f"{os.getppid()} {os.getpid()}", encoding="utf-8")
+    told.with_suffix(".part").rename(told)
+    hang(kernel, signature)
 
 
 def die(kernel, signature):
@@ -107,6 +114,23 @@ def test_a_fork_that_hangs_or_dies_leaves_the_template():
     with pytest.raises(BuildError, match="half: the compiler ended with SIGABRT"):
         build_apart(half, (numba.float64,), die)
     assert template() == first
+
+
+def test_what_is_prepared_for_a_program_that_is_killed_is_given_up(tmp_path):
+    told = tmp_path / "pids"
+    program = os.fork()
+    if program == 0:
+        try:
+            build_apart(half, (numba.float64,), partial(tell_and_hang, told=told))
+        finally:
+            os._exit(0)
+    while not told.exists():
+        assert os.waitpid(program, os.WNOHANG) == (0, 0)
+        time.sleep(0.02)
+    os.kill(program, signal.SIGKILL)
+    os.waitpid(program, 0)
+    for pid in told.read_text(encoding="utf-8").split():
+        wait_for_end(int(pid))
 
 
 def test_after_ctrl_c_an_answer_that_is_not_wanted_any_more_is_not_read(monkeypatch):
