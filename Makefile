@@ -40,11 +40,11 @@ reproduce: setup  ## train, fly, print the tables and tested findings of the pap
 
 test: setup  ## run the tests
 	@$(BIN)/python -m pytest -n $(JOBS) -m "not long and not alone"
-	@$(BIN)/python -m pytest -m "alone and not long"
+	@$(BIN)/python -m pytest -n 2 -m "alone and not long"
 
 test-all: setup  ## run all tests, including those that repeat others in more settings
 	@$(BIN)/python -m pytest -n $(JOBS) -m "not alone"
-	@$(BIN)/python -m pytest -m "alone"
+	@$(BIN)/python -m pytest -n 2 -m "alone"
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)

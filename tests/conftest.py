@@ -46,7 +46,8 @@ def _heap_in_large_pages():
 
 
 _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
-"""Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
+"""Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves.
+Most wait most of the time, so two files run at once."""
 
 
 _MISSIONS = "tests/hosts"
@@ -75,7 +76,9 @@ def pytest_collection_modifyitems(config, items):
 
 _PLACES = {  # that of the first prefix counts
     "tests/hosts/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
+    "tests/unit/faults/register/test_inject": 0,  # the longest of those that run after the others
     "tests/unit/campaign/test_bench": 5,  # loads all detectors
+    "tests/unit/campaign/test_overheads": 5,  # compiles the paper's detector, as test_pack would at the same time
     "tests/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
     "tests/hosts/instruction": 3,
     "tests/hosts/ros1": 4,  # finds compiled what eight nodes would compile at once

@@ -3,21 +3,31 @@
 LLVM's inlining depends on whether a callee was just compiled or loaded from a cache, and its vectorization on the CPU.
 So the IR of a kernel, and with it the digest of its faults, is that of a fresh process with an empty cache and baseline
 x86-64 features: it depends on the source and the versions only.
+
+To import the compiler takes a second, often longer than to prepare a kernel.  Each thread of a program has a template,
+a process that has imported the compiler and compiled nothing; a fork of it prepares one kernel.
 """
 
 import contextlib
+import fcntl
 import os
 import pickle
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
+import weakref
 from functools import reduce
 from importlib import import_module
 from typing import Any
 
-from mavfi.ir.forked import Ended, framed, judge_exit, write_all
+from mavfi.errors import MachineError
+from mavfi.ir.forked import LENGTH_BYTES, Ended, framed, run_in_child
 
 _CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+_IDLE_S = 60.0
+"""A template exits after this time without a request."""
 _NOT_HERE = b"N"
 """Loaded from a file that is on no path, or compilable only where it has been compiled (recursion in Numba)."""
 
@@ -33,27 +43,10 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], make: Any, timeout: float
     if _find(*address) is not kernel:
         return None
     try:
-        request = pickle.dumps((sys.path, *address, signature, make))
+        request = pickle.dumps((*address, signature, make))
     except Exception:  # noqa: BLE001 - types of a user may refuse in any way
         return None
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        own = {
-            "NUMBA_CACHE_DIR": os.path.join(folder, "code"), "TMPDIR": folder, "PYTHONHASHSEED": "0",
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **_CPU,
-        }  # fmt: skip
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", __name__],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=os.environ | own,
-        )  # fmt: skip
-        try:
-            data, _ = process.communicate(request, timeout)
-        except subprocess.TimeoutExpired:
-            return Ended("hang", detail="wall clock")
-        finally:
-            process.kill()
-            process.wait()
-    ended = judge_exit(process.returncode, data)
+    ended = _ask(pickle.dumps((timeout, os.getcwd(), dict(os.environ), sys.path, request)))
     return None if ended.payload == _NOT_HERE else ended
 
 
@@ -73,19 +66,124 @@ def _find(module: str, name: str) -> Any:
     return None
 
 
+# ---- templates, as the program sees them ----------------------------------------------------------------------------
+class _Template:
+    """A template, started under the present settings, that exits with its last reader."""
+
+    def __init__(self) -> None:
+        self._settings = _settings()
+        self._channel, theirs = socket.socketpair()
+        self._reader = self._channel.makefile("rb")
+        self.close = weakref.finalize(self, _close, self._reader, self._channel)
+        own = {"NUMBA_CACHE_DIR": os.devnull, "PYTHONHASHSEED": "0", **_CPU}
+        paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        with theirs:
+            subprocess.run(
+                [sys.executable, "-P", "-m", __name__], env=os.environ | own | paths, start_new_session=True,
+                stdin=theirs.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False,
+            )  # fmt: skip
+
+    def usable(self) -> bool:
+        """Whether its channel is open, and it was started by this process under the present settings."""
+        return self.close.alive and self._settings == _settings()
+
+    def ask(self, request: bytes) -> Any:  # noqa: ANN401 - what `_serve` answers
+        """The answer; None if the template has exited."""
+        try:
+            self._channel.sendall(framed(request))
+            data = _read(self._reader)
+        except ConnectionError:
+            data = b""
+        except BaseException:
+            self.close()  # the answer may still come
+            raise
+        return pickle.loads(data) if data else None
+
+
+_own = threading.local()
+
+
+def _ask(request: bytes) -> Ended:
+    """How the fork of this thread's template ended that served the request."""
+    for _ in range(2):  # it may have exited after a time without requests
+        if not getattr(_own, "template", None) or not _own.template.usable():
+            _own.template = _Template()
+        answer = _own.template.ask(request)
+        if isinstance(answer, Ended):
+            return answer
+        if answer is not None:
+            raise answer
+        _own.template = None
+    raise MachineError("the process that prepares kernels has ended")
+
+
+def _settings() -> tuple[object, ...]:
+    """What a template inherits and its forks keep."""
+    return os.getpid(), sys.executable, *sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
+
+
+def _close(reader: Any, channel: socket.socket) -> None:
+    reader.close()
+    channel.close()
+
+
+def _read(reader: Any) -> bytes:
+    """A framed text; empty at the end."""
+    return bytes(reader.read(int.from_bytes(reader.read(LENGTH_BYTES), "little")))
+
+
+# ---- in the template ------------------------------------------------------------------------------------------------
 def main() -> None:
-    """Entry point of the fresh process: read the request, write the answer."""
+    """Entry point of a template: serve requests until the program exits, or none has come for a while."""
+    if os.fork():
+        os._exit(0)  # the program has no child to wait for
+    channel = socket.socket(fileno=os.dup(0))
+    from numba.core.registry import cpu_target
+
+    import mavfi.ir.build  # noqa: F401 - for the forks
+
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
+    channel.settimeout(_IDLE_S)
+    with contextlib.suppress(OSError), channel.makefile("rb") as reader:
+        while request := _read(reader):
+            channel.sendall(framed(pickle.dumps(_serve(channel, *pickle.loads(request)))))
+
+
+def _serve(channel: socket.socket, timeout: float, *request: Any) -> Ended | MachineError:  # noqa: ANN401 - `_prepare`
+    """How a fork ended that served a request; it ends at once if the program does."""
+
+    def work() -> bytes:
+        fcntl.fcntl(channel, fcntl.F_SETOWN, os.getpid())
+        flags = fcntl.fcntl(channel, fcntl.F_GETFL)
+        fcntl.fcntl(channel, fcntl.F_SETFL, flags | os.O_ASYNC)  # SIGIO at the end of the channel, by default deadly
+        return _prepare(folder, *request)
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        try:
+            return run_in_child(work, timeout)
+        except MachineError as error:
+            return error
+
+
+def _prepare(folder: str, where: str, variables: dict[str, str], paths: list[str], request: bytes) -> bytes:
+    """Answer of `build.answer` in this process, under the settings of the program."""
+    import numba
+
     from mavfi.ir.build import answer
 
-    answers = os.dup(1)
-    os.dup2(2, 1)  # keep prints out of the answer
-    paths, module, name, signature, make = pickle.loads(sys.stdin.buffer.read())
+    code = os.path.join(folder, "code")
+    os.environ.clear()
+    os.environ.update(variables | {"NUMBA_CACHE_DIR": code, "TMPDIR": folder, **_CPU})
+    numba.config.CACHE_DIR = code  # type: ignore[attr-defined]
+    tempfile.tempdir = None
+    os.chdir(where)
     sys.path[:] = paths
-    result = _NOT_HERE
     with contextlib.suppress(Exception):
+        module, name, signature, make = pickle.loads(request)
         import_module(module)
-        result = answer(make, _find(module, name), signature)
-    write_all(answers, framed(result))
+        return answer(make, _find(module, name), signature)
+    return _NOT_HERE
 
 
 if __name__ == "__main__":

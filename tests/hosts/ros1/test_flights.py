@@ -17,13 +17,11 @@ from mavfi.detectors.parts import Chain
 from mavfi.errors import MavfiError
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
-from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure
 from mavfi.hosts.ros1.session import fly as fly_there
-from mavfi.mission import MissionSpec
 from tests.hosts.missions import Scripted, fault, golden, mission
 from tests.hosts.ros1.flights import NODES, same, short, there
 from tests.hosts.ros1.needs import ros
@@ -284,37 +282,3 @@ def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with pytest.raises(MavfiError, match=r"ROS: the flight failed: .*stage 'propulsion'.*; logs: "):
         there(short(), None, Scripted("control.command", n=10, stage="propulsion"))
-
-
-def test_debians_tools_see_the_flight(tmp_path):
-    """As the page docs/ros.md shows them."""
-    output = {}
-
-    def look(folder):
-        def ask(*command):
-            until = time.monotonic() + 60
-            while time.monotonic() < until:
-                done = subprocess.run([folder / "join", *command], capture_output=True, text=True, check=False)
-                if done.returncode == 0 and done.stdout.strip():
-                    output[" ".join(command[:3])] = done.stdout
-                    return
-                time.sleep(0.2)
-
-        def run_all():
-            ask("rostopic", "echo", "/odometry", "-n", "1")
-            ask("rosnode", "list")
-            ask("rostopic", "echo", "/mavfi/control/command", "-n", "1")
-            ask("rosservice", "call", "/plan", "{start: {pose: {position: {x: 4, y: 0, z: 3}}}}")
-
-        thread = threading.Thread(target=run_all)
-        thread.start()
-        threads.append(thread)
-
-    threads = []
-    scenario = resolve(MissionSpec(environment="sparse", seed=7, goal=(40.0, 0.0, 3.0)))
-    fly_there(Plan(scenario, configure(scenario), free_running=True), tell=look)
-    threads[0].join()
-    assert {f"/{node}" for node in (*NODES, "world", "rosout")} <= set(output["rosnode list"].split())
-    assert 'child_frame_id: "base_link"' in output["rostopic echo /odometry"]
-    assert output["rosservice call /plan"].count("pose:") >= 2
-    assert "yaw_rate: " in output["rostopic echo /mavfi/control/command"]

@@ -1,5 +1,7 @@
 """Who publishes what to whom: derived from the kernels, with and without nodes in the way."""
 
+from functools import cache
+
 import pytest
 
 from mavfi.detectors.duplicate import Duplicate
@@ -14,22 +16,25 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
 from tests.hosts.missions import STACKS, fault, mission
 
-KERNELS = build_pipeline(configure(mission()))
+
+@cache
+def pipeline():
+    return build_pipeline(configure(mission()))
 
 
 def ways(injected, gate):
-    return Graph(KERNELS, injected, gate).ways
+    return Graph(pipeline(), injected, gate).ways
 
 
 def test_every_kernel_is_run_by_one_node():
-    nodes = Graph(KERNELS).nodes
-    assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(KERNELS)
+    nodes = Graph(pipeline()).nodes
+    assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(pipeline())
     assert nodes["planner"] == ("planner", "trajectory")
 
 
 def test_without_taps_values_go_straight_to_their_readers():
     found = ways(None, gate=False)
-    written = {state for kernel in KERNELS.values() for state in kernel.writes}
+    written = {state for kernel in pipeline().values() for state in kernel.writes}
     assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
     for name, way in found.items():
         assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
@@ -93,7 +98,7 @@ def test_only_triggers_make_steps_due(stack):
     for kernel in loop.kernels.values():
         watch_inputs(kernel)
     loop.fly()
-    faces = Graph(KERNELS).faces.values()
+    faces = Graph(pipeline()).faces.values()
     assert seen and seen <= {(face.name, state) for face in faces for state in face.triggers}
     assert not any(face.triggers for face in faces if face.name in PERIODIC)
 
@@ -108,7 +113,7 @@ def test_a_kernel_that_says_nothing_is_asked_about_every_input():
 def test_nodes_come_back_but_the_end_of_the_world_is_the_end():
     plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
     text = launch_text(plan)
-    assert plan.nodes == (*Graph(KERNELS).nodes, INJECTOR)
+    assert plan.nodes == (*Graph(pipeline()).nodes, INJECTOR)
     assert text.count('respawn="true"') == len(plan.nodes)
     assert text.count('required="true"') == 1 and 'name="world"' in text
 

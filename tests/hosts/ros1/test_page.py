@@ -15,6 +15,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import install
+from tests.hosts.ros1.flights import NODES
 from tests.hosts.ros1.needs import environment, ros
 from tests.pages import DOCS, arguments, commands
 
@@ -100,7 +101,8 @@ def running_flight(command):
 def test_an_injection_from_a_second_terminal():
     need_nodelets()
     with running_flight(FREE[1]) as folder:
-        time.sleep(10.0)  # until images come
+        first = [f"{folder}/join", "rostopic", "echo", "-n", "1", "/points/header"]  # images come
+        subprocess.run(first, stdout=subprocess.DEVNULL, check=True, timeout=60)
         here = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
         done = subprocess.run(
             arguments(INJECT, {"FLIGHT": folder}), env=here, capture_output=True, text=True, check=False
@@ -114,6 +116,15 @@ def flight():
     """Folder of a flight that all look at."""
     with running_flight(FREE[0]) as folder:
         yield folder
+
+
+@pytest.mark.alone
+def test_debians_tools_see_the_frame_of_the_vehicle(flight):
+    done = subprocess.run(
+        [f"{flight}/join", "rostopic", "echo", "-n", "1", "/odometry"], capture_output=True, text=True, timeout=60,
+        check=True,
+    )  # fmt: skip
+    assert 'child_frame_id: "base_link"' in done.stdout
 
 
 @pytest.mark.alone
@@ -135,6 +146,8 @@ def test_a_look_into_a_flight(command, flight, tmp_path):
         limit.cancel()
     assert process.returncode == 0 or "hz" in rest, output
     assert re.search(wanted, output), output
+    if "rosnode" in rest:
+        assert {f"/{node}" for node in (*NODES, "world", "rosout")} <= set(output.split())
     if "record" in rest:
         output = subprocess.run(
             [sys.executable, "-c", "import rosbags.rosbag1 as b, sys; print(b.Reader(sys.argv[1]).__enter__().topics)",

@@ -43,8 +43,14 @@ def _traceable():
             pass
 
 
-def stepped(kernel, *args):
-    return SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
+class BriefCall(SteppedCall):
+    """Each step takes 0.1 ms: a call of hundreds of instructions hangs sooner than in the reference."""
+
+    budget = 1_000
+
+
+def stepped(kernel, *args, kind=BriefCall):
+    return kind(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
 
 
 @kernel_jit
@@ -163,7 +169,7 @@ def test_a_wrong_pointer_crashes():
 
 @pytest.mark.slow
 def test_a_loop_that_does_not_end_is_a_hang():
-    call = stepped(counted_down, 2.5)
+    call = stepped(counted_down, 2.5, kind=SteppedCall)
     half = int(np.array([0.5]).view(np.uint64)[0])
     outcome = call.inject(replace(held(call, half), bit=62))  # 2^1023, from which 1 cannot be taken
     assert (outcome.how, outcome.detail, outcome.activated) == ("hang", "instruction budget", True)
@@ -187,7 +193,7 @@ def test_a_call_that_raises_is_an_exception():
 def test_protected_code_detects_what_was_silent():
     plain = inject_all(stepped(copy_sum, VALUES, TOTAL), 40, lambda _: None)
     code, entry = protected("pid", copy_sum, (VALUES, TOTAL))
-    guarded = SteppedCall(lambda: digest((code(VALUES, TOTAL), VALUES, TOTAL)), entry)
+    guarded = BriefCall(lambda: digest((code(VALUES, TOTAL), VALUES, TOTAL)), entry)
     found = inject_all(guarded, 40, lambda _: None)
     assert plain["sdc"] > 4 and plain[DETECTED] == 0
     assert found["sdc"] < plain["sdc"] / 4 and found[DETECTED] > 4

@@ -156,11 +156,16 @@ class FakeFlights:
                 yield place, fly(setup, self.detector(arm), fault)
 
 
+HURRY = "FAKE_FLIGHTS_HURRY"
+"""Variable of the environment: the file from whose creation on no flight is slow."""
+
+
 class SlowHost(FakeHost):
     """One whose golden flights take so long that a person can press Ctrl-C."""
 
     def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
-        time.sleep(0.5)
+        if not os.path.exists(os.environ.get(HURRY, "")):
+            time.sleep(0.5)
         return FakeFlights(arms, fast_forward)
 
 

@@ -1,5 +1,6 @@
 """A campaign seen from outside: speed, time left, missions in the air, latest trouble."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from mavfi.campaign.outside import is_written
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.watch import Watch, errors_of, flying_missions, session_of
 from mavfi.cli import run
-from tests.unit.campaign.fakes import HOST, small
+from tests.unit.campaign.fakes import HOST, HURRY, small
 
 SLOW = HOST.replace("FakeHost", "SlowHost")
 
@@ -38,8 +39,9 @@ def flying(tmp_path):
     (tmp_path / "slow.yaml").write_text(yaml.safe_dump(content))
     command = [sys.executable, "-m", "mavfi", "campaign", "run", str(tmp_path / "slow.yaml"), "--out"]
     process = subprocess.Popen(
-        [*command, str(tmp_path / "out"), "--workers", "2"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+        [*command, str(tmp_path / "out"), "--workers", "2"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env={**os.environ, HURRY: str(tmp_path / "hurry")},
+    )  # fmt: skip
     deadline = time.monotonic() + 60
     while not (tmp_path / "out" / "log.jsonl").is_file() and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -63,9 +65,15 @@ def test_a_campaign_is_watched_from_outside(flying):
 def test_watching_ends_with_the_campaign_or_with_ctrl_c(flying, stop):
     command = [sys.executable, "-m", "mavfi", "campaign", "status", str(flying), "--watch", "--every", "0.2"]
     watching = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    line = watching.stdout.readline()
+    assert "of 160 runs" in line
     if stop:
-        assert "of 160 runs" in watching.stdout.readline()
         watching.send_signal(signal.SIGINT)
+    else:
+        while "runs/s" not in line or "left" not in line:
+            assert line, "the speed was not shown"
+            line = watching.stdout.readline()
+        (flying.parent / "hurry").touch()
     out, err = watching.communicate(timeout=120)
     if stop:
         assert (watching.returncode, err) == (130, "Stopped watching; the campaign is left as it is.\n")
@@ -73,7 +81,6 @@ def test_watching_ends_with_the_campaign_or_with_ctrl_c(flying, stop):
         return
     assert (watching.returncode, err) == (0, "")
     lines = out.splitlines()
-    assert any("runs/s" in line and "left" in line for line in lines)
     assert any(line.startswith("160 of 160 runs · complete") for line in lines)
     assert lines[-2].split()[:4] == ["golden", "40", "40", "40"] and "100.0 % [91.2, 100.0]" in lines[-2]
 

@@ -17,7 +17,7 @@ from mavfi.campaign import run as run_module
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from tests.unit.campaign.fakes import HOST, TROUBLE
+from tests.unit.campaign.fakes import HOST, HURRY, TROUBLE
 
 CAMPAIGN = """
 name: tiny
@@ -285,7 +285,7 @@ def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
 
 
 @pytest.mark.slow
-def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path):
+def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path, monkeypatch):
     config, out = tmp_path / "many.yaml", tmp_path / "out"
     config.write_text(FAKE.format(missions=8).replace("FakeHost", "SlowHost"))
     command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]
@@ -298,6 +298,7 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path):
     assert process.returncode == 130
     assert "Stopped." in error and "Traceback" not in error
     assert 2 <= _flown(out) < 12
+    monkeypatch.setenv(HURRY, str(tmp_path))
     assert run(["campaign", "run", str(config), "--out", str(out), "--workers", "1"]) == 0
     capsys.readouterr()
     assert _json(capsys, "campaign", "status", str(out))["complete"]

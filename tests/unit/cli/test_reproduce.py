@@ -15,8 +15,8 @@ from tests.unit.campaign.fakes import HOST, small
 
 @pytest.fixture(autouse=True)
 def few_flights(monkeypatch):
-    """Two flights in the page of a study; code is compiled when it is needed."""
-    monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 2)
+    """One flight in the page of a study; code is compiled when it is needed."""
+    monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 1)
     monkeypatch.setattr("mavfi.campaign.warm_up.compile_ahead", lambda *_: None)
 
 
@@ -62,6 +62,7 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
         raise AssertionError("trained again")
 
     monkeypatch.setattr("mavfi.campaign.training.record", never)
+    monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)["campaigns"]) == {".", "instructions"}
 
@@ -99,6 +100,7 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1_instructions"
 
     sections[1]["headline"] = True
+    monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
     assert VIEWS["golden_flights"].title in printed and VIEWS["kernel_effects"].title not in printed

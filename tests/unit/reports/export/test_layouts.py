@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,14 +14,22 @@ from mavfi.reports.export.timeline import tick_messages
 from mavfi.reports.export.ulog import FORMATS
 
 LAYOUTS = config_root() / "layouts"
-KINDS = {message.topic: message.kind for message in tick_messages(np.arange(21.0))}
-DISPLAYED = {"/obstacles", "/goal", "/flown", "/golden", "/path", "/trajectory", "/points", "/map", "/log", *KINDS}
+
+
+@cache
+def kinds():
+    return {message.topic: message.kind for message in tick_messages(np.arange(21.0))}
+
+
+def displayed():
+    """Topics of exported files."""
+    return {"/obstacles", "/goal", "/flown", "/golden", "/path", "/trajectory", "/points", "/map", "/log", *kinds()}
 
 
 def check_field(topic, path):
     """A number of the topic's ROS 2 message."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    kind = KINDS[topic].replace("/", "/msg/")
+    kind = kinds()[topic].replace("/", "/msg/")
     for name in path:
         kind = dict(store.fielddefs[kind][1])[name][1]
     assert kind[0] == "float64"
@@ -30,7 +39,7 @@ def test_foxglove():
     layout = json.loads((LAYOUTS / "foxglove.json").read_text())
     panels = layout["configById"]
     assert set(re.findall(r'"((?:3D|Plot|RosOut)![a-z]+)"', json.dumps(layout["layout"]))) == set(panels)
-    assert set(panels["3D!flight"]["topics"]) <= DISPLAYED and panels["RosOut!log"]["topicToRender"] in DISPLAYED
+    assert {*panels["3D!flight"]["topics"], panels["RosOut!log"]["topicToRender"]} <= displayed()
     values = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
     assert len(values) == 9
     for value in values:

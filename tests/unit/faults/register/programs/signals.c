@@ -17,7 +17,7 @@ int main(void)
     for (long i = 0; i < sent; i++) {
         while (sigqueue(getpid(), SIGRTMIN, nothing) != 0)
             ;
-        for (int k = 0; k < 4000000; k++)
+        for (int k = 0; k < 1000000; k++)
             x = x * 1.0000001 + 1e-9;
     }
     printf("%ld\n", sent - seen);
