@@ -84,6 +84,17 @@ def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
         _done(campaign).touch()
 
 
+def compile_flight(scenario: Scenario, executor: Executor) -> None:
+    """Compile the stages of one flight in an executor's processes.
+
+    Raises:
+        BadInputError: The scenario cannot be flown.
+        MavfiError: A worker was lost.
+    """
+    for _ in map_each(executor, _compile, [_Stage(stage, scenario) for stage in STAGES]):
+        pass
+
+
 def is_compiled(campaign: Campaign) -> bool:
     """Whether the cache has all of a campaign's code, by `compile_ahead` or on a machine that flew it."""
     instrumented = isinstance(campaign.sampling, InstructionSampling) and campaign.sampling.kernels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -62,7 +63,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     wanted = in_register if fault is None else parse(fault, mission.localization)
     host = _host(world, fault, mission)
-    with compiling(instrumented=fault is not None and fault.startswith("instruction")):
+    with compiling(instrumented=fault is not None and fault.startswith("instruction")) as cold:
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
         from mavfi.hosts.loop.compose import resolve
@@ -71,6 +72,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
+        if cold:
+            _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario)
         make = None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace) as observers:
@@ -89,6 +92,14 @@ def fly(  # noqa: PLR0913 - one parameter per option
         write_json(result.to_json())
         return
     _show(result, (save, picture, html))
+
+
+def _compile(scenario: Scenario) -> None:
+    """Compile on all processors: the flight itself would compile one function after the other."""
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.warm_up import compile_flight
+
+    compile_flight(scenario, LocalExecutor(os.cpu_count() or 1))
 
 
 def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:

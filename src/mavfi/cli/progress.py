@@ -124,8 +124,12 @@ class StudyBar(Bar):
 
 
 @contextmanager
-def compiling(*, instrumented: bool = False) -> Iterator[None]:
-    """Report on stderr that kernels (also instrumented ones) are being compiled, if their cache is empty."""
+def compiling(*, instrumented: bool = False) -> Iterator[bool]:
+    """Report on stderr that kernels (also instrumented ones) are being compiled, if their cache is empty.
+
+    Yields:
+        Whether plain kernels are still to be compiled.
+    """
     from mavfi.numerics.jit import code_folder
 
     folder = code_folder()
@@ -133,15 +137,16 @@ def compiling(*, instrumented: bool = False) -> Iterator[None]:
     def count() -> int:
         return sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
 
-    if any(folder.rglob("*.nbc")) and (not instrumented or any(folder.rglob("*.bin"))):
-        yield
+    cold = not any(folder.rglob("*.nbc"))
+    if not cold and (not instrumented or any(folder.rglob("*.bin"))):
+        yield False
         return
     out = console(error=True)
     about = "two minutes" if instrumented else "40 s"
     text = f"compiling kernels for this machine, once (about {about})"
     if not out.is_terminal:
         out.print(f"{text} ...")
-        yield
+        yield cold
         return
     stop = threading.Event()
     with out.status(f"{text} ...") as shown:
@@ -153,7 +158,7 @@ def compiling(*, instrumented: bool = False) -> Iterator[None]:
         watcher = threading.Thread(target=follow, daemon=True)
         watcher.start()
         try:
-            yield
+            yield cold
         finally:
             stop.set()
             watcher.join()

@@ -102,3 +102,9 @@ def test_detectors_with_faults_are_compiled_by_their_campaign(compiled):
     assert {name: warm_up.is_compiled(one) for name, one in campaigns.items()} == {
         "table1_instructions": True, "failure_rate": False
     }  # fmt: skip
+
+
+def test_a_flight_is_compiled_by_stages(compiled):
+    scenario = resolve(MissionSpec(environment="sparse", seed=7))
+    warm_up.compile_flight(scenario, Inline())
+    assert [(task.name, task.scenario) for task in compiled] == [(stage, scenario) for stage in STAGES]
