@@ -100,7 +100,7 @@ def arm(bench):
     made.thread.join()
 
 
-def until(condition, seconds=10.0):
+def until(condition, seconds=30.0):
     """Wait for a condition, and answer what it gave."""
     end = time.monotonic() + seconds
     while not (found := condition()):
