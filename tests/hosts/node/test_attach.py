@@ -133,14 +133,13 @@ def test_only_the_named_reader_is_turned(arm, capsys):
 @pytest.mark.slow
 def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     before = graph_of(arm)
-    tool = subprocess.Popen(
-        [sys.executable, "-m", "mavfi", "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "1"],
-        stdout=subprocess.DEVNULL,
-    )
-    until(lambda: expected(CHANGED) in transforms.found)
-    assert graph_of(arm)[2] != before[2]
-    tool.kill()
-    tool.wait()
+    command = [sys.executable, "-m", "mavfi", "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "1"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as tool:
+        try:
+            until(lambda: expected(CHANGED) in transforms.found)
+            assert graph_of(arm)[2] != before[2]
+        finally:
+            tool.kill()
     until(lambda: graph_of(arm) == before)
     count = len(transforms.found)
     until(lambda: len(transforms.found) > count + 20)
