@@ -79,7 +79,7 @@ class _Template:
         paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         with theirs:
             subprocess.run(
-                [sys.executable, "-P", "-m", __name__], env=os.environ | own | paths, start_new_session=True,
+                [sys.executable, "-P", "-m", __name__], env=os.environ | own | paths, process_group=0,
                 stdin=theirs.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False,
             )  # fmt: skip
 
