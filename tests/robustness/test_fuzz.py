@@ -79,6 +79,7 @@ def _as_a_user(monkeypatch):
     monkeypatch.delenv("MAVFI_ALLOW_PLUGINS", raising=False)
 
 
+@pytest.mark.slow
 def test_mutated_files_are_read_or_refused_in_one_line(tmp_path):
     tallies, findings = fuzz.fuzz([READERS[name] for name in QUICK], 500, 11, tmp_path, commands=10**9)
     assert findings == {}
@@ -154,7 +155,11 @@ def sparse(path):
 PLACES = (os.mkfifo, os.mkdir, loop, zeros, sparse, lambda path: None)
 
 
-@pytest.mark.parametrize("reader", FILES, ids=lambda reader: reader.name)
+def slow_where_large(reader):
+    return pytest.param(reader, id=reader.name, marks=[pytest.mark.slow] * (reader.name == "bag"))
+
+
+@pytest.mark.parametrize("reader", [slow_where_large(reader) for reader in FILES])
 def test_what_is_no_file_is_refused_in_one_line(tmp_path, reader):
     found = [outcome for _, outcome, _, _ in fuzz.batch(reader, list(enumerate(PLACES)), tmp_path)]
     assert set(found) == {fuzz.ACCEPTED if reader.name == "recording" else fuzz.REFUSED}

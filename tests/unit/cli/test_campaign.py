@@ -92,6 +92,7 @@ def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
     assert stderr.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in stderr
 
 
+@pytest.mark.slow
 def test_runs_of_a_campaign_that_was_sent_are_verified(capsys, really_flown, tmp_path):
     assert run(["campaign", "pack", str(really_flown), "--out", str(tmp_path / "a.zip")]) == 0
     assert run(["campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there")]) == 0

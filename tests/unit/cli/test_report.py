@@ -28,6 +28,7 @@ def printed(capsys, *arguments):
     return capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_report_ends_with_the_headline(capsys, flown):
     text = printed(capsys, "report", flown, "--no-draw-run")
     assert "State level: success rates" in text and "How missions ended" not in text
@@ -38,6 +39,7 @@ def test_the_report_ends_with_the_headline(capsys, flown):
     assert data["campaign"]["name"] == "small" and data["tables"]["endings"]["rows"]
 
 
+@pytest.mark.slow
 def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
     shutil.copytree(flown, tmp_path / "states")
     write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path, fly=False)
@@ -99,6 +101,7 @@ def test_what_is_not_there_is_one_line(capsys, flown, tmp_path, arguments, messa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
     page = tmp_path / "report.html"
     text = printed(capsys, "report", flown, "--no-draw-run", "--html", page, "--flights", "0")
@@ -106,6 +109,7 @@ def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
     assert "Campaign small" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_figures_for_papers(capsys, flown, tmp_path):
     folder = tmp_path / "figures"
     assert "success.pdf" in printed(capsys, "report", flown, "--no-draw-run", "--figures", folder)

@@ -57,6 +57,7 @@ def test_figures_that_are_not_known_are_refused():
         figures.figure(runs(), "none")
 
 
+@pytest.mark.slow
 def test_paths_are_drawn_from_flights_that_the_caller_has_flown_again(flown, tmp_path):
     own = Runs.read(flown)
     drawing = figures.drawing("trajectories")

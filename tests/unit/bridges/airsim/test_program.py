@@ -99,7 +99,7 @@ def test_the_worst_that_a_fault_does_comes_first(box):
     [
         ("crashing", (), {}, "program crash", "ValueError: the program's own error"),
         ("endless", ("sleep",), {"seconds": 20.0}, "time is up", ""),
-        ("endless", ("spin",), {"wall_s": 4.0}, "hang", "still running after 4 s of wall-clock time"),
+        ("endless", ("spin",), {"wall_s": 2.0}, "hang", "still running after 2 s of wall-clock time"),
     ],
 )
 def test_how_a_program_ends(name, arguments, options, how, reason):

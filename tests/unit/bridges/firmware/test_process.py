@@ -75,6 +75,7 @@ def test_the_end_of_the_firmware_is_named(firmware, how, effect, detail):
     assert (caught.value.effect, caught.value.detail) == (effect, detail)
 
 
+@pytest.mark.slow
 def test_an_endless_loop_is_a_hang(firmware, monkeypatch):
     monkeypatch.setattr(process, "_HANG_CPU_S", 0.1)
     with pytest.raises(FirmwareLostError, match="hangs"):

@@ -41,6 +41,7 @@ def test_different_worlds_are_shuffled():
     assert found.p_value == pytest.approx(2 / 70), "exact: two of the 70 divisions"
 
 
+@pytest.mark.slow
 def test_the_level_is_kept_where_nothing_differs():
     random = np.random.default_rng(1)
     worlds = [f"w{place}" for place in range(12)]

@@ -127,6 +127,7 @@ def test_a_call_in_the_arena_without_a_change_is_the_plain_call():
     assert not BASE <= again.ctypes.data < BASE + SIZE, "the result is no part of the next call's memory"
 
 
+@pytest.mark.slow
 def test_an_address_is_planned_and_wild_ones_crash():
     faults = drawn("opcode:getelementptr")
     calls = [instruction.run_forked(shifted, fault, *arguments()) for fault in faults]

@@ -1,10 +1,13 @@
 import json
 import re
 
+import pytest
+
 from mavfi.campaign.telling import ordered, partner
 from mavfi.cli import run
 
 
+@pytest.mark.slow
 def test_the_page_of_a_run_has_the_same_fault_in_another_arm(capsys, flown, runs, tmp_path):
     run_id = next(found for found in ordered(runs.frame) if "-fi-" in found)
     path = tmp_path / "run.html"

@@ -74,6 +74,7 @@ def test_text_from_data_is_never_markup(tmp_path, report, flown):
     assert "</script><script>alert(1)" in json.loads(data)["0-<b>bold</b>"]
 
 
+@pytest.mark.slow
 def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
     def endless():
         for number in range(1000):
