@@ -142,6 +142,7 @@ class _Run:
                 code = await self._wait(serving)
             finally:
                 serving.cancel()
+                await asyncio.wait({serving})
                 if self._process is not None and self._process.poll() is None:
                     self._process.kill()
                     self._process.wait(_PATIENCE_S)

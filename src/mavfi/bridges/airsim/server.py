@@ -64,7 +64,8 @@ class Server:
         self._msgpack = msgpack()
         self._pack = self._msgpack.Packer(use_bin_type=True, use_single_float=single).pack
         self._waiting: dict[int, tuple[Reply, str, list[Any]]] = {}
-        self._connections: set[asyncio.StreamWriter] = set()
+        self._connections: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
+        self._ending = False
         self.calls: Counter[str] = Counter()
         self.errors: Counter[str] = Counter()
         self.finished = asyncio.Event()
@@ -135,10 +136,16 @@ class Server:
         vehicle.ended.clear()
 
     # ---- connections ------------------------------------------------------------------------------------------------
-    async def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one client until it leaves."""
-        self._connections.add(writer)
+    def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a client; its connection is known before its task begins, which may be cancelled before that."""
+        if self._ending:
+            writer.transport.abort()
+            return
         self.finished.clear()
+        self._connections[writer] = asyncio.create_task(self._serve_client(reader, writer))
+
+    async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one client until it leaves."""
         raw = writer.get_extra_info("socket")
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         unpacker = self._msgpack.Unpacker(raw=False, strict_map_key=False, unicode_errors="surrogateescape")
@@ -153,7 +160,7 @@ class Server:
         except (ConnectionError, self._msgpack.exceptions.UnpackException, ValueError):
             pass  # the client left, or speaks another protocol
         finally:
-            self._connections.discard(writer)
+            self._connections.pop(writer, None)
             writer.transport.abort()  # nobody reads what is left: `close` would wait for that
             if not self._connections:
                 self.finished.set()
@@ -191,9 +198,15 @@ class Server:
         finally:
             if ticking is not None:
                 ticking.cancel()
-            server.close()
-            for writer in self._connections:
-                writer.transport.abort()
+            self._ending = True
+            for listening in server.sockets:
+                asyncio.get_running_loop().remove_reader(listening)
+            try:
+                await asyncio.sleep(0)  # asyncio leaves a connection open that it has accepted, but not yet begun
+            finally:
+                server.close()
+                for writer in self._connections:
+                    writer.transport.abort()
 
     async def _tick(self) -> None:
         assert isinstance(self.clock, Real)  # precondition
