@@ -9,6 +9,7 @@ from collections.abc import Callable, Hashable
 from contextlib import suppress
 from io import BytesIO
 from typing import Any, NoReturn, TypeVar
+from xmlrpc.client import ServerProxy
 
 from mavfi.errors import MavfiError
 from mavfi.faults.state import ActedOn
@@ -22,6 +23,7 @@ from mavfi.states import STATES, State
 
 _BUFFER = 1 << 22
 _POLL_S = 0.005
+_REPEAT_S = 1.0
 _KEPT = 2
 _Given = TypeVar("_Given")
 _Answer = TypeVar("_Answer")
@@ -190,11 +192,33 @@ class Ports:
 
     def wait_until_connected(self) -> None:
         """Wait until this node is connected to every publisher and subscriber of the flight, or raise `MavfiError`."""
-        end = time.monotonic() + self.plan.patience_s
+        now = time.monotonic()
+        end, repeat = now + self.plan.patience_s, now + _REPEAT_S
         while not self._connected():
-            if time.monotonic() > end:
+            now = time.monotonic()
+            if now > end:
                 raise MavfiError(f"node {self.node}: not connected within {self.plan.patience_s:g} s")
+            if now > repeat:
+                repeat = now + _REPEAT_S
+                self._repeat_publishers()
             time.sleep(_POLL_S)
+
+    def _repeat_publishers(self) -> None:
+        """Send this node the master's list of publishers of each topic without a connection.
+
+        Its registration can race with that of the publisher: rospy keeps one list per topic, the one it queued last,
+        which may be the older one.
+        """
+        import rosgraph
+        import rospy
+
+        topics = {each.resolved_name for each in self._subscribers if each.get_num_connections() == 0}
+        master = rosgraph.Master(rospy.get_name())
+        with suppress(OSError, rosgraph.MasterException):  # a node has just died: next time
+            for topic, nodes in master.getSystemState()[0]:
+                if topic in topics:
+                    uris = [master.lookupNode(node) for node in nodes]
+                    ServerProxy(rospy.get_node_uri()).publisherUpdate(rospy.get_name(), topic, uris)
 
     def _connected(self) -> bool:
         return (
