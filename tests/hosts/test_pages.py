@@ -36,13 +36,16 @@ SAYS = {
 PLANNED = ("campaign run firmware", "campaign run hardening")
 """Campaigns of many minutes: planned, not flown."""
 ELSEWHERE = {
+    "airsim serve --save": "tests/hosts/test_airsim_serve.py",
+    "airsim serve --detector": "tests/hosts/test_airsim_serve.py",
     "firmware setup": "tests/unit/cli/test_firmware.py",
     "report out/firmware-campaign": "tests/unit/cli/test_firmware.py",
     "mavfi harden out/hardening": "tests/unit/cli/test_harden.py",
     "--protection plan.yaml": "tests/hosts/instruction/test_protected.py",
     "python failure.py": "tests/unit/bridges/mavlink/test_mavsdk.py",
 }
-"""Commands that need the ledger of such a campaign, or an absent client: the tests of the same on a smaller scale."""
+"""Commands that need the ledger of such a campaign, a client of some kind, or an absent one: the tests of the same on a
+smaller scale."""
 LONG = ("airsim_box", "--flight-controller", "ten_percent --fault")
 NEEDS = {"airsim": "cosysairsim", "mavlink": "pymavlink", ".tlog": "pymavlink", ".ulg": "pyulog", "--live": "foxglove"}
 """Packages that a command needs, by a part of it."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,12 +12,14 @@ import typer
 
 from mavfi.bridges.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
-from mavfi.errors import BadInputError
+from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, write_json
+from mavfi.errors import BadInputError, writing
 from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault
+    from rich.console import Console
+
+    from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault, BoundaryWatch, Recording
     from mavfi.bridges.airsim.program import Ended
     from mavfi.bridges.airsim.server import Server
     from mavfi.faults.sensor.fault import SensorFault
@@ -37,6 +41,13 @@ Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
 VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
 Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and their answers: gaussian or autoencoder.")]
 Profile = Annotated[str, typer.Option(help="Profile of the detector: paper or tuned.")]
+Train = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.jsonl", help="Error-free calls, as written by --save, that train the detector."),
+]
+Save = Annotated[
+    Path | None, typer.Option(metavar="FILE.jsonl", help="Write the numbers in calls and their answers, as they come.")
+]
 Port = Annotated[int, typer.Option(help="TCP port on 127.0.0.1; 0 = any free one.")]
 Clock = Annotated[str, typer.Option(help="real (wall-clock time), or steps (time passes in calls only).")]
 Seconds = Annotated[float, typer.Option(help="Simulated time after which the program is stopped.")]
@@ -78,6 +89,10 @@ def serve(  # noqa: PLR0913 - one parameter per option
     once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
     fault: Fault = None,
     fault_seed: FaultSeed = None,
+    detector: Detector = "none",
+    profile: Profile = "paper",
+    train: Train = None,
+    save: Save = None,
 ) -> None:
     """Serve AirSim's API on loopback, until Ctrl-C.
 
@@ -90,20 +105,57 @@ def serve(  # noqa: PLR0913 - one parameter per option
     steps = in_flight or clock == "steps"
     if speed != 1.0 and steps:
         raise BadInputError(f"--speed: {speed:g}: allowed: with --clock real, without --in-flight")
+    _check_detector(detector, profile)
+    check_file("--save", save, (".jsonl",))
+    if (detector == "none") != (train is None):
+        raise BadInputError("--detector, --train: allowed: both, or none")
     from mavfi.bridges.airsim.boundary import Boundary
     from mavfi.bridges.airsim.server import msgpack
     from mavfi.cli.progress import compiling
 
     msgpack()
-    boundary = Boundary.of(_planned(fault, fault_seed))
+    planned = _planned(fault, fault_seed)
+    watch = None if train is None else _trained(train, detector, profile)
     with compiling():
         from mavfi.bridges.airsim.clock import Real, Steps
         from mavfi.bridges.airsim.program import make_api
         from mavfi.bridges.airsim.server import Server
 
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
-    server = Server(api, Steps() if steps else Real(speed), boundary, single=single)
-    _serve(server, port, once)
+    with _recording(save) as recording:
+        boundary = Boundary.of(planned, watch, recording)
+        _serve(Server(api, Steps() if steps else Real(speed), boundary, single=single), port, once)
+
+
+def _check_detector(detector: str, profile: str) -> None:
+    """Refuse detectors that do not learn from the numbers of any program."""
+    from mavfi.detectors.preprocess import PROFILES
+    from mavfi.detectors.registry import of_monitored_fields
+
+    check_name("--detector", detector, ("none", *of_monitored_fields()))
+    check_name("--profile", profile, PROFILES)
+
+
+def _trained(calls: Path, detector: str, profile: str) -> BoundaryWatch:
+    """A detector trained on the calls in a file."""
+    from mavfi.bridges.airsim.boundary import Recording
+    from mavfi.flight_logs.calls import read_calls
+
+    return Recording(read_calls(calls)).train(detector, profile)
+
+
+@contextmanager
+def _recording(path: Path | None) -> Iterator[Recording | None]:
+    """A recording that writes to a file; None without one."""
+    from mavfi.bridges.airsim.boundary import Recording
+
+    if path is None:
+        yield None
+        return
+    with writing(path):
+        file = path.open("w", encoding="utf-8", buffering=1)  # line by line: none is lost
+    with file:
+        yield Recording(file=file)
 
 
 def _serve(server: Server, port: int, once: bool) -> None:
@@ -126,6 +178,7 @@ def _serve(server: Server, port: int, once: bool) -> None:
     out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
     if server.boundary.faulty:
         out.print(_line(server.boundary), markup=False)
+    _print_alarms(out, server.boundary)
     for text, count in server.errors.items():
         out.print(f"refused {count} x: {text}", markup=False)
 
@@ -166,12 +219,8 @@ def run(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi airsim run --fault moveToPosition.x:bit=54@0 examples/airsim/box.py[/bold]
     """
-    from mavfi.detectors.preprocess import PROFILES
-    from mavfi.detectors.registry import of_monitored_fields
-
     check_number("--seconds", seconds, 0.1, 1e5)
-    check_name("--detector", detector, ("none", *of_monitored_fields()))
-    check_name("--profile", profile, PROFILES)
+    _check_detector(detector, profile)
     pixels(image)
     planned = _planned(fault, fault_seed)
     program = ProgramConfig(
@@ -188,7 +237,7 @@ def run(  # noqa: PLR0913 - one parameter per option
         from mavfi.bridges.airsim.program import run_program
 
         recording = Recording() if detector != "none" else None
-        golden = run_program(program, mission, Boundary(watch=recording))
+        golden = run_program(program, mission, Boundary(recording=recording))
         watch = None if recording is None else recording.train(detector, profile)
         if planned is None and watch is None:
             _report(program, golden, None, as_json)
@@ -221,13 +270,19 @@ def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_js
         out.print(f"{label}: {text}", markup=False)
         for error, count in one.errors.items():
             out.print(f"  refused {count} x: {error}", markup=False)
-    if injected is not None and injected.boundary.watch is not None:
-        alarms = injected.boundary.watch.alarms
-        first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}" if alarms else ""
-        out.print(f"alarms: {len(alarms)}{first}", markup=False)
+    if injected is not None:
+        _print_alarms(out, injected.boundary)
     last = (injected or golden).output.strip().splitlines()[-3:]
     for line in last:
         out.print(f"  | {line}", style="dim", markup=False)
+
+
+def _print_alarms(out: Console, boundary: Boundary) -> None:
+    """Print the number of alarms and the first one, if a detector observed."""
+    if boundary.watch is not None:
+        alarms = boundary.watch.alarms
+        first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}" if alarms else ""
+        out.print(f"alarms: {len(alarms)}{first}", markup=False)
 
 
 def _line(boundary: Boundary) -> str:
@@ -238,5 +293,6 @@ def _line(boundary: Boundary) -> str:
         return f"fault: not activated: {reason}"
     if boundary.failure is not None:
         return f"{found.time_s:8.3f} s  fault: {found.site}: {found.before} → {found.after}"
-    where = f"{found.details['call']} {found.details['path']}".strip()
+    drawn = "#" in found.site  # the K-th number of all
+    where = f"{found.details['call']} {found.details['path']}".strip() if drawn else found.site
     return f"{found.time_s:8.3f} s  fault in {where} bit {found.bit}: {found.before} → {found.after}"

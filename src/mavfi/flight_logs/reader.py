@@ -15,7 +15,7 @@ GROUP = "mavfi.flight_logs"
 _SHIPPED = {
     "bag": "mavfi.flight_logs.bag:BagReader", "mcap": "mavfi.flight_logs.mcap:McapReader",
     "ulg": "mavfi.flight_logs.ulog:UlogReader", "tlog": "mavfi.flight_logs.tlog:TlogReader",
-    "csv": "mavfi.flight_logs.table:CsvReader",
+    "csv": "mavfi.flight_logs.table:CsvReader", "jsonl": "mavfi.flight_logs.calls:CallsReader",
 }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ HAS_CLIENT = importlib.util.find_spec("cosysairsim") is not None
 def test_the_effect_of_a_fault_comes_first(capsys):
     assert run(["airsim", "run", "--seed", "7", "--fault", "moveToPosition.x:bit=51", BOX]) == 0
     first, second, *rest = capsys.readouterr().out.splitlines()
-    assert first == "effect: deviates" and "fault in moveToPosition 0 bit 51: 8.0 → 12.0" in second
+    assert first == "effect: deviates" and "fault in moveToPosition.x bit 51: 8.0 → 12.0" in second
     assert rest[0].startswith("golden: ended") and rest[1].startswith("injected: ended")
 
 
@@ -41,6 +41,10 @@ def test_json_has_digest_calls_and_errors(capsys):
         (["airsim", "serve", "--clock", "slow"], "--clock: slow"),
         (["airsim", "serve", "--clock", "steps", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
         (["airsim", "serve", "--in-flight", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
+        (["airsim", "serve", "--save", "calls.npz"], "--save: calls.npz: allowed ending: .jsonl"),
+        (["airsim", "serve", "--detector", "gaussian"], "--detector, --train: allowed: both, or none"),
+        (["airsim", "serve", "--detector", "gaussian", "--train", "no.jsonl"], "no.jsonl: cannot be read"),
+        (["airsim", "serve", "--detector", "magic"], "--detector: 'magic': allowed: none, gaussian"),
         (["airsim", "serve", "--version", "0"], "--version: 0: allowed: 1 to 100"),
         (["airsim", "serve", "--environment", "moon"], "environment 'moon': not known"),
         (["fly", "--world", "127.0.0.1:1"], "allowed: airsim://127.0.0.1:PORT"),

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mavfi.flight_log import FlightLog, Injection
+from mavfi.flight_log import COLUMNS, FlightLog, Injection
+from mavfi.flight_logs.calls import Call
 from mavfi.mission import MissionStatus
 from mavfi.reports.export.files import write_bag, write_csv, write_mcap
 from mavfi.reports.export.timeline import Message, tick_messages
@@ -34,8 +35,15 @@ def messages(log) -> list[Message]:
     return [message for row in log.rows for message in tick_messages(row)]
 
 
+def write_calls(log, path):
+    """As if a program had asked for the vehicle's state at each control period."""
+    calls = (Call.of(round(1e6 * row[0]), "state(return)", dict(zip(COLUMNS[1:], row[1:], strict=True)))
+             for row in log.rows)  # fmt: skip
+    path.write_text("".join(call.line() for call in calls), encoding="utf-8")
+
+
 WRITERS = {
-    "ulg": write_ulog, "tlog": write_tlog, "csv": write_csv,
+    "ulg": write_ulog, "tlog": write_tlog, "csv": write_csv, "jsonl": write_calls,
     "bag": lambda log, path: write_bag(messages(log), path), "mcap": lambda log, path: write_mcap(messages(log), path),
 }  # fmt: skip
 

@@ -7,11 +7,13 @@ import pytest
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.flight_logs import open_flight_log
+from mavfi.flight_logs.calls import Call, read_calls
 from tests.unit.flight_logs.conftest import make_log
 
 REAL = Path(__file__).parents[3].parent / "shared" / "data" / "logs"
 X = {
     "ulg": ("vehicle_local_position", "x"), "tlog": ("LOCAL_POSITION_NED", "x"), "csv": ("row", "x"),
+    "jsonl": ("state(return)", "x"),
     "bag": ("/odometry", "pose.pose.position.x"), "mcap": ("/odometry", "pose.pose.position.x"),
 }  # fmt: skip
 
@@ -87,6 +89,30 @@ def test_tables_that_cannot_be_read(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(BadInputError, match=message):
         list(open_flight_log(path).messages([]))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [('{"time_us": 1, "topic": "a"}', "line 2: is not a call .call: key 'numbers'"), ("", "line 2: is not a call"),
+     ('{"time_us": 1e30, "topic": "a", "numbers": {"x": 1}}', "line 2"), ("[" * 100_000, "line 2"),
+     ('{"time_us": 1, "topic": "a", "numbers": {"x": "far"}}', "line 2: .* 'far'"),
+     ('{"time_us": 1, "topic": "a", "numbers": {}}', "one or more")],
+)  # fmt: skip
+def test_lines_that_are_no_calls(tmp_path, line, message):
+    path = tmp_path / "x.jsonl"
+    path.write_text(f"{Call(0, 'a', {'x': 1.0}).line()}{line}\n")
+    with pytest.raises(BadInputError, match=message):
+        read_calls(path)
+
+
+def test_calls_keep_numbers_that_json_has_not(tmp_path):
+    path = tmp_path / "x.jsonl"
+    path.write_text(Call.of(5, "a(return)", {"": np.inf, "x": -np.inf, "y": np.nan, "z": 0.1}).line())
+    assert "Infinity" not in path.read_text()
+    (message,) = open_flight_log(path).messages([])
+    assert (message.topic, message.time_us) == ("a(return)", 5)
+    values = {name: message.layout.locate(message.data, name).value(message.data) for name in ("value", "x", "y", "z")}
+    assert values["value"] == np.inf and values["x"] == -np.inf and np.isnan(values["y"]) and values["z"] == 0.1
 
 
 @pytest.mark.parametrize("ending", X)

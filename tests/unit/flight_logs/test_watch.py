@@ -87,7 +87,7 @@ def test_nothing_in_common_is_refused(recordings):
         select([recordings["a"], Recording("empty", [])])
 
 
-@pytest.mark.parametrize("ending", ["ulg", "tlog", "bag", "mcap", "csv"])
+@pytest.mark.parametrize("ending", ["ulg", "tlog", "bag", "mcap", "csv", "jsonl"])
 def test_the_command_reads_every_format(files, ending, capsys):
     log, train = (str(files(ending, name)) for name in ("b", "a"))
     assert run(["watch", log, "--train", train, "--train", log, "--inject", "6", "--json"]) == 0

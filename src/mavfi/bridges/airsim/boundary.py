@@ -10,9 +10,9 @@ A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, change
 
 import random
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TextIO
 
 from mavfi.bridges.airsim.table import CALLS
 from mavfi.bridges.airsim.values import Path, count, flip, keys_of, leaves, path_of
@@ -24,6 +24,7 @@ from mavfi.faults.sensor.failures import Failure
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.spec import parse_sensor
 from mavfi.flight_log import AlarmRecord, Injection
+from mavfi.flight_logs.calls import Call
 
 ARGUMENTS, RETURN = "arguments", "return"
 _PATH = rf"(?:{ARGUMENTS}|{RETURN})#\d+|\w+(?:\.\w+)*"
@@ -103,7 +104,8 @@ class Boundary:
     Attributes:
         planned: The fault; None = none.
         keeps: Whether calls are recorded.
-        watch: A detector, or a recording to train one; None = none.
+        watch: A detector; None = none.
+        recording: Keeps the numbers that pass, e.g. to train a detector; None = none.
         failure: The failure of a sensor or motor of the vehicle; None = none.
         injection: The injection into a call that happened; None = none so far.
         passed: Every call so far, if `keeps`.
@@ -111,7 +113,8 @@ class Boundary:
 
     planned: BoundaryFault | None = None
     keeps: bool = False
-    watch: "BoundaryWatch | Recording | None" = None
+    watch: "BoundaryWatch | None" = None
+    recording: "Recording | None" = None
     failure: Failure | None = None
     injection: Injection | None = None
     passed: list[Passed] = field(default_factory=list)
@@ -119,12 +122,14 @@ class Boundary:
 
     @classmethod
     def of(
-        cls, fault: BoundaryFault | MessageFault | SensorFault | None, watch: "BoundaryWatch | Recording | None" = None
-    ) -> "Boundary":
+        cls, fault: BoundaryFault | MessageFault | SensorFault | None, watch: "BoundaryWatch | None" = None,
+        recording: "Recording | None" = None,
+    ) -> "Boundary":  # fmt: skip
         """The boundary with a fault, in a call or in the vehicle behind it."""
         if isinstance(fault, SensorFault):
-            return cls(watch=watch, failure=Failure(fault))
-        return cls(BoundaryFault(fault) if isinstance(fault, MessageFault) else fault, watch=watch)
+            return cls(watch=watch, recording=recording, failure=Failure(fault))
+        planned = BoundaryFault(fault) if isinstance(fault, MessageFault) else fault
+        return cls(planned, watch=watch, recording=recording)
 
     @property
     def faulty(self) -> bool:
@@ -139,8 +144,7 @@ class Boundary:
     def arguments(self, name: str, given: list[Any], now_us: int) -> list[Any]:
         """Arguments of a call, perhaps changed; `given` is changed in place."""
         self._inject(name, given, now_us, in_return=False)
-        if self.watch is not None:
-            self.watch.check(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, given, strict=False)), now_us)
+        self._observe(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, given, strict=False)), now_us)
         return given
 
     def returned(self, name: str, given: Sequence[Any], value: Any, now_us: int) -> Any:
@@ -148,9 +152,13 @@ class Boundary:
         if self.keeps:
             self.passed.append(Passed(name, sum(map(count, given)), count(value)))
         value = self._inject(name, value, now_us, in_return=True)
-        if self.watch is not None:
-            self.watch.check(f"{name}({RETURN})", value, now_us)
+        self._observe(f"{name}({RETURN})", value, now_us)
         return value
+
+    def _observe(self, source: str, value: Any, now_us: int) -> None:
+        for observer in (self.recording, self.watch):
+            if observer is not None:
+                observer.check(source, value, now_us)
 
     def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
         """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
@@ -211,17 +219,24 @@ class BoundaryWatch:
 
 
 class Recording:
-    """Error-free values at the boundary, to train a detector; has the interface of `BoundaryWatch`."""
+    """Values at the boundary, e.g. error-free ones to train a detector.
 
-    def __init__(self) -> None:
-        self.alarms: list[AlarmRecord] = []
-        self._values: list[tuple[str, dict[str, float]]] = []
+    Args:
+        calls: Those of an earlier recording, see `flight_logs.calls.read_calls`.
+        file: Each call is written to it as it comes; None = to none.
+    """
+
+    def __init__(self, calls: Iterable[Call] = (), file: TextIO | None = None) -> None:
+        self._calls, self._file = list(calls), file
 
     def check(self, source: str, value: Any, now_us: int) -> None:
         """Record one value."""
         numbers = dict(leaves(value))
         if 0 < len(numbers) <= _LONGEST:
-            self._values.append((source, numbers))
+            call = Call.of(now_us, source, numbers)
+            self._calls.append(call)
+            if self._file is not None:
+                self._file.write(call.line())
 
     def train(self, kind: str, profile: str) -> BoundaryWatch:
         """A detector trained on the calls that were made often enough, always with the same fields.
@@ -229,8 +244,9 @@ class Recording:
         Raises:
             BadInputError: There is no such call, or a number is not finite.
         """
+        values = [(call.topic, call.values) for call in self._calls]
         shapes: dict[str, list[tuple[str, ...]]] = {}
-        for source, numbers in self._values:
+        for source, numbers in values:
             shapes.setdefault(source, []).append(tuple(numbers))
         specs = {
             source: foreign_spec(source, every[0])
@@ -241,5 +257,5 @@ class Recording:
             raise BadInputError(
                 f"--detector: no call happened {SMALLEST_SAMPLE} times; allowed: programs that fly longer"
             )
-        states = [foreign_state(specs[name], list(numbers.values())) for name, numbers in self._values if name in specs]
+        states = [foreign_state(specs[name], list(numbers.values())) for name, numbers in values if name in specs]
         return BoundaryWatch(kind, learn(kind, profile, [states], specs), specs)

@@ -90,7 +90,7 @@ def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
     recording, random = Recording(), np.random.default_rng(1)
     calls = [[float(x), float(y), 0.0, 1.0] for x, y in random.normal(2.0, 0.1, (200, 2))]
     for given in calls:
-        call(Boundary(watch=recording), "moveByVelocity", list(given), True)
+        call(Boundary(recording=recording), "moveByVelocity", list(given), True)
     watch = recording.train("gaussian", "paper")
     boundary = Boundary(parse_fault("moveByVelocity.vx:bit=61#20"), watch=watch)
     for number, given in enumerate(calls[:60]):

@@ -1,0 +1,60 @@
+"""`mavfi airsim serve` saves the calls of a client, and a detector that they trained observes the next one."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from mavfi.flight_logs import open_flight_log
+
+CLIENT = """
+import math
+import sys
+import cosysairsim as airsim
+client = airsim.MultirotorClient(port=int(sys.argv[1]))
+client.enableApiControl(True)
+client.takeoffAsync().join()
+for step in range(80):
+    client.moveByVelocityAsync(1.0 + math.cos(step), math.sin(step), 0.0, 0.5)
+    client.getMultirotorState()
+"""
+
+
+def serve_once(*options):
+    """Serve the client; what the server prints."""
+    command = [sys.executable, "-m", "mavfi", "airsim", "serve", "--environment", "sparse", "--seed", "7"]
+    server = subprocess.Popen(
+        [*command, "--speed", "20", "--port", "0", "--once", *options], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        ready = server.stdout.readline()
+        port = re.search(r"127\.0\.0\.1:(\d+)", ready)[1]
+        done = subprocess.run([sys.executable, "-c", CLIENT, port], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+        return server.communicate(timeout=60)[0]
+    finally:
+        server.send_signal(signal.SIGKILL)
+        server.wait(30)
+
+
+def test_saved_calls_train_a_detector_that_finds_the_fault(tmp_path):
+    pytest.importorskip("cosysairsim")
+    calls = tmp_path / "calls.jsonl"
+    serve_once("--save", str(calls))
+    lines = [json.loads(line) for line in calls.read_text(encoding="utf-8").splitlines()]
+    sent = [line["numbers"] for line in lines if line["topic"] == "moveByVelocity(arguments)"]
+    assert len(sent) == 80 and sent[0]["vx"] == 2.0 and sent[0]["duration"] == 0.5
+    (state,) = {message.topic for message in open_flight_log(calls).messages(["moveByVelocity(arguments)"])}
+    assert state == "moveByVelocity(arguments)"
+    printed = serve_once(
+        "--detector", "gaussian", "--profile", "tuned", "--train", str(calls),
+        "--fault", "moveByVelocity.vx:bit=62#40", "--save", str(tmp_path / "injected.jsonl"),
+    )  # fmt: skip
+    time = re.search(r"([\d.]+) s  fault in moveByVelocity.vx bit 62", printed)[1]
+    assert re.search(rf"alarms: [1-9]\d*, first at {time} s", printed), printed
+    injected = (tmp_path / "injected.jsonl").read_text(encoding="utf-8").splitlines()
+    after = [json.loads(line)["numbers"]["vx"] for line in injected if "moveByVelocity(arguments)" in line]
+    assert [place for place, vx in enumerate(after) if vx == "nan"] == [39]
