@@ -50,8 +50,12 @@ _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/
 Most wait most of the time, so two files run at once."""
 
 
-_MISSIONS = "tests/hosts"
-"""Whole missions fly in these tests: `make check` leaves them to `make test`."""
+_SLOW = (
+    "tests/hosts", "tests/robustness", "tests/unit/bridges", "tests/unit/campaign/executors",
+    "tests/unit/campaign/hardening", "tests/unit/campaign/test_log.py", "tests/unit/campaign/test_pack.py",
+    "tests/unit/campaign/test_training.py", "tests/unit/faults/instruction", "tests/unit/hardening",
+)  # fmt: skip
+"""Missions fly in these tests, or instrumented kernels are compiled: `make check` leaves them to `make test`."""
 
 
 def pytest_ignore_collect(collection_path, config):
@@ -69,7 +73,7 @@ def pytest_collection_modifyitems(config, items):
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):
             item.add_marker(pytest.mark.alone)
-        if path.startswith(_MISSIONS):
+        if path.startswith(_SLOW):
             item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: _place(item.path.as_posix()))
 

@@ -1,9 +1,15 @@
 """Reports of studies: write files and page, print the headline."""
 
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.text import Text
 
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.study import Study
 from mavfi.cli.console import console
 from mavfi.cli.report_page import write_study_html
@@ -33,10 +39,34 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
     Raises:
         BadInputError: A ledger is missing or damaged, or a file cannot be written.
     """
-    reports = {folder / name: write_report(folder / name, draw_run=draw_run) for name in study.campaigns}
-    written = write_study(study, scale, folder)
+    campaigns = [folder / name for name in study.campaigns]
+    tasks: list[Callable[[], Any]] = [
+        partial(write_study, study, scale, folder),  # the longest first
+        *(partial(write_report, directory, draw_run=draw_run) for directory in campaigns),
+    ]
+    written, *found = _written(tasks, 1 if _polars_has_threads() else workers)
+    reports = dict(zip(campaigns, found, strict=True))
     count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers)
     return written, count
+
+
+def _polars_has_threads() -> bool:
+    """Whether polars was used here: a forked process lacks its threads, and would wait for them for ever."""
+    names = (path.read_text(encoding="utf-8") for path in Path("/proc/self/task").glob("*/comm"))
+    return any(re.match(r"polars-\d", name) for name in names)
+
+
+def _written(tasks: Sequence[Callable[[], Any]], workers: int) -> list[Any]:
+    """Reports in the order of the tasks that write them."""
+    if workers == 1:
+        return [task() for task in tasks]
+    done = {place: found for (place, _), found in map_each(LocalExecutor(workers), _write, enumerate(tasks))}
+    return [done[place] for place in range(len(tasks))]
+
+
+def _write(task: tuple[int, Callable[[], Any]]) -> Any:  # noqa: ANN401 - the report that the task writes
+    """Write one report; called in a worker."""
+    return task[1]()
 
 
 def show_study_report(written: StudyReport, show_all: bool) -> None:
