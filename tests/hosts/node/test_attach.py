@@ -105,6 +105,7 @@ def test_one_changed_message_changes_exactly_the_expected_transform(arm, transfo
     assert injection["before"] == 0.5 and injection["after"] == CHANGED and injection["activated"]
     details = injection["details"]
     assert details["message"] == 10 and details["readers"] == 1
+    until(lambda: expected(CHANGED) in transforms.found)  # it may come after the command has ended
     assert Counter(transforms.found).keys() == {expected(0.5), expected(CHANGED)}
     assert Counter(transforms.found)[expected(CHANGED)] == 1
     assert arm.process.poll() is None
@@ -117,6 +118,7 @@ def test_a_rate_changes_as_many_transforms_as_messages(arm, transforms, capsys):
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "0.2", "--duration", "0.7")
     count = len(done["injections"])
     assert 0 < count < done["passed"]
+    until(lambda: transforms.found.count(expected(CHANGED)) >= count)
     time.sleep(0.1)
     assert Counter(transforms.found)[expected(CHANGED)] == count
     assert graph_of(arm) == before
