@@ -36,7 +36,11 @@ def _ros() -> None:
 def fly(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     fault: Annotated[
-        str | None, typer.Option(metavar="SPEC", help=r"null, or state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS].")
+        str | None,
+        typer.Option(
+            metavar="SPEC",
+            help=r"null, state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS], or sensor:UNIT:TYPE\[@SECONDS].",
+        ),
     ] = None,
     fault_seed: options.FaultSeed = None,
     detector: options.Detector = "none",
@@ -71,9 +75,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     mission = ros_nodes.mission_with(mission, detector)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
-    from mavfi.faults.spec import parse_state
-
-    request = None if fault is None else parse_state(fault, mission.localization)
+    request = ros_nodes.request_of(fault, mission)
     kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
     cloud = ros_nodes.cloud_node(point_cloud_node)
     faults = ros_nodes.register_faults(
@@ -82,7 +84,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.hosts.ros1 import finder
 
     finder.require()
-    from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
     from mavfi.hosts.loop.recovery import Recovery
     from mavfi.hosts.ros1.plan import Plan
@@ -90,10 +91,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     scenario = resolve(mission)
     watching, label = load_watcher(detector, profile, models, scenario)
-    drawn = None if request is None else draw_state(scenario, request, fault_seed or 0)[0]
     plan = Plan(
-        scenario, configure(scenario), drawn, watching, Recovery.of(mission), free_running, kills, cloud_node=cloud,
-        register_faults=faults, forked=not new_interpreters,
+        scenario, configure(scenario), ros_nodes.drawn(scenario, request, fault_seed), watching, Recovery.of(mission),
+        free_running, kills, cloud_node=cloud, register_faults=faults, forked=not new_interpreters,
     )  # fmt: skip
     ros_nodes.check(plan)
     with stoppable("Stopped; every process of the flight has ended."):

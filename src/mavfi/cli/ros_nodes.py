@@ -11,10 +11,11 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import RegisterFault
+    from mavfi.faults.spec import Request
     from mavfi.flight_log import FlightLog, Injection
     from mavfi.hosts.host import Flight
     from mavfi.hosts.ros1.plan import CloudNode, Plan
-    from mavfi.mission import MissionSpec
+    from mavfi.mission import MissionSpec, Scenario
 
 _LONGEST_S = 1e6
 _Value = TypeVar("_Value")
@@ -60,6 +61,21 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
         found = found.model_copy(update={"grain": "kernel"})
     check_supported(found)
     return found
+
+
+def request_of(text: str | None, mission: MissionSpec) -> Request | None:
+    """The requested fault, of a level that the nodes or their world inject; raises `BadInputError` for another one."""
+    from mavfi.faults.spec import parse
+    from mavfi.hosts.ros1.host import Ros1Host
+
+    return None if text is None else parse(text, mission.localization, Ros1Host.levels)
+
+
+def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
+    """The fault that a request of `request_of` draws in a mission; None without a request."""
+    from mavfi.campaign.samplers.request import draw_request
+
+    return None if request is None else draw_request(scenario, request, seed or 0)[0]
 
 
 def cloud_node(text: str) -> CloudNode:
@@ -166,5 +182,6 @@ def _line(injection: Injection) -> str:
     details = injection.details
     place = f"register of {details['node']}:" if "node" in details else "fault in"
     within = f" of {details['instruction']!r}" if "instruction" in details else ""
-    what = f"{injection.site} bit {injection.bit}{within}: {injection.before} → {injection.after}"
+    bit = "" if injection.bit is None else f" bit {injection.bit}"
+    what = f"{injection.site}{bit}{within}: {injection.before} → {injection.after}"
     return f"{injection.time_s:8.3f} s  {place} {details.get('why') or what}"

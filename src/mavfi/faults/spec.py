@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
@@ -195,7 +195,7 @@ class SensorRequest:
 Request = StateRequest | MemoryRequest | InstructionRequest | InstructionSite | SensorRequest
 
 
-def parse(text: str, localization: str = "truth") -> Request:
+def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) -> Request:
     """Parse a fault from the command line.
 
     Args:
@@ -203,22 +203,17 @@ def parse(text: str, localization: str = "truth") -> Request:
             optional name in its memory, `instruction:` and a kernel, or one of its instructions, or `sensor:`, a
             unit and a type of failure.
         localization: "truth" or "estimator", which determines the existing states.
+        levels: Levels that a host can inject; empty = all.
 
     Raises:
-        BadInputError: Unknown state, field, element or bit; the message lists the existing ones.
+        BadInputError: Another level; unknown state, field, element or bit; the message lists the existing ones.
     """
     level, _, rest = text.partition(":")
+    if levels and level not in {"null", *levels}:
+        raise BadInputError(
+            f"fault {text!r}: allowed here: null, {', '.join(f'{name}:...' for name in sorted(levels))}"
+        )
     return _PARSERS.get(level, _not_understood)(text, rest, localization)
-
-
-def parse_state(text: str, localization: str = "truth") -> StateRequest:
-    """Parse a fault in a state, the only level supported by ROS nodes; see `parse`.
-
-    Raises:
-        BadInputError: Another level, or an unknown site.
-    """
-    level, _, rest = text.partition(":")
-    return _STATE_PARSERS.get(level, _only_states)(text, rest, localization)
 
 
 def parse_sensor(text: str, seed: int) -> SensorFault:
@@ -231,10 +226,6 @@ def parse_sensor(text: str, seed: int) -> SensorFault:
     if request.drawn:
         raise BadInputError(f"fault {text!r}: without an instant; allowed: ...@SECONDS")
     return request.resolve(seed, 0)
-
-
-def _only_states(text: str, _rest: str, _localization: str) -> NoReturn:
-    raise BadInputError(f"fault {text!r}: on ROS faults are injected into states; allowed: null, state:STATE...")
 
 
 def _not_understood(text: str, _rest: str, _localization: str) -> NoReturn:
@@ -368,9 +359,9 @@ def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | Non
         raise BadInputError(f"fault {text!r}: {error}") from None
 
 
-_STATE_PARSERS: dict[str, Callable[[str, str, str], StateRequest]] = {"null": _parse_null, "state": _parse_state}
 _PARSERS: dict[str, Callable[[str, str, str], Request]] = {
-    **_STATE_PARSERS,
+    "null": _parse_null,
+    "state": _parse_state,
     "memory": _parse_memory,
     "instruction": _parse_instruction,
     "register": _refuse_register,

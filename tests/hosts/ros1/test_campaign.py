@@ -43,4 +43,4 @@ def test_without_ros_the_campaign_is_refused_at_once(tmp_path, monkeypatch):
 def test_faults_of_other_levels_end_their_flight_alone():
     flights = Ros1Host().mission({"": ArmSetup(mission())})
     ((place, error),) = flights.injected([("", RegisterFault())])
-    assert place == 0 and "faults of level 'register': allowed: state" in str(error)
+    assert place == 0 and "faults of level 'register': allowed: sensor, state" in str(error)

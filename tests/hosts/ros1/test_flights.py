@@ -15,6 +15,7 @@ from mavfi.cli import run
 from mavfi.detectors import load_detector
 from mavfi.detectors.parts import Chain
 from mavfi.errors import MavfiError
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.recovery import Recovery
@@ -104,6 +105,25 @@ def test_a_flight_with_a_state_fault():
     scenario = short(autopilot="hardened")
     log = there(scenario, wrong)
     same(log, fly_here(scenario, wrong).log)
+    assert log.injections[0].activated
+    assert log.digest() != fly_here(scenario).log.digest()
+
+
+@pytest.mark.parametrize(
+    ("failure", "options"),
+    [
+        (SensorFault("motor", "slow", 3_000_000, instance=2), {}),
+        (SensorFault("depth_camera", "garbage", 2_000_000, 1.5, seed=4), {"localization": "estimator"}),
+        pytest.param(SensorFault("gyro", "wrong", 3_000_000), {}, marks=pytest.mark.long),
+        pytest.param(
+            SensorFault("position", "drift", 1_000_000), {"localization": "estimator"}, marks=pytest.mark.long
+        ),
+    ],
+)
+def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
+    scenario = short(**options)
+    log = there(scenario, failure)
+    same(log, fly_here(scenario, failure).log)
     assert log.injections[0].activated
     assert log.digest() != fly_here(scenario).log.digest()
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from mavfi.config import CameraConfig
+from mavfi.faults.sensor.fault import SensorFault
+from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1 import mirrors
 from mavfi.hosts.ros1.convert import from_stamp
 from mavfi.numerics.rotations import rotation_matrix
@@ -152,3 +154,19 @@ def test_planning_as_a_service_leaves_the_planner_as_it_was():
     assert np.linalg.norm(path[-1] - goal) < 3.1
     assert np.array_equal(planner.routes.search.random, before)
     assert len(find_path(planner, np.full(3, np.nan), goal)) == 0
+
+
+@pytest.mark.parametrize(("failure", "changed"), [(None, False), (SensorFault("gyro", "wrong"), True)])
+def test_the_mirror_of_the_imu_fails_with_its_gyro(monkeypatch, failure, changed):
+    class Topic(list):
+        def publish(self, sent):
+            self.append(sent)
+
+        def get_num_connections(self):
+            return 1
+
+    topics = {}
+    monkeypatch.setattr(mirrors, "_publisher", lambda name, *_, **__: topics.setdefault(name, Topic()))
+    mirrors.Senses(new_loop(mission()).plant, False, failure).publish(20_000)
+    rates = xyz(topics["/imu/data"][0].angular_velocity)
+    assert (rates != new_loop(mission()).plant.imu()[3:]).any() == changed

@@ -10,6 +10,7 @@ from mavfi.faults.sensor.failures import Failures
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import Injection
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.loop.taps import InTurn
 from mavfi.sim.controller import Controller
 from mavfi.states import State, floats
 
@@ -137,8 +138,12 @@ def check_read(unit: str, flight_controller: str, localization: str) -> None:
 
 
 def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:
-    """Install the injector of a sensor fault in a flight that has not started; returns whether the fault is one."""
+    """Install the injector of a sensor fault in a flight that has not started; returns whether the fault is one.
+
+    An injector that the flight already has receives what readers of the failing sensor do.
+    """
     if not isinstance(fault, SensorFault):
         return False
-    loop.taps.injector = SensorInjector(loop, fault)
+    own, other = SensorInjector(loop, fault), loop.taps.injector
+    loop.taps.injector = own if other is None else InTurn(own, other)
     return True

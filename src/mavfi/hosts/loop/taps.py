@@ -27,6 +27,32 @@ class Injector(Protocol):
         """All injections of the flight."""
 
 
+class InTurn:
+    """Two injectors as one: the second receives what the first leaves.
+
+    Args:
+        first: Applied first.
+        second: Applied to its result.
+    """
+
+    def __init__(self, first: Injector, second: Injector) -> None:
+        self._first, self._second = first, second
+
+    @property
+    def spent(self) -> bool:
+        """See `Injector.spent`."""
+        return self._first.spent and self._second.spent
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """See `Injector`."""
+        seen = self._first(state, time_us)
+        return None if seen is None else self._second(seen, time_us)
+
+    def finish(self) -> list[Injection]:
+        """See `Injector`."""
+        return self._first.finish() + self._second.finish()
+
+
 @dataclass(slots=True)
 class Taps:
     """The taps of one flight, in order of application.

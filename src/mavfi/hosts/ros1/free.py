@@ -8,6 +8,7 @@ from typing import Any
 
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.hosts.ros1.graph import ALARM, WORLD
 from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import state_injections
@@ -34,6 +35,7 @@ class FreeWorld:
         self.loop = loop = new_loop(plan.scenario, make_kernels=lambda config: {})
         loop.busy = dict.fromkeys(PERIODIC)  # stepped by their own nodes
         loop.taps.injector = self
+        inject_sensor_fault(loop, plan.fault)
         loop.actions.update(poll=self._poll, capture=self._capture)
         loop.before_tick.append(self._before_tick)
         loop.after_tick.append(self._after_tick)
@@ -56,7 +58,7 @@ class FreeWorld:
                 ports.read(name, way.final, lambda state, number, time_us: self._came.put(state))
         if plan.detector is not None:
             ports.listen(ALARM, "Verdict", self._came.put)
-        self._senses = Senses(loop.plant, loop.sensors.estimating)
+        self._senses = Senses(loop.plant, loop.sensors.estimating, plan.sensor_fault)
         self._pids = wait_for_all(plan)
         self._registers = RegisterInjector(plan.register_faults, lambda node: self._pids[node], hold=False)
         ports.wait_until_connected()

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from mavfi.faults.fault import StateFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
@@ -20,7 +21,7 @@ class Ros1Host:
     """Runs every kernel, the world, injector and detector as separate ROS nodes."""
 
     name = "ros1"
-    levels: frozenset[str] = frozenset({StateFault.level})
+    levels: frozenset[str] = frozenset({StateFault.level, SensorFault.level})
     deterministic = True
     in_process = False
 
@@ -46,7 +47,7 @@ class Ros1Host:
 class Ros1Flights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
+    def _fly(self, arm: str, fault: StateFault | SensorFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
         plan = Plan(
             setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery,

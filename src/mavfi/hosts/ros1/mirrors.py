@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.config import CameraConfig
+from mavfi.faults.sensor.failures import Failures
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.ros1.convert import MAP, to_stamp
 from mavfi.hosts.ros1.plan import Plan
@@ -253,11 +255,14 @@ class Senses:
     """Publishes clock, IMU and camera transform: the transform once (latched), the others at each control period.
 
     With an estimator (`estimating`), the IMU is a sensor of the loop: only the loop samples it, and the mirror of
-    `sensor.imu` publishes the samples.
+    `sensor.imu` publishes the samples.  Without one, it fails here as it does for the flight controller.
     """
 
-    def __init__(self, plant: Plant, estimating: bool) -> None:
+    def __init__(self, plant: Plant, estimating: bool, fault: SensorFault | None = None) -> None:
         self._plant = plant
+        self._failures = Failures()
+        if fault is not None:
+            self._failures.begin(fault)
         self._clock = _publisher("/clock", "rosgraph_msgs/Clock")
         self._imu = None if estimating else _publisher("/imu/data", "sensor_msgs/Imu")
         self._static = _publisher("/tf_static", "tf2_msgs/TFMessage", latch=True)
@@ -269,7 +274,7 @@ class Senses:
         to_stamp(clock.clock, time_us)
         self._clock.publish(clock)
         if self._imu is not None and self._imu.get_num_connections() > 0:
-            self._imu.publish(imu_message(self._plant.imu(), time_us))
+            self._imu.publish(imu_message(self._failures.imu(time_us, self._plant.imu()), time_us))
 
 
 def _publisher(topic: str, kind: str, *, latch: bool = False) -> Any:

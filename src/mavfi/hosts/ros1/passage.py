@@ -118,9 +118,9 @@ class Passage:
 
 def state_injections(plan: Plan) -> list[Injection]:
     """State injections, as recorded by the injector's node; a missed activation if its publication never occurred."""
-    if plan.fault is None:
+    if plan.state_fault is None:
         return []
-    return read_injections() or StateInjector(plan.fault).finish()
+    return read_injections() or StateInjector(plan.state_fault).finish()
 
 
 class LockStepDetector:

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault, StateFault
+from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
@@ -45,7 +46,7 @@ class Plan:
 
     Attributes:
         scenario: The mission; `config`: configuration of its kernels.
-        fault: State fault; None = none.
+        fault: Fault in a state, injected by a node, or failure of a sensor or motor, in the world; None = none.
         detector: The detector in its initial state; None = none.
         recovery: The recovery policy for its alarms.
         free_running: Whether simulated time follows the wall clock instead of waiting for every node.
@@ -65,7 +66,7 @@ class Plan:
 
     scenario: Scenario
     config: PipelineConfig
-    fault: StateFault | None = None
+    fault: StateFault | SensorFault | None = None
     detector: Detector | None = None
     recovery: Recovery = INLINE
     free_running: bool = False
@@ -80,14 +81,15 @@ class Plan:
     nodes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.fault is not None and self.fault.lasting:
-            raise BadInputError(f"fault in {self.fault.site}: lasts_s or times: on ROS one publication is changed")
+        fault = self.state_fault
+        if fault is not None and fault.lasting:
+            raise BadInputError(f"fault in {fault.site}: lasts_s or times: on ROS one publication is changed")
         if hasattr(self.detector, "seal") or hasattr(self.detector, "duplicates"):
             text = "takes part in what is not published; allowed on ROS: detectors of published values"
             raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
-        injected = None if self.fault is None else self.fault.where.state
+        injected = None if fault is None else fault.where.state
         object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected, self.gated))
-        taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)
+        taps = (INJECTOR,) * (fault is not None) + (DETECTOR,) * (self.detector is not None)
         object.__setattr__(self, "nodes", (*self.graph.nodes, *taps))
         if self.free_running:
             self._check_free_running()
@@ -101,6 +103,16 @@ class Plan:
         for key, (value, allowed) in wanted.items():
             if value != allowed:
                 raise BadInputError(f"{key}: {value!r}: not with --free-running; allowed: {allowed}")
+
+    @property
+    def state_fault(self) -> StateFault | None:
+        """The fault that the injector's node injects."""
+        return self.fault if isinstance(self.fault, StateFault) else None
+
+    @property
+    def sensor_fault(self) -> SensorFault | None:
+        """The failure of a sensor or motor."""
+        return self.fault if isinstance(self.fault, SensorFault) else None
 
     @property
     def foreign(self) -> tuple[str, ...]:

@@ -28,11 +28,12 @@ class Injector:
     """Injects the fault of a plan into one state's values in transit."""
 
     def __init__(self, plan: Plan) -> None:
-        assert plan.fault is not None
-        self._inject = StateInjector(plan.fault)
+        fault = plan.state_fault
+        assert fault is not None
+        self._inject = StateInjector(fault)
         self._spent = bool(read_injections())  # before a restart of this node
         self._ports = Ports(INJECTOR, plan)
-        way = self._ports.ways[plan.fault.where.state]
+        way = self._ports.ways[fault.where.state]
         self._injections = self._ports.publisher(INJECTION, "Injection")
         self._outlet = self._ports.outlet(way, way.after_injector)
         self._ports.read(way.state, way.first, self._arrived)

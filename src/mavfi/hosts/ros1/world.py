@@ -11,6 +11,7 @@ from typing import Any
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, write_file
 from mavfi.hosts.ros1.graph import DETECTOR, WORLD
 from mavfi.hosts.ros1.mirrors import Senses
@@ -66,7 +67,7 @@ class Conductor:
         self.loop = self._compose()
         self.restarts = Restarts(self.loop, plan.scenario.dead_node)
         self.loop.renew = self._renew
-        self.senses = Senses(self.loop.plant, self.loop.sensors.estimating)
+        self.senses = Senses(self.loop.plant, self.loop.sensors.estimating, self.plan.sensor_fault)
         self.ports.offer_recall()
         pids = wait_for_all(plan)
         self.ports.wait_until_connected()
@@ -80,6 +81,7 @@ class Conductor:
         self.ports = Ports(WORLD, plan)
         passage = Passage(self.ports, self.counter, self.links, self.registers, self._lost)
         loop.taps.injector = passage
+        inject_sensor_fault(loop, plan.fault)
         watch(loop, None if plan.detector is None else LockStepDetector(passage), plan.recovery)
         loop.before_tick.append(self._before_tick)
         loop.after_tick.append(self._after_tick)
