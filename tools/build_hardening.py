@@ -10,6 +10,7 @@ flights.
 import argparse
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from datetime import date
@@ -300,7 +301,9 @@ def main() -> None:
     given = parser.parse_args()
     study = Study.open(given.directory)
     records = Records(given.directory / "hardening.jsonl")
-    advices = advise(study, given.budget, lambda text: print(text, flush=True), learn=records.learn)
+    advices = advise(
+        study, given.budget, lambda text: print(text, flush=True), learn=records.learn, workers=os.cpu_count() or 1
+    )
     advice = summary(study, advices, harm_of(study.runs))
     plan = plan_of(study, advices)
     PLAN.parent.mkdir(exist_ok=True)

@@ -8,7 +8,7 @@ Signatures and calls, in which the time is measured, are those of a golden fligh
 import sys
 from pathlib import Path
 
-from mavfi.campaign.hardening.advise import times_of
+from mavfi.campaign.hardening.advise import codes_of, times_of
 from mavfi.campaign.hardening.observed import observe
 from mavfi.campaign.hardening.target import targets_of
 from mavfi.campaign.overheads import processor
@@ -26,7 +26,7 @@ def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan
     functions: list[FunctionPlan] = []
     for target in targets_of(seen, addresses=True):
         planned = full_plan(target.kernels[0], target.seen.function, target.seen.signature)
-        _, (time,) = times_of(target, [planned.sites])
+        _, (time,) = times_of(target, codes_of(target, [planned.sites]))
         functions.append(planned.model_copy(update={"time": round(time, 3)}))
     return Plan(cpu=processor(), functions=tuple(functions))
 

@@ -1,5 +1,6 @@
 """`mavfi harden`: which instructions of the kernels to duplicate, and the certificate of such a plan."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -92,7 +93,7 @@ def _advise(
     from mavfi.reports.terminal import show_table
 
     harm = harm_of(study.runs)
-    advices = advise(study, budget, _tell, addresses=addresses)
+    advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
     found = summary(study, advices, harm)
     if plan is not None:
         save_plan(plan_of(study, advices), plan)

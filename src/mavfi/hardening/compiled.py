@@ -3,7 +3,7 @@
 import ctypes
 from typing import Any
 
-from mavfi.ir.build import Source, load_code, translate
+from mavfi.ir.build import Source, load_code
 from mavfi.ir.module import Module
 
 
@@ -14,13 +14,13 @@ class Compiled:
 
     Args:
         source: The function.
-        text: IR of a variant of its module.
+        code: Machine code of a variant of its module, see `mavfi.ir.build.translate`.
         environment: Numba's environment of the function, which the code points to.
     """
 
-    def __init__(self, source: Source, text: str, environment: Any) -> None:
+    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
         self._environment = environment
-        self._engine, self._function = load_code(translate(text), source.wrapper, source.environment, environment)
+        self._engine, self._function = load_code(code, source.wrapper, source.environment, environment)
 
     def __call__(self, *args: Any) -> Any:
         """Call it; modifies the arguments as the function does."""

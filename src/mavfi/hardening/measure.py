@@ -12,7 +12,7 @@ import numpy as np
 
 from mavfi.hardening.compiled import Compiled, text_of
 from mavfi.hardening.recorded import copied
-from mavfi.ir.build import Source
+from mavfi.ir.build import Source, translate
 from mavfi.ir.module import Function, Module
 
 _REPETITIONS, _TICKS = "mavfi_repetitions", "mavfi_ticks"
@@ -39,15 +39,18 @@ class Timed(Compiled):
     """Machine code of a function, run many times within one call from Python.
 
     Args:
-        source: The function.
-        module: A variant of its module.
-        environment: See `Compiled`.
+        source, environment: See `Compiled`.
+        code: As of `code_of`.
     """
 
-    def __init__(self, source: Source, module: Module, environment: Any) -> None:
-        main = main_function(module, source.wrapper)
-        super().__init__(source, looping(text_of(module), source.wrapper, main), environment)
+    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
+        super().__init__(source, code, environment)
         self._repetitions, self._ticks = self.word(_REPETITIONS), self.word(_TICKS)
+
+    @staticmethod
+    def code_of(source: Source, module: Module) -> bytes:
+        """Machine code of a variant of a function's module, with its loop."""
+        return translate(looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
 
     def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
         """Ticks per repetition of a call; modifies the arguments as so many calls do."""

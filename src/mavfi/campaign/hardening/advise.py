@@ -11,6 +11,8 @@ from functools import partial
 from time import monotonic
 
 from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_rate
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.hardening.learned import Injected, Learn, injections_in
 from mavfi.campaign.hardening.target import Target
 from mavfi.hardening.choose import NOTHING, Choice, Chooser, upper_hull
@@ -21,7 +23,7 @@ from mavfi.ir.build import environment_of
 
 FRACTIONS = (0.1, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Steps of a curve: shares of the instructions that duplicating everything adds."""
-_SECONDS = 1.5
+_SECONDS = 1.0
 """Time for measuring one function."""
 Judged = Sequence[tuple[Injected, bool]]
 """Silent corruptions, and whether they are removed."""
@@ -138,54 +140,103 @@ def _share_of(fraction: float, chooser: Chooser) -> Choice:
     return chooser.within(fraction * chooser.full.cost)
 
 
-def times_of(target: Target, duplicated: Sequence[Collection[Site]]) -> tuple[float, list[float]]:
-    """Ticks of a plain call, and the time of a call with each set of sites duplicated, as a multiple of it."""
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What can be said of a function before its time is measured.
+
+    Attributes:
+        injections: In its recorded calls.
+        choices: As of `choices_of`.
+        codes: As of `codes_of`, for all choices.
+    """
+
+    injections: list[Injected]
+    choices: list[tuple[float, Choice, Judged]]
+    codes: list[bytes]
+
+
+def prepare(target: Target, fractions: Sequence[float] = FRACTIONS, learn: Learn = injections_in) -> Prepared:
+    """Inject faults in a function that has none although it has `fractions`, predict and build its steps."""
+    if fractions and not target.injections:
+        target.injections = learn(target.seen)
+    choices = choices_of(target, fractions)
+    codes = codes_of(target, [target.sites(choice) for _, choice, _ in choices[1:]])
+    return Prepared(target.injections, choices, codes)
+
+
+def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
+    """Machine code of a function to be timed: plain, then with each set of sites duplicated."""
     source, plain = target.source, target.module
+    variants = (protect(plain, sites, addresses=target.addresses) for sites in duplicated)
+    return [Timed.code_of(source, module) for module in (plain, *variants)]
+
+
+def times_of(target: Target, codes: Sequence[bytes]) -> tuple[float, list[float]]:
+    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it."""
     environment = environment_of(target.seen.function, target.seen.signature)
-    clocks = {
-        str(place): Timed(source, protect(plain, sites, addresses=target.addresses), environment).ticks
-        for place, sites in enumerate(duplicated)
-    }
-    base = Timed(source, plain, environment)
+    base, *others = (Timed(target.source, code, environment).ticks for code in codes)
+    clocks = {str(place): clock for place, clock in enumerate(others)}
     end = monotonic() + _SECONDS
-    timing = compare(base.ticks, clocks, target.seen.calls, lambda _: monotonic() > end)
+    timing = compare(base, clocks, target.seen.calls, lambda _: monotonic() > end)
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
 
 
-def timed_steps(target: Target, fractions: Sequence[float] = FRACTIONS) -> tuple[float, tuple[Step, ...]]:
-    """Build, predict and time the steps of a function; also returns the ticks of a plain call."""
-    choices = choices_of(target, fractions)
-    ticks, times = times_of(target, [target.sites(choice) for _, choice, _ in choices[1:]])
+def timed_steps(target: Target, own: Prepared) -> tuple[float, tuple[Step, ...]]:
+    """Time the steps of a function; also returns the ticks of a plain call."""
+    ticks, times = times_of(target, own.codes)
     return ticks, tuple(
         Step(fraction, choice, time, judged)
-        for (fraction, choice, judged), time in zip(choices, (1.0, *times), strict=True)
+        for (fraction, choice, judged), time in zip(own.choices, (1.0, *times), strict=True)
     )
+
+
+def prepare_all(
+    targets: Sequence[Target],
+    wanted: Collection[str],
+    tell: Callable[[str], None] = lambda _: None,
+    learn: Learn = injections_in,
+    workers: int = 1,
+) -> list[Prepared]:
+    """Inject, choose and build for the functions of some flights; the functions keep their injections.
+
+    Args:
+        targets: The functions; those of kernels that are not `wanted` are built as they are.
+        wanted: Kernels to protect.
+        tell: Called with the name of each function.
+        learn: Injects faults in a function without injections.
+        workers: Number of processes.
+    """
+    fractions = [() if set(wanted).isdisjoint(target.kernels) else FRACTIONS for target in targets]
+
+    def at(place: int) -> Prepared:
+        return prepare(targets[place], fractions[place], learn)
+
+    longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
+    ready: dict[int, Prepared] = {}
+    for place, own in map_each(LocalExecutor(workers), at, longest):
+        ready[place], targets[place].injections = own, own.injections
+        tell(f"injected faults in {targets[place].name} and made its choices ({len(ready)} of {len(targets)})")
+    return [ready[place] for place in range(len(targets))]
 
 
 def curves_of(
     targets: Sequence[Target],
-    wanted: Collection[str],
+    ready: Sequence[Prepared],
     other_ticks: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,
-    learn: Learn = injections_in,
 ) -> tuple[Curve, ...]:
-    """Build, predict and time the steps of the functions of a flight.
+    """Time the steps of the functions of a flight.
 
     Args:
-        targets: The functions; those of kernels that are not `wanted` are timed only.
-        wanted: Kernels to protect.
+        targets: The functions.
+        ready: As of `prepare_all`.
         other_ticks: Ticks of all other functions in the flight.
         tell: Called with the name of each function.
-        learn: Injects faults in a function without injections.
     """
     rows = []
-    for target in targets:
-        free = not set(wanted).isdisjoint(target.kernels)
-        if free and not target.injections:
-            tell(f"injecting faults in {target.name}")
-            target.injections = learn(target.seen)
-        tell(f"choosing and timing {target.name}")
-        ticks, steps = timed_steps(target, FRACTIONS if free else ())
+    for target, own in zip(targets, ready, strict=True):
+        tell(f"timing {target.name}")
+        ticks, steps = timed_steps(target, own)
         rows.append((target, ticks * target.seen.total, steps))
     whole = other_ticks + sum(ticks for _, ticks, _ in rows)
     return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)

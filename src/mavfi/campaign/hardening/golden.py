@@ -13,7 +13,7 @@ from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import protection_of
 from mavfi.hardening.sources import cached_source
 from mavfi.hosts.local import fly
-from mavfi.ir.build import environment_of, name_of
+from mavfi.ir.build import environment_of, name_of, translate
 from mavfi.ir.parser import parse_module
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -91,7 +91,7 @@ def protected_code(function: Any, signature: tuple[Any, ...], plan: Plan) -> Com
         return None
     source = cached_source(function, signature)
     module = protection(parse_module(source.text, source.kernel))
-    return Compiled(source, text_of(module), environment_of(function, signature))
+    return Compiled(source, translate(text_of(module)), environment_of(function, signature))
 
 
 def check_golden(scenario: Scenario, plan: Plan, kernels: Sequence[str]) -> GoldenCheck:

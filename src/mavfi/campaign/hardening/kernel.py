@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.hardening.advise import Step, timed_steps
+from mavfi.campaign.hardening.advise import Step, prepare, timed_steps
 from mavfi.campaign.hardening.certify import Certificate, Pair, certify
 from mavfi.campaign.hardening.golden import protected_code
 from mavfi.campaign.hardening.learned import injections_in
@@ -78,7 +78,7 @@ def harden(function: Any, calls: Calls, budget: float, faults: int = 1000, seed:
     """
     seen = see(function, calls)
     target = Target((seen.entry,), seen, injections_in(seen, faults, seed))
-    _, steps = timed_steps(target)
+    _, steps = timed_steps(target, prepare(target))
     affordable = [step for step in steps if step.time <= 1 + budget]
     best = max(affordable, key=lambda step: (step.choice.benefit, -step.time))
     return Hardened(function, planned_of(target, best), steps)

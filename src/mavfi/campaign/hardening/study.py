@@ -12,7 +12,7 @@ import numpy as np
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of
+from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of, prepare_all
 from mavfi.campaign.hardening.certify import REFUTED, Certificate, certify, pairs_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Learn, injections_in
@@ -94,29 +94,38 @@ class Study:
 
 
 def advise(
-    study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False, learn: Learn = injections_in
+    study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False,
+    learn: Learn = injections_in, workers: int = 1,
 ) -> list[Advice]:  # fmt: skip
     """Advice by planner of the missions, that of the campaign's planner first.
 
     The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
-    is that of `Target`, `learn` that of `curves_of`.
+    is that of `Target`, `learn` and `workers` are those of `prepare_all`.
 
     Raises:
         BadInputError: A mission cannot be flown.
     """
     environment, seed = study.campaign.environments[0], study.campaign.first_seed
-    found: list[Advice] = []
+    flights: list[tuple[list[Target], list[Target]]] = []  # of each planner: those of earlier ones, and new ones
+    known: dict[tuple[str, str], Target] = {}
     for planner, kernels in study.by_planner().items():
         tell(f"flying the golden mission {environment} {seed} with {planner}")
         seen = observe(study.scenario(environment, seed, planner), kernels)
-        known = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
         targets = targets_of(seen, addresses=addresses)
         shared = [known[target.key] for target in targets if target.key in known]
-        new = [target for target in targets if target.key not in known]
-        other_ticks = sum(curve.ticks for curve, _ in shared)
-        curves = curves_of(new, study.kernels, other_ticks, tell, learn)
+        flights.append((shared, [target for target in targets if target.key not in known]))
+        known |= {target.key: target for target in flights[-1][1]}
+    every = [target for _, new in flights for target in new]
+    own = prepare_all(every, study.kernels, tell, learn, workers)
+    ready = {target.key: one for target, one in zip(every, own, strict=True)}
+    found: list[Advice] = []
+    for shared, new in flights:
+        steps = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
+        before = [steps[target.key] for target in shared]
+        other_ticks = sum(curve.ticks for curve, _ in before)
+        curves = curves_of(new, [ready[target.key] for target in new], other_ticks, tell)
         whole = other_ticks + sum(curve.ticks for curve in curves)
-        spent = sum(curve.ticks * (step.time - 1) for curve, step in shared) / whole
+        spent = sum(curve.ticks * (step.time - 1) for curve, step in before) / whole
         found.append(Advice(budget, curves, allocate(curves, budget - spent), spent))
     return found
 
