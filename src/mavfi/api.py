@@ -16,11 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.executors.executor import Executor
-from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import Progress, run_campaign
 from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
@@ -38,7 +34,10 @@ from mavfi.states import DETECTORS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from mavfi.campaign.analysis.runs import Runs
     from mavfi.campaign.analysis.table import Table
+    from mavfi.campaign.executors.executor import Executor
+    from mavfi.campaign.run import Progress
 
 
 def fly(
@@ -90,8 +89,8 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
 
 def run(
     campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
-    executor: Executor | None = None, progress: Callable[[Progress], None] | None = None,
-) -> Runs:  # fmt: skip
+    executor: "Executor | None" = None, progress: "Callable[[Progress], None] | None" = None,
+) -> "Runs":  # fmt: skip
     """Fly a campaign or its remaining runs, and load its ledger.
 
     Args:
@@ -105,6 +104,9 @@ def run(
     Raises:
         BadInputError: See `campaign.run.run_campaign`.
     """
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.run import run_campaign
+
     chosen = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     run_campaign(
         chosen, Path(directory), executor=executor or LocalExecutor(workers),
@@ -113,16 +115,18 @@ def run(
     return load(directory)
 
 
-def load(directory: Path | str) -> Runs:
+def load(directory: Path | str) -> "Runs":
     """Load the runs of a ledger; `frame` has one row per run.
 
     Raises:
         BadInputError: The folder has no ledger.
     """
+    from mavfi.campaign.analysis.runs import Runs
+
     return Runs.read(Path(directory))
 
 
-def table(runs: Runs, view: str) -> "Table":
+def table(runs: "Runs", view: str) -> "Table":
     """Compute a table of a report.
 
     Args:
@@ -137,7 +141,7 @@ def table(runs: Runs, view: str) -> "Table":
     return table_of(runs, view)
 
 
-def figure(runs: Runs, name: str) -> "Figure":
+def figure(runs: "Runs", name: str) -> "Figure":
     """Draw a figure of a report as a matplotlib figure, for display in a notebook or `savefig`.
 
     Args:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from mavfi.flight_log import FlightLog
 from mavfi.states import STATES, State
@@ -166,7 +166,7 @@ def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     distance, passed = np.full(len(points), np.inf), np.zeros(len(points))
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     place = points[finite]
-    distance[finite], row = cKDTree(path).query(place)
+    distance[finite], row = scipy.spatial.cKDTree(path).query(place)
     passed[finite] = time[row]
     for begin in (np.maximum(row - 1, 0), np.minimum(row, max(0, len(path) - 2))):
         end = np.minimum(begin + 1, len(path) - 1)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.special import betaln, xlog1py, xlogy
+import scipy
 
 from mavfi.campaign.config import MOST_FAULTS, Campaign, StateSampling
 from mavfi.campaign.plan import RunSpec
@@ -41,8 +41,9 @@ def log_mixture(total: Any, n: Any, rate: Any) -> Any:
         n: Number of observations.
         rate: Rate to test, from 0 to 1.
     """
-    mixed = betaln(_PRIOR + total, _PRIOR + n - total) - betaln(_PRIOR, _PRIOR)
-    return mixed - xlogy(total, rate) - xlog1py(n - total, -np.asarray(rate))
+    special = scipy.special
+    mixed = special.betaln(_PRIOR + total, _PRIOR + n - total) - special.betaln(_PRIOR, _PRIOR)
+    return mixed - special.xlogy(total, rate) - special.xlog1py(n - total, -np.asarray(rate))
 
 
 def sequence_bounds(total: Any, n: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """The application with all commands, and its error handling; commands import heavy modules on demand."""
 
+import functools
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -89,9 +90,8 @@ def run(arguments: Sequence[str]) -> int:
         allow_plugins()
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
-    command = typer.main.get_command(app)
     try:
-        code = command.main(args=list(arguments) or ["--help"], prog_name="mavfi", standalone_mode=False)
+        code = _command().main(args=list(arguments) or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
         return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
@@ -106,6 +106,12 @@ def run(arguments: Sequence[str]) -> int:
             raise
         return complain(failed, EXIT_FAILURE)
     return code if isinstance(code, int) else EXIT_DONE
+
+
+@functools.cache
+def _command() -> Any:
+    """The application with all commands; building it takes as long as a short command."""
+    return typer.main.get_command(app)
 
 
 def _verb(arguments: Sequence[str]) -> str:

@@ -1,12 +1,14 @@
 """Progress display: a bar with rate and time left in a terminal, periodic lines elsewhere."""
 
+from __future__ import annotations
+
 import math
 import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Group
 from rich.live import Live
@@ -14,8 +16,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.campaign.run import Progress as CampaignProgress
 from mavfi.cli.console import console
+
+if TYPE_CHECKING:
+    from mavfi.campaign.run import Progress as CampaignProgress
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""

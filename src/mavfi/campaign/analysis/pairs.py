@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binomtest
+import scipy
 
 from mavfi.campaign.analysis.statistics import Part, cluster_sums, exact_bounds, percentiles, resample, score_bounds
 
@@ -41,7 +41,7 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
     first_only = sum(a and not b for a, b in zip(first, second, strict=True))
     second_only = sum(b and not a for a, b in zip(first, second, strict=True))
     discordant = first_only + second_only
-    p_value = float(binomtest(first_only, discordant, 0.5).pvalue) if discordant else 1.0
+    p_value = float(scipy.stats.binomtest(first_only, discordant, 0.5).pvalue) if discordant else 1.0
     return Paired(len(first), first_only, second_only, p_value)
 
 

@@ -8,16 +8,18 @@ differences are therefore combined from score intervals by MOVER (Newcombe 1998;
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
-from scipy.stats import beta, chi2, norm
+import scipy  # loads its modules at first use
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 _SEED = 20
 _POWER = 0.8  # power for `smallest_difference`
 TAIL = (1 - CONFIDENCE) / 2  # probability outside an interval on each side
-_Z2 = float(norm.ppf(1 - TAIL)) ** 2
+_NORMAL = NormalDist()
+_Z2 = _NORMAL.inv_cdf(1 - TAIL) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +62,8 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
 
 def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
     """Interval of a proportion after Clopper and Pearson (1934), with probability `tail` outside on each side."""
-    low = float(beta.ppf(tail, hits, misses + 1)) if hits > 0 else 0.0
-    return low, float(beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
+    low = float(scipy.stats.beta.ppf(tail, hits, misses + 1)) if hits > 0 else 0.0
+    return low, float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
 
 
 def clustered_rate(
@@ -182,9 +184,9 @@ def event_rate(events: int, hours: float) -> EventRate:
     """Rate of independent events in hours of exposure, with Garwood's exact Poisson interval."""
     if not hours > 0:
         return EventRate(events, hours, None, None, None, None)
-    low = float(chi2.ppf(TAIL, 2 * events)) / 2 / hours if events else 0.0
-    high = float(chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
-    upper = float(chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
+    low = float(scipy.stats.chi2.ppf(TAIL, 2 * events)) / 2 / hours if events else 0.0
+    high = float(scipy.stats.chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
+    upper = float(scipy.stats.chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
     return EventRate(events, hours, events / hours, low, high, upper)
 
 
@@ -215,4 +217,4 @@ def smallest_difference(rate: float, first_n: int, second_n: int) -> float | Non
     margin = 0.5 / min(first_n, second_n)
     p = min(max(rate, margin), 1 - margin)
     spread = np.sqrt(p * (1 - p) * (1 / first_n + 1 / second_n))
-    return float((norm.ppf(1 - TAIL) + norm.ppf(_POWER)) * spread)
+    return float((_NORMAL.inv_cdf(1 - TAIL) + _NORMAL.inv_cdf(_POWER)) * spread)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
-from scipy.stats import permutation_test
+import scipy
 
 from mavfi.campaign.analysis.runs import Runs
 
@@ -79,7 +79,7 @@ def _p_value(data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray],
         return None
     if not any(part.any() for part in data):
         return 1.0
-    found = permutation_test(
+    found = scipy.stats.permutation_test(
         data, statistic, permutation_type=kind, vectorized=True, n_resamples=_RESAMPLES,
         rng=np.random.default_rng(_SEED),
     )  # fmt: skip
