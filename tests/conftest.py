@@ -51,9 +51,10 @@ Most wait most of the time, so two files run at once."""
 
 
 _SLOW = (
-    "tests/hosts", "tests/robustness", "tests/unit/bridges", "tests/unit/campaign/executors",
+    "tests/golden", "tests/hosts", "tests/robustness", "tests/unit/bridges", "tests/unit/campaign/executors",
     "tests/unit/campaign/hardening", "tests/unit/campaign/test_log.py", "tests/unit/campaign/test_pack.py",
-    "tests/unit/campaign/test_training.py", "tests/unit/faults/instruction", "tests/unit/hardening",
+    "tests/unit/campaign/test_training.py", "tests/unit/detectors", "tests/unit/faults/instruction",
+    "tests/unit/hardening", "tests/unit/reports",
 )  # fmt: skip
 """Missions fly in these tests, or instrumented kernels are compiled: `make check` leaves them to `make test`."""
 

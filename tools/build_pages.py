@@ -140,7 +140,9 @@ def sensor_table() -> str:
         "`firmware`": lambda unit: _executed(unit, "firmware", "betaflight"),
         "`airsim_program`": lambda unit: _executed(unit, "airsim_program", ""),
         "MAVLink": lambda unit: unit in MAVLINK_UNITS.values(),
-        "`ros1`": lambda unit: _executed(unit, "ros1"), "`node`": lambda unit: _executed(unit, "node"),
+        "`ros1`": lambda unit: _executed(unit, "ros1"),
+        "`ros1`, estimator": lambda unit: _executed(unit, "ros1", localization="estimator"),
+        "`node`": lambda unit: _executed(unit, "node"),
     }  # fmt: skip
     absent = [kind for kind in TYPES if kind not in MAVLINK_TYPES.values()]
     rows = [

@@ -22,6 +22,10 @@ _ALL = "all"
 _ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
+class NotAllowedError(BadInputError):
+    """Code or a program that a file names was neither typed nor allowed."""
+
+
 def allow_plugins() -> None:
     """Run code and programs named in files (configurations, ledgers), in this process and its children."""
     _allow([_ALL])
@@ -47,9 +51,9 @@ def _allow(names: Iterable[str]) -> None:
 
 
 def require_allowed(what: str, name: str) -> None:
-    """Raise a `BadInputError` if code or a program was neither typed nor allowed."""
+    """Raise a `NotAllowedError` if code or a program was neither typed nor allowed."""
     if not {_ALL, name} & set(allowed_names()):
-        raise BadInputError(
+        raise NotAllowedError(
             f"{what} {name!r}: named in a file, and so not run; allowed: entry points of installed packages, or any "
             "with --allow-plugins"
         )

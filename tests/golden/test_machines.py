@@ -22,7 +22,7 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 
-folder, workers, few = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "few"
+folder, workers = sys.argv[1], int(sys.argv[2])
 flights = (
     {"environment": "sparse", "seed": 7, "fault": "state:control.command.vx:bit=62", "detector": "autoencoder",
      "profile": "tuned"},
@@ -30,12 +30,12 @@ flights = (
     {"environment": "factory", "seed": 0, "autopilot": "hardened", "planner": "rrt_star", "wind": 2.0,
      "localization": "estimator"},
 )
-for flight in flights[:2] if few else flights:
+for flight in flights:
     result = mavfi.fly(**flight)
     print(result.status.label, result.log.digest())
 
 mission = resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
-kernels = ("pid",) if few else ("pid", "octomap", "rrt_connect", "point_cloud", "collision_check")
+kernels = ("pid", "octomap", "rrt_connect", "point_cloud", "collision_check")
 for which in ("address", "control", "data"):
     drawn = draw_instruction_faults(mission, InstructionRequest(dict.fromkeys(kernels, 3), which=which), seed=1)
     for flight in fly_instruction_faults(mission, sum(drawn.faults.values(), []), golden=drawn.golden).flights:
@@ -47,14 +47,14 @@ instructions = mavfi.Campaign(
     sampling={"level": "instruction", "kernels": list(kernels[:2])},
     arms={"watched": {"detector": "autoencoder", "profile": "tuned"}},
 )
-for campaign in (instructions,) if few else (instructions, "smoke"):
+for campaign in (instructions, "smoke"):
     place = f"{folder}/{campaign if isinstance(campaign, str) else campaign.name}"
     mavfi.run(campaign, place, workers=workers)
     with Store.open(Path(place)) as store:
         print(place.rpartition("/")[2], store.complete, store.digest())
 """
 """Every function below a digest is called by one of the flights.  Then faults in instructions, with the values before
-and after, among them addresses; then campaigns.  The few of them need half of the compiled code."""
+and after, among them addresses; then campaigns."""
 OLDER_LIBRARIES = {
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512DQ",
     "OPENBLAS_CORETYPE": "Nehalem",
@@ -72,34 +72,22 @@ MACHINES = {
     "all of it, and code for any x86-64": {**OLDER_LIBRARIES, **OLDER_CODE, **ELSEWHERE},
 }
 LAST = list(MACHINES)[-1]
+IN_CI = ("C library without FMA", "C library without AVX-512")
+"""And the last one; the others repeat parts of it."""
 
 
-def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1, which: str = "all") -> list[str]:
+pytestmark = pytest.mark.long
+in_ci = pytest.mark.machines
+
+
+def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1) -> list[str]:
     """Of flights and campaigns, in a process that thinks it runs on another machine."""
     result = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers), which],
+        [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers)],
         env={**os.environ, **machine}, capture_output=True, text=True, timeout=1800,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     return result.stdout.splitlines()
-
-
-def ends_in_another_folder(tmp_path: Path, which: str) -> list[str]:
-    """With two workers, an empty cache, and code for the oldest machine; each function is compiled once."""
-    there = tmp_path / "another-folder-with-a-long-name" / "of-packages"
-    for folder in ("src", "configs"):
-        shutil.copytree(ROOT / folder, there / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    place = {"PYTHONPATH": str(there / "src"), "XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
-    ends = ends_and_digests({**MACHINES[LAST], **place}, tmp_path / "out", workers=2, which=which)
-    compiled = [path.name.rsplit(".", 2)[0] for path in (tmp_path / "cache").rglob("*.nbc")]
-    assert len(compiled) > 100
-    assert {name for name in compiled if compiled.count(name) > 1} == set()
-    return ends
-
-
-@pytest.fixture(scope="module")
-def few(tmp_path_factory):
-    return ends_and_digests({}, tmp_path_factory.mktemp("few"), which="few")
 
 
 @pytest.fixture(scope="module")
@@ -107,33 +95,29 @@ def here(tmp_path_factory):
     return ends_and_digests({}, tmp_path_factory.mktemp("here"))
 
 
-@pytest.mark.slow
-def test_flights_faults_in_instructions_and_a_campaign_have_all_effects(few):
-    assert [line.split()[0] for line in few[:2]] == ["success", "collision"]
-    assert {line.split()[0] for line in few[2:-1]} >= {"masked", "sdc", "crash"}
-    assert len(few) == 2 + 3 * 1 * 3 + 1
-    assert few[-1].split()[:2] == ["instructions", "True"]
-
-
-@pytest.mark.long
-def test_all_flights_faults_and_campaigns_have_all_effects(here):
+@in_ci
+def test_they_have_all_effects(here):
     assert [line.split()[0] for line in here[:3]] == ["success", "collision", "success"]
     assert {line.split()[0] for line in here[3:-2]} >= {"masked", "sdc", "crash"}
     assert len(here) == 3 + 3 * 5 * 3 + 2
     assert [line.split()[:2] for line in here[-2:]] == [["instructions", "True"], ["smoke", "True"]]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", [name for name in MACHINES if name != LAST])
-def test_flights_have_the_same_bits(name, here, tmp_path):
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[in_ci] * (name in IN_CI)) for name in MACHINES if name != LAST]
+)
+def test_they_have_the_same_bits(name, here, tmp_path):
     assert ends_and_digests(MACHINES[name], tmp_path) == here
 
 
-@pytest.mark.slow
-def test_flights_have_the_same_bits_on_the_oldest_machine_in_another_folder(few, tmp_path):
-    assert ends_in_another_folder(tmp_path, "few") == few
-
-
-@pytest.mark.long
-def test_all_flights_have_the_same_bits_on_the_oldest_machine_in_another_folder(here, tmp_path):
-    assert ends_in_another_folder(tmp_path, "all") == here
+@in_ci
+def test_they_have_the_same_bits_in_another_folder_with_an_empty_cache_and_two_workers(here, tmp_path):
+    """Each function is compiled once, for the oldest machine."""
+    there = tmp_path / "another-folder-with-a-long-name" / "of-packages"
+    for folder in ("src", "configs"):
+        shutil.copytree(ROOT / folder, there / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    place = {"PYTHONPATH": str(there / "src"), "XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
+    assert ends_and_digests({**MACHINES[LAST], **place}, tmp_path / "out", workers=2) == here
+    compiled = [path.name.rsplit(".", 2)[0] for path in (tmp_path / "cache").rglob("*.nbc")]
+    assert len(compiled) > 100
+    assert {name for name in compiled if compiled.count(name) > 1} == set()

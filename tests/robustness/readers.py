@@ -45,7 +45,7 @@ from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import WATCHED, Recorder
 from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
 from mavfi.errors import BadInputError
-from mavfi.faults.spec import StateRequest, parse, parse_state
+from mavfi.faults.spec import StateRequest, parse
 from mavfi.flight_log import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import find_environment, find_planner, resolve
@@ -165,10 +165,10 @@ def mutate_fault(draw, seeds):
 
 
 def read_fault(path):
-    """Both parsers of faults, and the draw of what was not named."""
+    """Faults of a host with two levels and of all, and the draw of what was not named."""
     text = path.read_bytes().decode("utf-8", "surrogateescape")
     with contextlib.suppress(BadInputError):
-        parse_state(text)
+        parse(text, levels=("state", "sensor"))
     request = parse(text)
     if isinstance(request, StateRequest):
         request.resolve(1, "published", golden_profile(1))

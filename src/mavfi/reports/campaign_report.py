@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -15,6 +16,7 @@ from mavfi.campaign.store import Store
 from mavfi.campaign.telling import Telling, fly_telling_run
 from mavfi.errors import writing
 from mavfi.flight_record import plain
+from mavfi.plugins import NotAllowedError
 from mavfi.reports import figures
 from mavfi.reports.picture import draw_flight
 from mavfi.reports.text import (
@@ -91,8 +93,12 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
 
 
 def _draw_telling_run(directory: Path, runs: Runs) -> dict[str, str]:
-    """Draw the most illustrative run (golden, with the fault, with a detector); return its caption by file name."""
-    with Store.open(directory) as store:
+    """Draw the most illustrative run (golden, with the fault, with a detector); return its caption by file name.
+
+    Nothing is drawn if that would run a program that the ledger names and the user has not allowed.
+    """
+    chosen = None
+    with Store.open(directory) as store, suppress(NotAllowedError):
         chosen = fly_telling_run(store, runs.frame)
     if chosen is None:
         return {}

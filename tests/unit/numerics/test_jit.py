@@ -96,6 +96,7 @@ def test_a_user_without_a_home_has_a_folder_that_no_other_can_write(monkeypatch,
     assert not jit._cache_root().exists()
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_an_entry_takes_arguments_of_its_types_alone():
     @kernel_jit
     def first(values, add):
