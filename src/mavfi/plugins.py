@@ -78,7 +78,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
             message says why.
     """
     # entry points cannot take these names, and searching them takes milliseconds
-    place = shipped.get(name, name if ":" in name else "")
+    place = shipped.get(name, name if _ADDRESS.fullmatch(name) else "")
     if not place:
         names = known(group, shipped)
         place = names.get(name, "")

@@ -16,7 +16,7 @@ import sys
 import cosysairsim as airsim
 client = airsim.MultirotorClient(port=int(sys.argv[1]))
 client.enableApiControl(True)
-client.takeoffAsync().join()
+client.takeoffAsync()
 for step in range(80):
     client.moveByVelocityAsync(1.0 + math.cos(step), math.sin(step), 0.0, 0.5)
     client.getMultirotorState()
@@ -24,10 +24,10 @@ for step in range(80):
 
 
 def serve_once(*options):
-    """Serve the client; what the server prints."""
+    """Serve the client, whose time passes in calls; what the server prints."""
     command = [sys.executable, "-m", "mavfi", "airsim", "serve", "--environment", "sparse", "--seed", "7"]
     server = subprocess.Popen(
-        [*command, "--speed", "20", "--port", "0", "--once", *options], stdout=subprocess.PIPE, text=True
+        [*command, "--clock", "steps", "--port", "0", "--once", *options], stdout=subprocess.PIPE, text=True
     )
     try:
         ready = server.stdout.readline()

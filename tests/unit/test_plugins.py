@@ -29,8 +29,9 @@ def test_shipped_names_entry_points_and_addresses_are_found():
         ("nowhere", "allowed: here, or package:object"),
         ("no_such_package:X", "cannot be imported .ModuleNotFoundError"),
         ("mavfi.errors:Missing", "cannot be imported .AttributeError"),
-        (".relative:X", "cannot be imported"),
-        (":X", "cannot be imported"),
+        (".relative:X", "not known"),
+        (":X", "not known"),
+        ("folder/module.py:X", "not known; allowed: here, or package:object"),
         ("mavfi.errors:__doc__", "cannot be called"),
     ],
 )

@@ -19,8 +19,8 @@ from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight_record import record_of
-from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded, require_level
+from mavfi.flight_record import End, FlightRecord, record_of
+from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
 from mavfi.hosts.local import recorded
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.outcomes import Effect, effect_of
@@ -31,13 +31,16 @@ class Replay:
     """A replayed run."""
 
     run: Run  # as stored
-    flight: Flight  # of the replay
-    digest: str  # of the replay
+    record: FlightRecord  # of the replay
 
     @property
     def same(self) -> bool:
-        """Whether the replay is bit-identical to the stored flight."""
-        return self.run.record is not None and self.run.record.digest == self.digest
+        """Whether the replay is bit-identical to the stored flight, or ended for the same reason if none is left."""
+        return self.run.record is not None and _outcome(self.run.record) == _outcome(self.record)
+
+
+def _outcome(record: FlightRecord) -> tuple[End, str, str]:
+    return record.end, record.digest, record.error
 
 
 def replay(directory: Path, run_id: str) -> Replay:
@@ -51,11 +54,24 @@ def replay(directory: Path, run_id: str) -> Replay:
         run = store.run(run_id)
         if run.record is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
-        flight = fly_again(store, run.spec)
-        return Replay(run, flight, flight.log.digest())
+        return Replay(run, fly_again(store, run.spec).record())
 
 
-def fly_again(store: Store, spec: RunSpec) -> Flight:
+def flight_again(store: Store, spec: RunSpec) -> Flight:
+    """Replay a run of a ledger that is a flight.
+
+    Raises:
+        BadInputError, SpecMismatchError: See `replay`; or the host's runs are no flights.
+    """
+    host = host_of(stored_campaign(store))
+    if not host.flies:
+        raise BadInputError(f"{store.directory}: host {host.name}: its runs leave no flight log")
+    flown = fly_again(store, spec)
+    assert isinstance(flown, Flight)  # by `Host.flies`
+    return flown
+
+
+def fly_again(store: Store, spec: RunSpec) -> Recorded:
     """Replay a run of a ledger in full, without fast-forward; raises the errors of `replay`."""
     host, setup = setup_of_run(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
@@ -66,7 +82,6 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
         _, flown = next(flights.injected([(spec.arm, spec.fault)]))
     if isinstance(flown, Exception):
         raise flown
-    assert isinstance(flown, Flight)  # deterministic hosts return a `Flight`
     return flown
 
 
@@ -103,22 +118,28 @@ class Explanation:
         return effect_of(record_of(self.golden.log), record_of(self.flight.log))
 
 
+def explained_levels(store: Store) -> frozenset[str]:
+    """Levels of the faults of a ledger whose publications can be recorded: those that the host `local` flies, too."""
+    host = host_of(stored_campaign(store))
+    return host.levels & LocalHost.levels if host.flies and host.deterministic else frozenset()
+
+
 def explain(directory: Path, run_id: str) -> Explanation:
     """Replay a run (given by a prefix of its id) and its golden run, and compare all publications.
 
     Raises:
-        BadInputError: The campaign or run does not exist, or the run has no fault or no flight.
+        BadInputError: The campaign or run does not exist, the run has no fault or no flight, or its publications
+            cannot be recorded.
         SpecMismatchError: The detector's model has changed since the run.
     """
     with Store.open(directory) as store:
         run = store.run(run_id)
         if run.spec.fault is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: has no fault to explain; allowed: runs with one")
-        require_level(LocalHost(), run.spec.fault.level)  # which records the publications
         stored = run.record
         if stored is None or not stored.flown:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")
-        _, setup = setup_of_run(store, run.spec)
+        setup = _setup_to_record(store, run.spec)
     golden, seen_golden = fly_recorded(setup, None)
     injected, seen = fly_recorded(setup, run.spec.fault)
     first, spreading = first_difference(seen_golden, seen), tuple(spread(seen_golden, seen))
@@ -137,9 +158,21 @@ def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[Publicati
         run = store.run(run_id)
         if run.record is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
-        _, setup = setup_of_run(store, run.spec)
+        setup = _setup_to_record(store, run.spec)
     flight, published = fly_recorded(setup, run.spec.fault)
     return flight, published, None if run.spec.fault is None else fly_recorded(setup, None)[0]
+
+
+def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
+    """Arm setup of a run whose publications can be recorded; raises the errors of `explain`."""
+    host, setup = setup_of_run(store, spec)
+    levels = explained_levels(store)
+    if not levels or (spec.fault is not None and spec.fault.level not in levels):
+        raise BadInputError(
+            f"{store.directory}: run {spec.run_id}: its publications cannot be recorded; allowed: faults of level "
+            f"{', '.join(sorted(LocalHost.levels))} at hosts that fly missions; see mavfi replay and mavfi runs"
+        )
+    return setup
 
 
 def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:

@@ -87,7 +87,7 @@ def shrink(
         )
     trials = _Trials(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
     golden = trials.flights.golden(spec.arm, profile=True)
-    assert isinstance(golden, Flight)  # deterministic hosts return a `Flight`
+    assert isinstance(golden, Flight)  # as hosts of faults that can be smaller do
     original = next(trials.of([fault]))
     if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
         how = "fails without its fault, too" if original.lost else f"ends in {original.status or 'an error'}"

@@ -8,8 +8,10 @@ from typing import Any
 import polars as pl
 
 from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.mission import host_of
 from mavfi.campaign.plan import FI
-from mavfi.campaign.replay import fly_again
+from mavfi.campaign.replay import flight_again
+from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.flight_record import End
 from mavfi.hosts.host import Flight
@@ -33,16 +35,17 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
     """Choose the most illustrative run of a ledger, and replay it with its golden run.
 
     Returns:
-        None if `choose` finds no run.
+        None if `choose` finds no run, or the host leaves no flights to replay.
     """
-    chosen = choose(runs)
+    host = host_of(stored_campaign(store))
+    chosen = choose(runs) if host.flies and host.deterministic else None
     if chosen is None:
         return None
     injected, saved = chosen
     spec = store.run(injected["run_id"]).spec
-    golden = fly_again(store, replace(spec, fault=None))
-    recovered = None if saved is None else fly_again(store, store.run(saved["run_id"]).spec)
-    return Telling(injected, saved, fly_again(store, spec), golden, recovered)
+    golden = flight_again(store, replace(spec, fault=None))
+    recovered = None if saved is None else flight_again(store, store.run(saved["run_id"]).spec)
+    return Telling(injected, saved, flight_again(store, spec), golden, recovered)
 
 
 def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
@@ -55,7 +58,7 @@ def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
     if not wanted:
         return runs
     with Store.open(directory) as store:
-        flights = {run_id: fly_again(store, store.run(run_id).spec) for run_id in wanted}
+        flights = {run_id: flight_again(store, store.run(run_id).spec) for run_id in wanted}
     return replace(runs, flights={**runs.flights, **flights})
 
 

@@ -108,9 +108,11 @@ def _export_runs(directory: Path, to: Path, as_json: bool) -> None:
 def _stored(source: Path, run_id: str) -> Recorded:
     """The flight alone."""
     if run_id:
-        from mavfi.campaign.replay import replay
+        from mavfi.campaign.replay import flight_again
+        from mavfi.campaign.store import Store
 
-        return replay(source, run_id).flight.log, None, None
+        with Store.open(source) as store:
+            return flight_again(store, store.run(run_id).spec).log, None, None
     from mavfi.flight_log import FlightLog
 
     return FlightLog.load(source), None, None

@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 from mavfi.campaign.divergence import departure, first_difference, spread
-from mavfi.campaign.replay import Explanation, fly_again, fly_recorded
+from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import Fault
 from mavfi.hosts.host import ArmSetup, Flight
@@ -87,7 +87,7 @@ def page_of_explanation(directory: Path, found: Explanation, partner: str | None
     if partner is not None:
         with Store.open(directory) as store:
             other = store.run(partner).spec
-            log = fly_again(store, other).log
+            log = flight_again(store, other).log
         role, label = _role(other.detector, detector_name(other))
         courses.append(Course(role, label, log))
         what = f"with {detector_name(other)}" if other.detector else "without a detector"

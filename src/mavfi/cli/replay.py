@@ -14,24 +14,27 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
     from mavfi.campaign.replay import replay as fly_again
 
     found = fly_again(directory, run_id)
-    log, stored = found.flight.log, found.run.record
+    record, stored = found.record, found.run.record
     injections = () if stored is None else stored.injections
     replayable = all(injection.details.get("replayable", True) for injection in injections)
     if as_json:
         write_json({
-            "run_id": found.run.spec.run_id, "same": found.same, "digest": found.digest,
-            "stored_digest": None if stored is None else stored.digest, "status": log.status.label,
+            "run_id": found.run.spec.run_id, "same": found.same, "digest": record.digest,
+            "stored_digest": None if stored is None else stored.digest, "status": record.status,
             "stored_status": None if stored is None else stored.status, "replayable": replayable,
-            "flight_time_s": float(log.column("time")[-1]),
+            "flight_time_s": record.flight_time_s,
         })  # fmt: skip
         return
     out = console()
-    out.print(Text.assemble((found.run.spec.run_id, "bold"), f": {log.status.value}"))
+    ended = record.status.replace("_", " ") or record.error
+    out.print(Text.assemble((found.run.spec.run_id, "bold"), f": {ended}"), soft_wrap=True)
     if found.same:
-        out.print(Text.assemble(("✓", "green"), f" the same flight, bit for bit: {found.digest}"))
+        out.print(
+            Text.assemble(("✓", "green"), f" the same run, bit for bit: {record.digest or 'no flight, as stored'}")
+        )
         return
-    out.print(Text.assemble(("✗ another flight:", "yellow"), f" {found.digest}"))
-    out.print(f"  stored:         {'none' if stored is None else stored.digest}", markup=False)
+    out.print(Text.assemble(("✗ another run:", "yellow"), f" {record.digest or 'no flight'}"))
+    out.print(f"  stored:      {'none' if stored is None else stored.digest or stored.error}", markup=False)
     why = "Bits are the same only with the same lock file, on x86-64 Linux."
     if not replayable:
         why = "Not replayable: the fault was in a live process, or in a kernel whose memory belongs to a library."

@@ -5,11 +5,12 @@ from contextlib import closing
 from itertools import zip_longest
 from pathlib import Path
 
+import polars as pl
+
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import host_of
-from mavfi.campaign.replay import explain
+from mavfi.campaign.replay import explain, explained_levels
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.campaign.telling import ordered, partner
@@ -62,13 +63,13 @@ def _write(
 
 
 def _cases(parts: Sequence[Part], most: int) -> list[Case]:
-    """Select runs for the page: campaigns in turn, most illustrative runs first; none if they cannot be replayed."""
+    """Select runs for the page: campaigns in turn, most illustrative runs first; only those that can be explained."""
     chosen = []
     for part in parts:
         frame = part.report.runs.frame
         with Store.open(part.directory) as store:
-            deterministic = host_of(stored_campaign(store)).deterministic
-        ids = ordered(frame)[:most] if deterministic and part.report.runs.has_missions else []
+            levels = explained_levels(store)
+        ids = ordered(frame.filter(pl.col("level").is_in(levels)))[:most]
         chosen.append([(part.directory, run_id) for run_id in ids])
     turns = [case for turn in zip_longest(*chosen) for case in turn if case is not None][:most]
     frames = {part.directory: part.report.runs.frame for part in parts}

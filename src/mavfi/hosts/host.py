@@ -145,12 +145,14 @@ class Host(Protocol):
         name: Name in configuration files.
         levels: Fault levels that it can inject.
         deterministic: Whether a flight is a pure function of its spec; if not, no run is classified as `masked`.
+        flies: Whether the results of runs are of type `Flight`, which can be drawn.
         in_process: Whether flights compile and load code in this process, so that forked workers inherit it.
     """
 
     name: str
     levels: frozenset[str]
     deterministic: bool
+    flies: bool
     in_process: bool
 
     def resolve(self, spec: MissionSpec) -> Any:

@@ -1,6 +1,7 @@
 """Path searches by name.  A user's own planner is a class with the interface of `PathSearch` and an entry point."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Protocol, cast
 
 import numpy as np
@@ -158,13 +159,22 @@ _SHIPPED = {
 }
 
 
+def find_search(name: str) -> Callable[[PlannerConfig, int], PathSearch]:
+    """A planner's class: a shipped name, an entry point of `mavfi.planners`, or "package.module:Class".
+
+    Raises:
+        BadInputError: It is not known, not allowed, or cannot be imported.
+    """
+    return cast(Callable[[PlannerConfig, int], PathSearch], load_object("planner", name, GROUP, _SHIPPED))
+
+
 def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = PLAIN) -> PathSearch:
-    """Construct a planner: a shipped one, an entry point of `mavfi.planners`, or "package:Class".
+    """Construct a planner; see `find_search`.
 
     Raises:
         BadInputError: It does not exist or cannot be constructed.
     """
-    factory = load_object("planner", config.name, GROUP, _SHIPPED)
+    factory = find_search(config.name)
     search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))
     if isinstance(search, SamplingSearch):
         search.functions = functions

@@ -171,7 +171,7 @@ def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effec
     )  # fmt: skip
     verified = json.loads(done.stdout)
     assert verified["same"] and verified["replayable"]
-    again = replay(in_addresses, chosen.spec.run_id).flight.log
+    again = replay(in_addresses, chosen.spec.run_id).record
     assert plain([one.to_json() for one in again.injections]) == plain([i.to_json() for i in chosen.record.injections])
     assert again.kernel.effect == chosen.record.kernel.effect
 

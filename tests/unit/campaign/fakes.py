@@ -80,6 +80,7 @@ class FakeHost:
     name = "fake"
     levels = frozenset({"state", "instruction"})
     deterministic = True
+    flies = True
     in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:

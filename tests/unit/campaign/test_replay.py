@@ -40,8 +40,8 @@ def test_the_same_flight_comes_out(directory, setting):
     again = replay(directory, run.spec.run_id)
     assert again.same
     assert again.run == run
-    assert again.flight.log.status.label == run.record.status
-    assert again.digest == run.record.digest
+    assert again.record.status == run.record.status
+    assert again.record.digest == run.record.digest
 
 
 def test_another_flight_is_reported(directory, monkeypatch):

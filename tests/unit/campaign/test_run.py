@@ -182,7 +182,14 @@ def test_every_fault_of_a_mission_is_in_the_ledger_before_the_first_of_them_is_f
         assert kinds["injected"] in (6, 12), "one or two faults of each stage, in both arms"
 
 
-def test_bad_input_is_found_before_anything_is_written(tmp_path):
+def environment_with(folder, generator):
+    path = folder / "own.yaml"
+    path.write_text(f"name: own\ngenerator: {generator}\n")
+    return str(path)
+
+
+def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
     directory = tmp_path / "out"
     for campaign, message in (
         (small(environments=["venus"]), "environment 'venus'"),
@@ -191,7 +198,10 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path):
         (small(arms={"x": {"detector": DETECTOR, "profile": "rough"}}), "profile 'rough'"),
         (small(arms={"x": {"planner": "absent.yaml"}}), "absent.yaml"),
         (small(host="nowhere"), "host 'nowhere': not known"),
-        (small(host="ros1:"), "cannot be imported"),
+        (small(host="ros1:"), "host 'ros1:': not known; allowed: .* or package:object"),
+        (small(mission={"planner": "absent:Planner"}), "planner 'absent:Planner': cannot be imported"),
+        (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
+        (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
         (small(host="tests.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS), "faults of level 'instruction'"),
     ):
         with pytest.raises(BadInputError, match=message):

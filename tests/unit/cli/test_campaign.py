@@ -187,7 +187,7 @@ def test_replay_gives_the_same_bytes(capsys, really_flown):
     data = _json(capsys, "replay", str(really_flown), "sparse-10000-fi-planning")
     assert data["same"] and data["digest"] == data["stored_digest"]
     assert run(["replay", str(really_flown), "sparse-10000-golden-"]) == 0
-    assert "the same flight, bit for bit" in capsys.readouterr().out
+    assert "the same run, bit for bit" in capsys.readouterr().out
 
 
 @pytest.mark.slow

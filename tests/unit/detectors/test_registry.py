@@ -74,7 +74,7 @@ def test_a_detector_of_ones_own_is_found(monkeypatch):
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
         ("fractions:Fraction", "lacks start, check, accept"),
-        (":", "cannot be imported"),
+        (":", "not known"),
     ],
 )
 def test_what_is_no_detector_is_refused_in_one_line(name, message):

@@ -21,6 +21,7 @@ class FirmwareHost:
     name = "firmware"
     levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
     deterministic = True
+    flies = True
     in_process = True
 
     def resolve(self, spec: MissionSpec) -> Scenario:

@@ -46,7 +46,7 @@ def _success(runs: Runs) -> list[str]:
 
 
 def _deaths(runs: Runs) -> list[str]:
-    own = runs.injected.where("judged", pl.col("kernel_effect").is_in(KERNEL_DUE), setting=FI)
+    own = runs.injected.where("judged", pl.col("kernel_effect").is_in(KERNEL_DUE), pl.col("kernel") != "", setting=FI)
     faulty = runs.injected.where("judged", setting=FI)
     if not len(own) or not runs.has_missions:
         return []

@@ -30,6 +30,7 @@ class LocalHost:
     name = "local"
     levels = frozenset({"state", "memory", "instruction", "sensor"})
     deterministic = True
+    flies = True
     in_process = True
 
     def __init__(self, make_plant: MakePlant = Simulator) -> None:

@@ -14,10 +14,11 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.maps import find_map
+from mavfi.pipeline.planners import find_search
 from mavfi.platforms.compute import stage_latency
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
-from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
+from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file, find_generator
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
@@ -65,10 +66,13 @@ def resolve(spec: MissionSpec) -> Scenario:
         camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
     protection = _protection(spec.protection)
+    planner = find_planner(spec.planner)
+    find_search(planner.name)
+    find_generator(world.generator)
     return Scenario(
         environment=world, seed=spec.seed, stack=_stack(spec),
         vehicle=find_vehicle(world.vehicle), platform=_platform(spec, protection),
-        planner=find_planner(spec.planner), camera=camera, map=_map_config(spec.map, resolution),
+        planner=planner, camera=camera, map=_map_config(spec.map, resolution),
         v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node, flight_controller=_controller(spec.flight_controller), protection=protection,

@@ -33,6 +33,7 @@ class NodeHost:
     name = "node"
     levels = frozenset({"register"})
     deterministic = False
+    flies = False
     in_process = False
 
     def __init__(self, node: NodeConfig | None = None) -> None:

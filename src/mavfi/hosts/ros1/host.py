@@ -23,6 +23,7 @@ class Ros1Host:
     name = "ros1"
     levels: frozenset[str] = frozenset({StateFault.level, SensorFault.level})
     deterministic = True
+    flies = True
     in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:

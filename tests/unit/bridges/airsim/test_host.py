@@ -67,6 +67,13 @@ def test_golden_runs_come_first_and_must_be_the_same(monkeypatch):
         runs_of(monkeypatch, [ENDED, replace(ENDED, digest="bb")]).golden("")
 
 
+def test_a_replay_without_its_golden_run_knows_a_hang_all_the_same(monkeypatch):
+    late = replace(ENDED, boundary=HIT, how="time is up")
+    runs = runs_of(monkeypatch, [late, ENDED, ENDED])
+    ((_, found),) = runs.injected([("", MessageFault("moveToZ", "z", 1))])
+    assert found.record().kernel.effect == "hang"
+
+
 def test_a_run_that_fails_ends_alone(monkeypatch):
     def failing(program, spec, boundary):
         raise RuntimeError("no memory")
