@@ -24,10 +24,10 @@ def follow(path: np.ndarray, position: np.ndarray, gain: float, command: np.ndar
     return best**0.5
 
 
-def main(faults: int = 400) -> None:
+def main(faults: int = 400, budget: float = 0.5) -> None:
     random = np.random.default_rng(1)
     calls = [(random.normal(size=(30, 3)), random.normal(size=3), 0.8, np.zeros(3)) for _ in range(24)]
-    found = harden(follow, calls[:12], budget=0.3, faults=2 * faults)
+    found = harden(follow, calls[:12], budget, faults=2 * faults)
     for step in found.steps:
         print(f"time x{step.time:.2f}: {interval_of(step.coverage)} of the silent corruptions removed, predicted")
     print(f"chosen: {len(found.planned.sites)} instructions, time x{found.planned.time:.2f}")

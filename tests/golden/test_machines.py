@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -11,10 +12,14 @@ import pytest
 from tests.architecture.source import ROOT
 
 FLIGHTS = """
+import importlib.util
 import json
 import sys
 import mavfi
 from pathlib import Path
+from mavfi.bridges.airsim.boundary import Boundary
+from mavfi.bridges.airsim.config import ProgramConfig
+from mavfi.bridges.airsim.program import run_program
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
 from mavfi.faults.spec import InstructionRequest
@@ -22,7 +27,7 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 
-folder, workers = sys.argv[1], int(sys.argv[2])
+folder, workers, program = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 flights = (
     {"environment": "sparse", "seed": 7, "fault": "state:control.command.vx:bit=62", "detector": "autoencoder",
      "profile": "tuned"},
@@ -52,9 +57,16 @@ for campaign in (instructions, "smoke"):
     mavfi.run(campaign, place, workers=workers)
     with Store.open(Path(place)) as store:
         print(place.rpartition("/")[2], store.complete, store.digest())
+
+if importlib.util.find_spec("cosysairsim"):
+    ended = run_program(ProgramConfig(script=program), MissionSpec(environment="sparse", seed=7), Boundary())
+    print(ended.how, ended.digest, repr(ended.output))
 """
 """Every function below a digest is called by one of the flights.  Then faults in instructions, with the values before
-and after, among them addresses; then campaigns."""
+and after, among them addresses; then campaigns, and a client program of AirSim with what it saw."""
+PROGRAM = ROOT / "tests" / "unit" / "bridges" / "airsim" / "programs" / "everything.py"
+CAMPAIGNS = slice(3 + 3 * 5 * 3, 3 + 3 * 5 * 3 + 2)
+"""Lines of campaigns, after those of flights and faults."""
 OLDER_LIBRARIES = {
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512DQ",
     "OPENBLAS_CORETYPE": "Nehalem",
@@ -83,7 +95,7 @@ in_ci = pytest.mark.machines
 def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1) -> list[str]:
     """Of flights and campaigns, in a process that thinks it runs on another machine."""
     result = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers)],
+        [sys.executable, "-W", "ignore", "-c", FLIGHTS, str(folder), str(workers), str(PROGRAM)],
         env={**os.environ, **machine}, capture_output=True, text=True, timeout=1800,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -98,9 +110,9 @@ def here(tmp_path_factory):
 @in_ci
 def test_they_have_all_effects(here):
     assert [line.split()[0] for line in here[:3]] == ["success", "collision", "success"]
-    assert {line.split()[0] for line in here[3:-2]} >= {"masked", "sdc", "crash"}
-    assert len(here) == 3 + 3 * 5 * 3 + 2
-    assert [line.split()[:2] for line in here[-2:]] == [["instructions", "True"], ["smoke", "True"]]
+    assert {line.split()[0] for line in here[3 : CAMPAIGNS.start]} >= {"masked", "sdc", "crash"}
+    assert [line.split()[:2] for line in here[CAMPAIGNS]] == [["instructions", "True"], ["smoke", "True"]]
+    assert [line.split()[0] for line in here[CAMPAIGNS.stop :]] == ["ended"] * (find_spec("cosysairsim") is not None)
 
 
 @pytest.mark.parametrize(

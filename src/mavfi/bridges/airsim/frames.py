@@ -13,6 +13,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.flight_logs.ned import Triple as Triple
 from mavfi.flight_logs.ned import geodetic, local
+from mavfi.numerics.elementary import cos, sin
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
@@ -112,4 +113,4 @@ def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
 def looking(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float, float]:
     """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
     y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
-    return math.cos(y) * math.cos(p), -math.sin(y) * math.sin(p), math.cos(y) * math.sin(p), math.sin(y) * math.cos(p)
+    return cos(y) * cos(p), -sin(y) * sin(p), cos(y) * sin(p), sin(y) * cos(p)

@@ -8,6 +8,7 @@ import numpy as np
 
 from mavfi.bridges.airsim.table import GROUND, Api
 from mavfi.errors import BadInputError
+from mavfi.numerics.elementary import exp
 from mavfi.numerics.rotations import rotation_matrix
 
 SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED = 0, 1, 2, 3, 4, 5, 7
@@ -100,7 +101,7 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     slope = np.abs(np.gradient(planar, axis=1)) + np.abs(np.gradient(planar, axis=0))
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
     haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST)) if api.weather_on else 0.0
-    clear = np.exp(-_THICKNESS * haze * planar)
+    clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
     veiled: np.ndarray = clear * grey + (1.0 - clear) * 200.0
     return veiled
 

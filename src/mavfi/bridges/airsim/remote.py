@@ -17,6 +17,7 @@ from mavfi.bridges.airsim.pictures import PERSPECTIVE
 from mavfi.bridges.airsim.server import msgpack
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.mission import Scenario
+from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments.world import World
 
@@ -133,8 +134,8 @@ class Remote:
         """Put a vehicle that stands elsewhere to the start; its own origin is the ground below that."""
         self._origin = world.start - np.array([0.0, 0.0, world.start[2]])
         way = world.goal - world.start
-        yaw = math.atan2(way[1], way[0])
-        facing = turned((math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)))
+        yaw = atan2(way[1], way[0])
+        facing = turned((cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw)))
         self.rpc.call("simSetVehiclePose", pose(flipped(world.start - self._origin), facing), True, "")
         self._observe()
         self.collided = False

@@ -22,6 +22,7 @@ from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, Camera, call
 from mavfi.bridges.airsim.vehicle import FLYING, LANDED
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
+from mavfi.numerics.elementary import cos, sin, tan
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim import grounded
 from mavfi.sim.engine import GRAVITY
@@ -191,9 +192,9 @@ def lidar_rays() -> np.ndarray:
     """Unit vectors of AirSim's default lidar, 16 channels around the vehicle, body frame (z up). Shape (n, 3)."""
     elevation = np.radians(np.linspace(_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _CHANNELS))
     azimuth = np.radians(np.linspace(-180.0, 180.0, _STEPS, endpoint=False))
-    turn, tilt = np.meshgrid(azimuth, elevation)
-    rays = np.stack([np.cos(tilt) * np.cos(turn), -np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=-1)
-    return np.ascontiguousarray(rays.reshape(-1, 3))
+    turns = [(cos(turn), sin(turn)) for turn in azimuth]
+    tilts = [(cos(tilt), sin(tilt)) for tilt in elevation]
+    return np.array([(level * x, -level * y, up) for level, up in tilts for x, y in turns])
 
 
 @call("getLidarData")
@@ -274,7 +275,7 @@ def _response(api: Api, request: Any) -> dict[str, Any]:
 def _(api: Api, camera_name: str, vehicle_name: str = "", external: Any = False) -> dict[str, Any]:
     width, height = api.pixels
     fov = find_camera(api, camera_name).fov_deg
-    x = 1.0 / math.tan(math.radians(0.5 * fov))
+    x = 1.0 / tan(math.radians(0.5 * fov))
     matrix = [[x, 0.0, 0.0, 0.0], [0.0, x * width / height, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0], [0.0, 0.0, 1.0, 0.0]]
     return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
 

@@ -104,7 +104,7 @@ class _Path:
     def __init__(self, points: Sequence[Sequence[float]]) -> None:
         distinct = [np.array(points[0], float)]
         for point in points[1:]:
-            if float(np.linalg.norm(np.array(point, float) - distinct[-1])) > 1e-6:
+            if math.dist(point, distinct[-1]) > 1e-6:
                 distinct.append(np.array(point, float))
         self.points = np.array(distinct)
         self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
@@ -141,12 +141,12 @@ def fly_path(
         window = np.linspace(arc, min(arc + 2.0 * ahead, path.length), 21)
         nearest = [float(np.square(path.at(float(candidate)) - here).sum()) for candidate in window]
         arc = float(window[int(np.argmin(nearest))])
-        left = float(np.linalg.norm(path.points[-1] - here))
+        left = math.dist(path.points[-1], here)
         if path.length - arc < DISTANCE_ACCURACY and left < DISTANCE_ACCURACY:
             return True
         way = path.at(min(arc + ahead, path.length)) - here
         pace = min(speed, max(_LEAST_SPEED, path.length - arc))
-        scale = pace / max(float(np.linalg.norm(way)), 1e-9)
+        scale = pace / max(math.hypot(*way), 1e-9)
         velocity = (float(way[0]) * scale, float(way[1]) * scale, float(way[2]) * scale)
         vehicle.send(velocity, yaw.rate(vehicle, velocity), HOLD_S)
         yield

@@ -14,7 +14,7 @@ from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.injector import FirmwareInjector
 from mavfi.bridges.firmware.process import NEVER, Firmware, FirmwareLostError
 from mavfi.errors import BadInputError
-from mavfi.numerics.elementary import atan2
+from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, wanted_thrust
 from mavfi.sim.controller import Start
@@ -86,8 +86,8 @@ class BetaflightController:
         rotation_matrix(odometry[6:10], self._matrix)
         along = self._matrix[0, 2] * forward + self._matrix[1, 2] * left + self._matrix[2, 2] * up
         yaw = yaw_of(odometry[6:10])
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        forward, left = cos * forward + sin * left, cos * left - sin * forward
+        ahead, aside = cos(yaw), sin(yaw)
+        forward, left = ahead * forward + aside * left, ahead * left - aside * forward
         pitch, roll = atan2(forward, up), atan2(-left, math.sqrt(forward * forward + up * up))
         throttle = math.sqrt(min(max(0.0, along) * airframe.mass / (4.0 * airframe.max_thrust), 1.0))
         return betaflight.channels(roll, pitch, throttle, float(setpoint[3]))

@@ -56,6 +56,8 @@ class Hardened:
         Raises:
             BadInputError: Nothing is protected, or the arguments have other types than those of the plan.
         """
+        if not self.planned.sites:
+            raise BadInputError(f"{self.planned.function}: nothing is protected: no step is within the budget")
         found = protected_code(self.function, signature_of(args), self.plan)
         if found is None:
             raise BadInputError(f"{self.planned.function}: not protected; allowed: {self.planned.signature}")

@@ -46,6 +46,7 @@ def test_a_program_goes_through_the_api():
     assert np.abs(np.array(found.pop("at")) - (0, 4, -4)).max() < 0.5
     assert found.pop("imu") == pytest.approx(-9.80665, abs=0.2) and found.pop("lidar") > 3000
     assert found.pop("slept") == pytest.approx(1.5, abs=0.02)
+    assert len(found.pop("seen")) == 64
     assert "API control is off" in found.pop("refused")
     assert found == {
         "version": client_version(), "size": [256, 144], "takeoff": True, "state": 1, "position": True, "path": True,

@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 
 @pytest.mark.slow  # builds ten variants of the kernel
 def test_the_example_protects_its_kernel_and_certifies_it(capsys):
-    example.main(30)
+    example.main(30, budget=9.0)  # on a busy machine, the times that are measured vary
     printed = capsys.readouterr().out.splitlines()
     assert len([line for line in printed if line.startswith("time x")]) == 9
     assert printed[-3].startswith("chosen: ") and "prediction" in printed[-2]

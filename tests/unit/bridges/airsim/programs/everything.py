@@ -31,7 +31,13 @@ found["collided"] = client.simGetCollisionInfo().has_collided
 client.hoverAsync().join()
 time.sleep(2)
 found["imu"] = client.getImuData().linear_acceleration.z_val
-found["lidar"] = len(client.getLidarData().point_cloud)
+points = client.getLidarData().point_cloud
+found["lidar"] = len(points)
+client.simEnableWeather(True)
+client.simSetWeatherParameter(airsim.WeatherParameter.Fog, 0.5)
+(scene,) = client.simGetImages([airsim.ImageRequest("0", airsim.ImageType.Scene, False, False)])
+seen = [points, client.simGetCameraInfo("0").proj_mat.matrix, scene.image_data_uint8]
+found["seen"] = hashlib.sha256(repr(seen).encode()).hexdigest()
 begin = time.time()
 time.sleep(1.5)
 found["slept"] = time.time() - begin
