@@ -23,6 +23,7 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import commands
 from mavfi.errors import BadInputError
+from mavfi.plugins import allow_plugins
 from tests.robustness.chaos import say
 from tests.unit.campaign.fakes import small
 
@@ -268,6 +269,7 @@ def damage(bench, count):
 def main():
     """Damage, and tell what was silent."""
     count, draw = int(os.environ.get("N", "1000")), random.Random(int(os.environ.get("SEED", "1")))
+    allow_plugins()  # the made-up host of the campaigns
     with tempfile.TemporaryDirectory(prefix="mavfi-damage-") as folder:
         bench = Bench(Path(folder), draw)
         damage(bench, count)

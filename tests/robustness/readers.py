@@ -370,7 +370,7 @@ def read_flight(path):
     for ending in (".csv", ".bag"):
         to = path.with_name(f"out{ending}")
         try:
-            _write(log, to, str(path))
+            _write(log, to, str(path), published=None, golden=None)
         finally:
             to.unlink(missing_ok=True)
 

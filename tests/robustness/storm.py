@@ -84,8 +84,10 @@ def main():
     os.environ["NUMBA_BOUNDSCHECK"] = "1"
     with tempfile.TemporaryDirectory() as cache:  # compiled without bounds checks elsewhere
         os.environ["NUMBA_CACHE_DIR"] = cache
+        from mavfi.plugins import allow_plugins
         from tests.robustness import counting
 
+        allow_plugins()  # the generator of the world
         counting.install()
         canaries()
         wrong, most, slowest, count = storm(int(os.environ.get("N", "100000")), os.environ.get("ONLY", ""))
