@@ -62,6 +62,8 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
 def section(test: Long, share: float) -> str:
     """The test's section of the page."""
     output, code, seconds = run(test, share)
+    if code:
+        sys.stdout.write(output)  # the page has its end only
     tries = max(1, round(test.tries * share))
     last_lines = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
     return (

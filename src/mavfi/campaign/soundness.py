@@ -62,7 +62,7 @@ def damage(connection: sqlite3.Connection) -> str:
     try:
         return strange_schema(connection) or _structure(connection) or _checksums(connection) or _types(connection)
     except (sqlite3.DatabaseError, TypeError, UnicodeDecodeError) as error:  # TypeError: a value has the wrong type
-        return f"{error}"
+        return " ".join(str(error).split())  # SQLite quotes text of the file, with its line breaks
 
 
 def strange_schema(connection: sqlite3.Connection) -> str:
@@ -104,7 +104,7 @@ def _types(connection: sqlite3.Connection) -> str:
         json.dumps(items, allow_nan=False)
         checked(_Meta, items, "metadata")
     except (BadInputError, RecursionError, ValueError) as error:
-        return f"{error}"
+        return " ".join(str(error).split())  # SQLite quotes text of the file, with its line breaks
     for column, kinds in _TYPES.items():
         allowed = ", ".join(f"'{kind}'" for kind in kinds.split())
         json_too = f" OR {column} IS NOT NULL AND NOT json_valid({column})" if column in ("spec", "record") else ""

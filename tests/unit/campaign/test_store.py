@@ -389,6 +389,14 @@ def failing(monkeypatch, times):
     monkeypatch.setattr(store_module, "damage", look)
 
 
+def test_damage_that_quotes_lines_of_the_file_is_one_line(tmp_path):
+    filled(tmp_path)
+    path = tmp_path / FILE
+    path.write_bytes(path.read_bytes().replace(b"    wall_s REAL", b'    "wall_ REAL'))
+    with pytest.raises(BadInputError, match=r"is damaged: malformed database schema .*checksum[^\n]*$"):
+        Store.open(tmp_path)
+
+
 def test_a_disk_that_fails_for_a_moment_is_no_damage(tmp_path, monkeypatch):
     filled(tmp_path)
     failing(monkeypatch, 1)
