@@ -131,14 +131,14 @@ def table(runs: "Runs", view: str) -> "Table":
 
     Args:
         runs: See `load`.
-        view: Name of the view; `mavfi report DIR --view x` lists them.
+        view: Name of the view; `mavfi report DIR --view list` lists those that apply.
 
     Raises:
-        BadInputError: Unknown view.
+        BadInputError: Unknown view, or these runs have nothing to show in it.
     """
-    from mavfi.campaign.analysis.views import table as table_of
+    from mavfi.campaign.analysis import table_asked_for
 
-    return table_of(runs, view)
+    return table_asked_for(runs, view)
 
 
 def figure(runs: "Runs", name: str) -> "Figure":
@@ -146,7 +146,7 @@ def figure(runs: "Runs", name: str) -> "Figure":
 
     Args:
         runs: See `load`.
-        name: "success", "flight_time" or "sites".
+        name: E.g. "success", "flight_time", "sites"; an unknown name is refused with all that there are.
 
     Raises:
         BadInputError: Unknown figure, or no data for it.

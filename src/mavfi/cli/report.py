@@ -109,13 +109,13 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
 
 def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> None:
     """Print a report: campaign, leading table (or the given views, or all tables), findings."""
-    from mavfi.campaign.analysis import table as table_of
+    from mavfi.campaign.analysis import table_asked_for
     from mavfi.reports.terminal import show_header, show_table
     from mavfi.reports.text import checks, header
 
     out = console()
     show_header(header(found.runs.campaign), out)
-    leading = [table_of(found.runs, name) for name in views] or found.tables[:1]
+    leading = [table_asked_for(found.runs, name) for name in views] or found.tables[:1]
     for table in found.tables if show_all else leading:
         show_table(table, out)
     for line in (*(f"· {line}" for line in found.findings), *checks(found.runs)):
@@ -123,15 +123,18 @@ def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> N
 
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
-    from mavfi.campaign.analysis import VIEWS, Runs, table
+    from mavfi.campaign.analysis import Runs, table_asked_for
+    from mavfi.campaign.analysis.views import applicable
     from mavfi.reports.terminal import show_table
 
+    runs = Runs.read(directory)
     if name == "list":
-        width = max(map(len, VIEWS))
-        for view in VIEWS.values():
+        views = applicable(runs)
+        width = max(len(view.name) for view in views)
+        for view in views:
             typer.echo(f"{view.name:{width}}  {view.title}")
         return
-    found = table(Runs.read(directory), name)
+    found = table_asked_for(runs, name)
     if as_csv:
         typer.echo(found.to_csv(), nl=False)
     elif as_json:

@@ -73,12 +73,23 @@ def test_several_processes_write_the_same_reports_of_a_study(flown, tmp_path):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), file
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["instructions_as_in_the_paper", "by_unit", "platforms", "memory_success", "schemes_instructions", "sequence"],
+)
+def test_a_table_of_other_faults_is_refused(capsys, flown, name):
+    assert run(["report", str(flown), "--view", name]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"view '{name}': these runs have nothing to show in it; allowed: " in line
+
+
 def test_one_table_by_name(capsys, flown):
     assert "How missions ended" in printed(capsys, "report", flown, "--view", "endings")
     rows = list(csv.DictReader(io.StringIO(printed(capsys, "report", flown, "--view", "endings", "--csv"))))
     assert {row["setting"] for row in rows} == {"golden", "golden_gaussian", "fi", "dr_gaussian"}
     assert json.loads(printed(capsys, "report", flown, "--view", "endings", "--json"))["name"] == "endings"
-    assert "kernel_errors" in printed(capsys, "report", flown, "--view", "list")
+    names = [line.split()[0] for line in printed(capsys, "report", flown, "--view", "list").splitlines()]
+    assert "endings" in names and "kernel_errors" not in names
 
 
 def test_runs_are_listed_and_filtered(capsys, flown):

@@ -20,6 +20,6 @@ from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views
 )  # fmt: skip
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table
-from mavfi.campaign.analysis.views import VIEWS, View, register, table, views_for
+from mavfi.campaign.analysis.views import VIEWS, View, register, table, table_asked_for, views_for
 
-__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "register", "table", "views_for"]
+__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "register", "table", "table_asked_for", "views_for"]

@@ -238,7 +238,7 @@ _by("by_unit", "Success by failing sensor or motor", ("state",), headings=("unit
 _by("by_failure", "Success by type of failure", ("field",), headings=("type", "setting"), **_of_failures)
 _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values)
 _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
-_by("by_every_field", "Success by field", ("state", "field"), applies=lambda _: False)
+_by("by_every_field", "Success by field", ("state", "field"), applies=of_values, by_name=True)
 
 
 # ---- effects and endings -----------------------------------------------------------------------------------------

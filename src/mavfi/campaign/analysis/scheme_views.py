@@ -6,12 +6,12 @@ from dataclasses import replace
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
-from mavfi.campaign.analysis.flight_views import ONE_FAULT
+from mavfi.campaign.analysis.flight_views import INSTRUCTION, MEMORY, ONE_FAULT, STATE
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, SMALL
-from mavfi.campaign.analysis.views import View, register
+from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 
 PAIR = "pair"
@@ -30,6 +30,11 @@ def against_base(runs: Runs) -> Runs:
     golden = runs.golden.where(pl.col("arm") != "").frame.join(bare, on="world", how="left", maintain_order="left")
     frames = [pairs.frame.rename({"fi_success": "success"}).with_columns(kind=pl.lit(PAIR)), golden]
     return replace(runs, frame=pl.concat(frames, how="diagonal"))
+
+
+def _schemes_on(runs: Runs, level: str) -> bool:
+    """Whether arms are compared on faults of a level."""
+    return has(runs.injected, level=level) and len(runs.settings()) > 1
 
 
 def _only_the_scheme(own: Runs) -> int:
@@ -86,11 +91,12 @@ register(
         notes=lambda runs: (
             *_NOTES, "detected: of the lost ones, alarm on the corrupted publication", *_watched(runs), ONE_FAULT
         ),
-        applies=lambda runs: False,
+        applies=lambda runs: _schemes_on(runs, STATE), by_name=True,
     ),
     View(
         "schemes_memory", "Schemes on the same faults in memory", ("arm",), (*_COUNTED, *_HARM, *_ALARMS),
-        where=against_base, headings=("scheme",), notes=lambda _: (*_NOTES, ONE_FAULT), applies=lambda runs: False,
+        where=against_base, headings=("scheme",), notes=lambda _: (*_NOTES, ONE_FAULT),
+        applies=lambda runs: _schemes_on(runs, MEMORY), by_name=True,
     ),
     View(
         "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
@@ -104,10 +110,11 @@ register(
             "faults are those of one number of call and value; a scheme that changes the flight, by false alarms or "
             "latencies, meets other computations there: compare lost with lost under it", ONE_FAULT,
         ),
-        applies=lambda runs: False,
+        applies=lambda runs: _schemes_on(runs, INSTRUCTION), by_name=True,
     ),
     View(
         "schemes_by_target", "Schemes, by injected site", ("target", "arm"), _COUNTED, where=against_base,
-        headings=("site", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT), applies=lambda runs: False,
+        headings=("site", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT),
+        applies=lambda runs: len(runs.settings()) > 1, by_name=True,
     ),
 )  # fmt: skip

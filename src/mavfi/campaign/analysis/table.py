@@ -1,6 +1,7 @@
 """`Table`: the result of a view.  Cells hold numbers; `mavfi.reports` renders them as text, HTML or files."""
 
 import csv
+import html
 import io
 import json
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ class Column:
     hidden: bool = False  # in CSV and JSON only
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Table:
     """A table with headings, rows and notes."""
 
@@ -72,6 +73,13 @@ class Table:
     def frame(self) -> pl.DataFrame:
         """The rows as a data frame; a `Rate` is split into columns, e.g. success, success_low, success_n."""
         return pl.DataFrame([_flat(entry) for entry in self.entries()], infer_schema_length=None, strict=False)
+
+    def __repr__(self) -> str:
+        return f"{self.title}\n{self.frame}"
+
+    def _repr_html_(self) -> str:
+        """The rows in a notebook."""
+        return f"<p>{html.escape(self.title)}</p>{self.frame._repr_html_()}"
 
     def to_csv(self) -> str:
         """Comma-separated values with a header line and the columns of `frame`."""

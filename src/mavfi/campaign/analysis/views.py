@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from mavfi.campaign.analysis.measures import Measure, Spread
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import RATE, UNKNOWN, Cell, Column, Table
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, allowed
 
 DEVIATIONS = (
     "deviates from the published code: grace 1 s not 0, slow-down of the clock capped at 10, flight-controller limits, "
@@ -43,7 +43,8 @@ class View:
     limit: int | None = None  # maximum number of rows
     least: int = 1  # minimum number of runs per row
     leads: bool = False  # placed first in reports, as the headline
-    applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether reports on these runs include the table
+    applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
+    by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
     of_model: bool = False  # rows are computed by a model, independent of the runs
 
     def table(self, runs: Runs) -> Table:
@@ -154,10 +155,28 @@ def table(runs: Runs, name: str) -> Table:
     return VIEWS[name].table(runs)
 
 
+def table_asked_for(runs: Runs, name: str) -> Table:
+    """Compute the table of a view for a user.
+
+    Raises:
+        BadInputError: The view does not exist, or these runs do not have what it shows.
+    """
+    found = table(runs, name) if name not in VIEWS or VIEWS[name].applies(runs) else None
+    if found is None or not found.rows:
+        names = [view.name for view in applicable(runs)]
+        raise BadInputError(f"view {name!r}: these runs have nothing to show in it; allowed: {allowed(names, name)}")
+    return found
+
+
+def applicable(runs: Runs) -> list[View]:
+    """Views of which these runs have something to show."""
+    return [view for view in VIEWS.values() if view.applies(runs)]
+
+
 def views_for(runs: Runs) -> list[Table]:
     """Tables of a campaign's report: non-empty tables of all applicable views, the headline first."""
-    ordered = sorted(VIEWS.values(), key=lambda view: not view.leads)
-    found = [view.table(runs) for view in ordered if view.applies(runs)]
+    ordered = sorted(applicable(runs), key=lambda view: not view.leads)
+    found = [view.table(runs) for view in ordered if not view.by_name]
     return [table for table in found if table.rows]
 
 
