@@ -20,6 +20,7 @@ from mavfi.config import (
     Vector,
     VehicleConfig,
     WindConfig,
+    names,
 )
 from mavfi.hardening.plan import Plan
 
@@ -52,6 +53,11 @@ class MissionStatus(Enum):
         return self.name.lower()
 
 
+def _names(kind: str) -> str:
+    """Shipped names of a kind, for a description."""
+    return ", ".join(names(kind))
+
+
 class MissionSpec(Config):
     """The user's request: every option of a mission, by name.  `hosts.loop.compose.resolve` turns it into a `Scenario`.
 
@@ -61,32 +67,41 @@ class MissionSpec(Config):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    environment: str = Field("sparse", description="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")
+    environment: str = Field(
+        "sparse", description=f"{_names('environments')}, a YAML file, or a scanned map (.bt, .ot of OctoMap)."
+    )
     seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
-    start: Vector | None = Field(None, description="m, instead of the environment's.")
-    goal: Vector | None = Field(None, description="m, instead of the environment's.")
+    start: Vector | None = Field(None, description="Start position, m; the environment's by default.")
+    goal: Vector | None = Field(None, description="Goal position, m; the environment's by default.")
     autopilot: str = Field(
         "published", validation_alias=AliasChoices("autopilot", "stack"),
         description="Autopilot profile: published, hardened, or a YAML file.",
     )  # fmt: skip
     planner: str = Field("rrt_connect", description="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
-    platform: str = Field("i9-9940x", description="Computer whose latencies are charged: a name, or a YAML file.")
+    platform: str = Field(
+        "i9-9940x", description=f"Computer whose latencies are charged: {_names('platforms')}, or a YAML file."
+    )
     map: str = Field("dense", description="Where the map keeps its log-odds: dense, octree, or package:Class.")
     map_resolution: float | None = Field(
         None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
     )
-    vehicle: str | None = Field(None, description="A name, or a YAML file; the environment's by default.")
+    vehicle: str | None = Field(
+        None, description=f"{_names('vehicles')}, or a YAML file; the environment's by default."
+    )
     flight_controller: str = Field(
         "cascade", description="From velocity to rotor commands: cascade, betaflight, an entry point, or package:Class."
     )
     v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
-    depth_noise: float = Field(0.0, ge=0.0, le=1.0, description="Of the depth camera: standard deviation / range.")
+    depth_noise: float = Field(
+        0.0, ge=0.0, le=1.0, description="Noise of the depth camera: standard deviation / range."
+    )
     wind: float = Field(0.0, ge=0.0, le=STRONGEST_WIND, description="Amplitude of gusts, m/s.")
     localization: Literal["truth", "estimator"] = Field(
         "truth", description="truth, or estimator (from IMU and position fixes)."
     )
     coupling: Literal["inline", "observer"] = Field(
-        "inline", description="Of a detector: inline (a gate before the value is seen) or observer (one step late)."
+        "inline",
+        description="Coupling of a detector: inline (a gate before the value is seen) or observer (one step late).",
     )
     grain: Literal["stage", "kernel", "message"] = Field(
         "stage",
@@ -109,7 +124,8 @@ class MissionSpec(Config):
     )
     protection: str = Field("", description="Plan of protected kernels: a name, or a YAML file; none by default.")
     alarm: Literal["one_shot", "repeated"] | None = Field(
-        None, description="Of the collision check: one_shot, or repeated until answered; the profile's by default."
+        None,
+        description="Alarm of the collision check: one_shot, or repeated until answered; the profile's by default.",
     )
     epoch_liveness: float | None = Field(
         None, ge=0, le=1e6, description="Time until a refused sequence number is accepted, s, 0 = never; the profile's."

@@ -44,7 +44,6 @@ def run(  # noqa: PLR0913 - options
         bool,
         typer.Option(
             "--fast-forward/--no-fast-forward",
-            "--forking/--no-forking",
             help="Begin injected runs at checkpoints of their golden run; the result does not depend on it.",
         ),
     ] = True,

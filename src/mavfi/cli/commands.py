@@ -81,6 +81,13 @@ def _mavfi(
     pass
 
 
+_RENAMED = {
+    "--stack": "--autopilot", "--strike": "--register-fault", "--strike-seed": "--register-seed",
+    "--strike-registers": "--registers", "--forking": "--fast-forward", "--no-forking": "--no-fast-forward",
+}  # fmt: skip
+"""Older names of options, still accepted."""
+
+
 def run(arguments: Sequence[str]) -> int:
     """Run a command, given as the words after `mavfi` (none = help); returns its exit code.
 
@@ -90,8 +97,9 @@ def run(arguments: Sequence[str]) -> int:
         allow_plugins()
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
+    arguments = _with_new_names(arguments)
     try:
-        code = _command().main(args=list(arguments) or ["--help"], prog_name="mavfi", standalone_mode=False)
+        code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
         return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
@@ -106,6 +114,19 @@ def run(arguments: Sequence[str]) -> int:
             raise
         return complain(failed, EXIT_FAILURE)
     return code if isinstance(code, int) else EXIT_DONE
+
+
+def _with_new_names(arguments: Sequence[str]) -> list[str]:
+    """The words with older names of options replaced, each with a warning; those of a program are its own."""
+    if list(arguments[:2]) == ["airsim", "run"]:
+        return list(arguments)
+    words = []
+    for word in arguments:
+        name, separator, value = word.partition("=")
+        if name in _RENAMED:
+            typer.echo(f"mavfi: {name}: deprecated, is now {_RENAMED[name]}", err=True)
+        words.append(_RENAMED.get(name, name) + separator + value)
+    return words
 
 
 @functools.cache

@@ -19,7 +19,6 @@ FaultOption = Annotated[
     str | None,
     typer.Option(
         "--register-fault",
-        "--strike",
         metavar="firmware@SECONDS",
         help="Flip a bit in a register of the flight controller's firmware, e.g. firmware@10.",
     ),
@@ -29,9 +28,7 @@ RegistersOption = Annotated[
 ]
 SeedOption = Annotated[
     int | None,
-    typer.Option(
-        "--register-seed", "--strike-seed", help="Draws instruction, register and bit of the register fault; default 0."
-    ),
+    typer.Option("--register-seed", help="Draws instruction, register and bit of the register fault; default 0."),
 ]
 
 app = typer.Typer(no_args_is_help=True)

@@ -33,7 +33,9 @@ def check_options(live: bool, live_port: int, mavlink: int | None, pace: float, 
     check_number("--pace", pace, 0, 1000)
     if (live or mavlink is not None) and (fault or "").startswith("instruction"):
         option = "--live" if live else "--mavlink"
-        raise BadInputError(f"{option}: faults in instructions fly in a forked process; allowed: null, state, memory")
+        raise BadInputError(
+            f"{option}: faults in instructions fly in a forked process; allowed: null, state, memory, sensor"
+        )
 
 
 @contextmanager

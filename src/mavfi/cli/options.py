@@ -21,15 +21,12 @@ if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor as AnyExecutor
 
-_ALIASES = {"autopilot": ("--stack",)}
-"""Deprecated names, still accepted."""
-
 Fault = Annotated[
     str | None,
     typer.Option(
         metavar="SPEC",
-        help=r"null, state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS], or instruction:KERNEL[:which=CLASS]"
-        r"[:model=MODEL].",
+        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, or null; with bits, instants and more: "
+        "see fault-specs.md in the documentation.",
     ),
 ]
 FaultSeed = Annotated[
@@ -127,7 +124,7 @@ def option_name(field: str) -> str:
 def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     kind: Any = str if _words(field) else field.annotation
     metavar = "X Y Z" if kind == Vector | None else None
-    option = typer.Option(option_name(name), *_ALIASES.get(name, ()), help=field.description, metavar=metavar)
+    option = typer.Option(option_name(name), help=field.description, metavar=metavar)
     annotation = Annotated[kind, option]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
 

@@ -39,7 +39,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
         str | None,
         typer.Option(
             metavar="SPEC",
-            help=r"null, state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS], or sensor:UNIT:TYPE\[@SECONDS].",
+            help="state:PLACE, sensor:UNIT:TYPE, or null; with bits, instants and more: see fault-specs.md in the "
+            "documentation.",
         ),
     ] = None,
     fault_seed: options.FaultSeed = None,
@@ -54,9 +55,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     register_fault: ros_nodes.FaultOption = None,
     registers: ros_nodes.RegistersOption = None,
     register_seed: ros_nodes.SeedOption = None,
-    strike: ros_nodes.OldFaultOption = None,
-    strike_registers: ros_nodes.OldRegistersOption = None,
-    strike_seed: ros_nodes.OldSeedOption = None,
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,
@@ -78,9 +76,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     request = ros_nodes.request_of(fault, mission)
     kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
     cloud = ros_nodes.cloud_node(point_cloud_node)
-    faults = ros_nodes.register_faults(
-        (register_fault, registers, register_seed), (strike, strike_registers, strike_seed)
-    )
+    faults = ros_nodes.register_faults(register_fault or (), registers, register_seed)
     from mavfi.hosts.ros1 import finder
 
     finder.require()

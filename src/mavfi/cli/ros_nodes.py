@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_args
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
 import typer
 
-from mavfi.cli.console import check_name, check_seed, console
+from mavfi.cli.console import check_name, check_seed
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from mavfi.mission import MissionSpec, Scenario
 
 _LONGEST_S = 1e6
-_Value = TypeVar("_Value")
 
 KillOption = Annotated[
     list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch restarts it.")
@@ -36,16 +36,6 @@ RegistersOption = Annotated[
 SeedOption = Annotated[
     int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
 ]
-OldFaultOption = Annotated[list[str] | None, typer.Option("--strike", hidden=True)]
-OldRegistersOption = Annotated[str | None, typer.Option("--strike-registers", hidden=True)]
-OldSeedOption = Annotated[int | None, typer.Option("--strike-seed", hidden=True)]
-
-
-def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | None) -> _Value | None:
-    """The value of a renamed option; the old name is still accepted, with a warning."""
-    if old_value is not None:
-        console(error=True).print(f"mavfi: {old_name}: deprecated, is now {name}", markup=False)
-    return old_value if value is None else value
 
 
 def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
@@ -98,29 +88,18 @@ def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, i
     return node, round(1e6 * time_s)
 
 
-_Registers = tuple[list[str] | None, str | None, int | None]
-
-
-def register_faults(given: _Registers, older: _Registers) -> tuple[RegisterFault, ...]:
-    """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`.
-
-    Args:
-        given: Values of `--register-fault`, `--registers` and `--register-seed`.
-        older: Values of their deprecated names.
-    """
+def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
+    """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`."""
     from mavfi.faults.fault import REGISTERS
     from mavfi.hosts.ros1.register_injector import fault_in_node
 
-    texts = renamed("--register-fault", given[0], "--strike", older[0])
-    registers = renamed("--registers", given[1], "--strike-registers", older[1])
-    seed = renamed("--register-seed", given[2], "--strike-seed", older[2])
     for option, value in (("--registers", registers), ("--register-seed", seed)):
         if value is not None and not texts:
             raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
     registers, seed = "all" if registers is None else registers, seed or 0
     check_name("--registers", registers, REGISTERS)
     check_seed("--register-seed", seed)
-    named = (instant("--register-fault", text) for text in texts or ())
+    named = (instant("--register-fault", text) for text in texts)
     return tuple(fault_in_node(*each, registers, seed + place) for place, each in enumerate(named))
 
 

@@ -20,7 +20,7 @@ _VEHICLE = "flight controller"
 
 def states(
     autopilot: Annotated[
-        str, typer.Option("--autopilot", "--stack", help="Profile whose dead fields are marked: published or hardened.")
+        str, typer.Option("--autopilot", help="Profile whose dead fields are marked: published or hardened.")
     ] = "published",
     monitored: Annotated[
         str, typer.Option(help="Set of fields that detectors watch: paper-13 or published-19.")

@@ -26,6 +26,23 @@ def test_every_verb_has_help_with_an_example(capsys, verb):
     assert "Example:" in text and f"mavfi {verb[0]}" in text
 
 
+@pytest.mark.parametrize("verb", [*VERBS, ["ros", "fly"], ["airsim", "serve"], ["harden"]], ids=" ".join)
+def test_help_is_not_cut_in_a_terminal_of_80_columns(capsys, monkeypatch, verb):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run([*verb, "--help"]) == 0
+    assert "…" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("word", ["--stack=hardened", "--stack"])
+def test_older_names_of_options_are_accepted_with_a_warning(capsys, word):
+    value = [] if "=" in word else ["hardened"]
+    assert run(["states", "--json", word, *value]) == 0
+    found = capsys.readouterr()
+    assert found.err == "mavfi: --stack: deprecated, is now --autopilot\n"
+    assert run(["states", "--json", "--autopilot", "hardened"]) == 0
+    assert capsys.readouterr().out == found.out
+
+
 def test_help_without_arguments_names_every_verb(capsys):
     assert run([]) == 0
     text = capsys.readouterr().out
@@ -114,7 +131,7 @@ def test_help_loads_nothing_heavy():
 
 
 def test_states_print_the_registry(capsys):
-    assert run(["states", "--json", "--stack", "hardened"]) == 0
+    assert run(["states", "--json", "--autopilot", "hardened"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert [row["state"] for row in data["states"]] == list(states_with("truth"))
     assert sum(field["monitored"] for row in data["states"] for field in row["fields"]) == 13

@@ -223,7 +223,7 @@ def test_explain_tells_the_story(capsys, really_flown):
         (["reproduce", "nothing", "--out", "OUT"], "study 'nothing': not known; allowed: paper"),
         (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
         (["train", "--out", "CONFIG"], "cannot be written"),
-        (["states", "--stack", "soft"], "soft"),
+        (["states", "--autopilot", "soft"], "soft"),
         (["nothing"], "nothing"),
     ],
 )

@@ -34,12 +34,12 @@ def test_bad_options_are_refused(given, complaint):
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
-    [(["fly", "--strike", "firmware@1", "--fault", "null"], "allowed: without --fault"),
-     (["fly", "--strike", "firmware@1", "--world", "airsim://127.0.0.1:1"], "allowed: without --fault, --html and"),
+    [(["fly", "--register-fault", "firmware@1", "--fault", "null"], "allowed: without --fault"),
+     (["fly", "--register-fault", "firmware@1", "--world", "airsim://127.0.0.1:1"], "allowed: without --fault, --html"),
      (["fly", "--flight-controller", "betaflight", "--world", "airsim://127.0.0.1:1"], "that of the server flies"),
      (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
      (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
-     (["fly", "--strike", "firmware@1"], "flight_controller: cascade: has no registers of its own")],
+     (["fly", "--register-fault", "firmware@1"], "flight_controller: cascade: has no registers of its own")],
 )  # fmt: skip
 def test_bad_input_is_one_line(words, complaint, capsys):
     assert run(words) == 2

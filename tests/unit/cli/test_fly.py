@@ -178,7 +178,7 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--v-max", "inf"], "--v-max"),
         (["--start", "nan", "0", "1"], "--start"),
         (["--start", "1", "2"], "--start"),
-        (["--stack", "soft"], "allowed: hardened, published"),
+        (["--autopilot", "soft"], "allowed: hardened, published"),
         (["--platform", "abacus"], "allowed: cortex-a57, i9-9940x"),
         (["--planner", "dijkstra"], "planner 'dijkstra'"),
         (["--detector", "seer"], "detector 'seer'"),

@@ -18,5 +18,5 @@ def test_train_writes_models_that_fly(capsys, tmp_path):
     arguments = ["--detector", "gaussian", "--models", str(tmp_path), "--json"]
     assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 0
     assert json.loads(capsys.readouterr().out)["detector"] == "gaussian (paper)"
-    assert run(["fly", "--stack", "hardened", *arguments]) == 2
+    assert run(["fly", "--autopilot", "hardened", *arguments]) == 2
     assert "mavfi train" in capsys.readouterr().err
