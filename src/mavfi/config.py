@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Tag, TypeAdapter, ValidationError, field_validator
 
 from mavfi.errors import BadInputError
 from mavfi.files import LARGEST_TEXT, read_file
@@ -317,12 +317,11 @@ def _shown(value: object) -> str:
 
 def _worded(model: type[BaseModel], error: dict[str, Any]) -> str:
     """A pydantic error in mavfi's wording; checks of a whole model name their keys themselves."""
-    location, kind = error["loc"], error["type"]
-    key = ".".join(str(part) for part in location)
+    owner, location = _owner(model, error["loc"])
+    kind, key = error["type"], ".".join(str(part) for part in location)
     message: str = error["msg"].removeprefix("Value error, ")
     if not key:
         return message
-    owner = _owner(model, location)
     if kind == "extra_forbidden":
         return f"unknown key {key!r}; allowed: {', '.join(owner.model_fields)}"
     if kind == "missing":
@@ -336,14 +335,28 @@ def _worded(model: type[BaseModel], error: dict[str, Any]) -> str:
     return f"key {key!r}: {message}" if kind == "value_error" else f"key {key!r}: {shown}: {message}"
 
 
-def _owner(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """The model that has the key; follows models nested directly, without a collection in between."""
-    for part in location[:-1]:
-        annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
+def _owner(
+    model: type[BaseModel], location: tuple[int | str, ...]
+) -> tuple[type[BaseModel], tuple[int | str, ...]]:  # fmt: skip
+    """The model that has the key, and the location in the file: without the tag of a union's member.
+
+    Follows models nested directly or as members of a tagged union, without a collection in between.
+    """
+    left, found = list(location), []
+    while len(left) > 1:
+        found.append(left.pop(0))
+        annotation = model.model_fields[str(found[-1])].annotation if str(found[-1]) in model.model_fields else None
+        members: dict[Any, Any] = {tag.tag: get_args(part)[0] for part in get_args(annotation) for tag in _tags(part)}
+        if len(left) > 1 and left[0] in members:
+            annotation = members[left.pop(0)]
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             break
         model = annotation
-    return model
+    return model, (*found, *left)
+
+
+def _tags(part: Any) -> list[Tag]:  # noqa: ANN401 - a member of an annotation
+    return [data for data in getattr(part, "__metadata__", ()) if isinstance(data, Tag)]
 
 
 def load(model: type[ConfigType], path: Path) -> ConfigType:

@@ -4,9 +4,11 @@ import json
 import re
 import shlex
 import sys
+from pathlib import Path
 
 import pytest
 
+from mavfi.campaign.analysis.runs import Runs
 from mavfi.cli import run
 from tests.pages import DOCS, commands, files
 
@@ -57,6 +59,8 @@ def test_a_campaign_takes_all_of_it(folder, capsys):
     assert run(["campaign", "status", "mine", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["complete"] and data["settings"]["golden"]["succeeded"] == 1
+    runs = Runs.read(Path("mine"))
+    assert set(runs["environment"]) == {"pillars"} and all(name.startswith("pillars-") for name in runs["run_id"])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from mavfi.bridges.airsim.config import ProgramConfig
-from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata
+from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata, label_of
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.config import Config, config_root, load, parse
@@ -257,7 +257,7 @@ class Campaign(Config):
         for place, key in _UNDER_TEST.items():
             if (self.host == place) != (getattr(self, key) is not None):
                 raise ValueError(f"host: {self.host!r}: the key {key} goes with host {place}, and only with it")
-        check_distinct("environments", self.environments)
+        check_distinct("environments", map(label_of, self.environments))
         check_known("parts", self.parts, self.environments)
         for name in self.arms:
             if name in PLANNERS:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
+from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
@@ -59,7 +60,7 @@ class RunSpec:
 
     def __post_init__(self) -> None:
         content = json.dumps({**self.to_json(), "position": 0, "run_id": ""}, sort_keys=True)
-        parts = [self.environment, str(self.seed), self.setting]
+        parts = [label_of(self.environment), str(self.seed), self.setting]
         if self.target:
             parts += [self.target, str(self.index)]
         readable = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "_", part) for part in parts)

@@ -136,6 +136,11 @@ def _command() -> Any:
 
 
 def _verb(arguments: Sequence[str]) -> str:
-    """The given command followed by a space, for a hint; empty if there is no such command."""
-    verbs = {command.name for command in app.registered_commands} | {group.name for group in app.registered_groups}
-    return f"{arguments[0]} " if arguments and arguments[0] in verbs else ""
+    """The given command, with a group's own, followed by a space, for a hint; empty if there is no such command."""
+    found, words = _command(), []
+    for word in arguments:
+        if word not in getattr(found, "commands", {}):
+            break
+        found = found.commands[word]
+        words.append(f"{word} ")
+    return "".join(words)

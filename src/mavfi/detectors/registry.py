@@ -176,7 +176,8 @@ def load_detector(
 def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) -> Model:
     if not path.is_file():
         raise SpecMismatchError(
-            f"{path}: no model is trained for this stack and platform; train one with `mavfi train`"
+            f"{path}: no model is trained for this autopilot and platform; train one (mavfi train --autopilot ... "
+            "--platform ... --out FOLDER), then name the folder with --models"
         )
     model = Model.load(path)
     if (model.kind, model.profile) != (kind, profile):

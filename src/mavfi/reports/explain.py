@@ -279,7 +279,7 @@ def to_json(found: Explanation) -> dict[str, Any]:
     return {
         "run_id": spec.run_id, "setting": spec.setting, "environment": spec.environment, "seed": spec.seed,
         "verdict": verdict(found.effect, log, found.golden.log), "effect": found.effect.label,
-        "masked": found.effect is Effect.MASKED, "same_digest": found.same,
+        "same_digest": found.same,
         "injections": [injection.to_json() for injection in log.injections],
         "kernel": None if log.kernel is None else asdict(log.kernel),
         "first_difference": None if first is None else {

@@ -51,7 +51,7 @@ def test_the_verdict_comes_first_and_says_masked():
     assert sentence == (
         "masked: the flight is bit for bit the golden run; the mission succeeds after 10.00 s, as without the fault"
     )
-    assert to_json(found(log(injections=[INJECTION])))["masked"] is True
+    assert to_json(found(log(injections=[INJECTION])))["effect"] == "masked"
 
 
 @pytest.mark.parametrize(

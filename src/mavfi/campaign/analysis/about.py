@@ -5,6 +5,7 @@ from typing import Any
 from mavfi.campaign import overheads
 from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
+from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import (
     ArmConfig,
     Campaign,
@@ -37,7 +38,7 @@ def describe(store: Store) -> dict[str, Any]:
     """
     campaign, progress = stored_campaign(store), status(store.directory)
     return {
-        "name": campaign.name, "environments": list(campaign.environments),
+        "name": campaign.name, "environments": [label_of(name) for name in campaign.environments],
         "seeds": [campaign.seeds.start, campaign.seeds.stop - 1], "on_design_seeds": campaign.on_design_seeds,
         "missions": campaign.missions, "faults": campaign.faults, "monitored_set": campaign.monitored_set,
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
@@ -70,7 +71,7 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             what = "" if campaign.program is None else campaign.program.script
             calls = f" of {', '.join(sampling.calls)}" if sampling.calls else ""
             line = f"{what} · one bit per run, in a number of a call{calls}, uniform over calls"
-            title = f"campaign {campaign.name} · AirSim program in {', '.join(campaign.environments)}"
+            title = f"campaign {campaign.name} · AirSim program in {', '.join(map(label_of, campaign.environments))}"
             return {"each": "side of the calls", "profile": "", "title": title, "lines": [line]}
         case SensorSampling():
             lasts = "to the end" if sampling.lasts_s == "inf" else f"for {sampling.lasts_s:g} s"

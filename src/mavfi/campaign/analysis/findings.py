@@ -66,8 +66,8 @@ def _effects(runs: Runs) -> list[str]:
     rest = f", {100 * died:.0f} % end in a crash or a hang" if died > 1e-9 else ""
     what = "flight" if runs.has_missions else "output"
     return [
-        f"{100 * shares['masked']:.0f} % of {len(own)} faults are masked bit for bit, {100 * shares['sdc']:.0f} % "
-        f"change the {what} silently{rest}."
+        f"{100 * shares['masked']:.0f} % of {len(own)} faults leave the {what} as it was, bit for bit, "
+        f"{100 * shares['sdc']:.0f} % change it silently{rest}."
     ]
 
 

@@ -10,11 +10,10 @@ from mavfi.errors import BadInputError
 
 _COLUMNS = (
     Column("run_id", "run"), Column("site", "site"), Column("bit", "bit", NUMBER),
-    Column("site_outcome", "injection"), Column("effect", "effect"), Column("status", "status"),
-    Column("flight_time_s", "flight time", "number .1f s"), Column("inflation", "against golden", SIGNED),
-    Column("alarms_total", "alarms", NUMBER),
+    Column("site_outcome", "injection"), Column("kernel_effect", "kernel"), Column("effect", "flight"),
+    Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
+    Column("inflation", "against golden", SIGNED), Column("alarms_total", "alarms", NUMBER),
 )  # fmt: skip
-_NAMES = {column.key for column in _COLUMNS}
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
 
@@ -33,8 +32,10 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort
         tests.append(~pl.col("success"))
     own = runs.where(*tests)
     frame = _sorted(own.frame, sort)
-    hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in _NAMES]
-    columns = (*_COLUMNS, *hidden)
+    shown = [column for column in _COLUMNS if column.key != "kernel_effect" or (frame[column.key] != "").any()]
+    names = {column.key for column in shown}
+    hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in names]
+    columns = (*shown, *hidden)
     rows = frame.select(column.key for column in columns).rows()
     return Table("runs", f"{len(own)} of {len(runs)} runs", columns, rows)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import polars as pl
 
+from mavfi.campaign.checks import label_of
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
@@ -54,6 +55,7 @@ def row_of(
     mission without a detector, `reference`; `monitored` contains the monitored states and fields.
     """
     spec, fault = run.spec, run.spec.fault
+    environment = label_of(spec.environment)
     planned = {} if fault is None else {
         "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
         "bit_class": fault.bit_class, "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
@@ -61,8 +63,8 @@ def row_of(
     planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
     return {
         "run_id": spec.run_id, "kind": spec.kind, "setting": spec.setting, "arm": spec.arm,
-        "detector": spec.detector, "detector_profile": spec.detector_profile, "environment": spec.environment,
-        "seed": spec.seed, "world": f"{spec.environment} {spec.seed}", "target": spec.target, "index": spec.index,
+        "detector": spec.detector, "detector_profile": spec.detector_profile, "environment": environment,
+        "seed": spec.seed, "world": f"{environment} {spec.seed}", "target": spec.target, "index": spec.index,
         "weight": 1.0, "has_site": False, "population": "all", **planned,
         **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
         **_judged(record, own, reference, spec), **_detected(record, own, planned.get("state", "")),

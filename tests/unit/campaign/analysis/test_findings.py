@@ -19,7 +19,7 @@ def test_figures_are_those_of_the_frame():
     own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
     sentences = findings(own)
     assert "the fault loses 1 of 2 missions and saves 0" in sentences[0]
-    assert sentences[1] == "50 % of 2 faults are masked bit for bit, 50 % change the flight silently."
+    assert sentences[1] == "50 % of 2 faults leave the flight as it was, bit for bit, 50 % change it silently."
 
 
 def test_kernels_that_die_are_said():
