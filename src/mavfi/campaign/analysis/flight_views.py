@@ -164,7 +164,7 @@ register(
             Measure("lost", "lost", NUMBER, _recovery(lambda _, found: found.lost)),
             Measure("brought_back", "brought back", NUMBER, _recovery(lambda _, found: found.regained)),
             Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
-            Measure("only_dr", "only dr succeeds", NUMBER, lambda own: m.discordant(own).second_only),
+            Measure("only_dr", "saved", NUMBER, lambda own: m.discordant(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
             Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
             Measure("paper", "paper", PERCENT, _papers_recovery),
@@ -174,8 +174,8 @@ register(
         where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
         notes=lambda runs: (
             "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
-            "succeed with the detector on; newly lost: missions that fail only with the detector on",
-            "p: McNemar's exact test of newly lost against only dr succeeds",
+            "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
+            "p: McNemar's exact test: newly lost against saved by the detector",
             "recovery = (dr – fi) / (golden – fi), [exact binomial interval]; undefined while the interval of golden – "
             "fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),

@@ -26,10 +26,10 @@ from mavfi.flight_record import FlightRecord
 MEMORY = "(memory only)"  # label of a silent corruption that changes kernel memory but no publication at once
 _DYING = (
     "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
-    "starts such nodes again; how many do is IR level, not machine level"
+    "starts such nodes again; the share of kernels that die is measured in LLVM IR, not machine code"
 )
 _RATES = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], successes / n; bits of all kinds"
-_LEVEL = "SDC rates are quoted; crash, hang and exception rates are IR level, not machine level"
+_LEVEL = "SDC rates may be quoted; crash, hang and exception rates are measured in LLVM IR, not machine code"
 _POLICIES = (
     "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory, "
     "if the mission's dead_node does not say otherwise; end = the mission has failed"

@@ -54,7 +54,7 @@ def _watched(runs: Runs) -> list[str]:
     """Note with the number of lost missions whose fault is in a monitored field."""
     lost = runs.injected.where("judged", "golden_success", ~pl.col("success"), setting=FI)
     inside = len(lost.where("monitored"))
-    return [f"{inside} of {len(lost)} lost missions were struck in the fields that the paper's detectors watch"]
+    return [f"in {inside} of {len(lost)} lost missions the fault is in a field that the paper's detectors monitor"]
 
 
 _COUNTED = (
@@ -107,8 +107,8 @@ register(
         where=against_base, headings=("scheme",),
         notes=lambda _: (
             *_NOTES, "died / sdc: the kernel died of the fault, or continued with a wrong value",
-            "faults are those of one number of call and value; a scheme that changes the flight, by false alarms or "
-            "latencies, meets other computations there: compare lost with lost under it", ONE_FAULT,
+            "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
+            "latencies, that call computes something else: compare lost with lost under it", ONE_FAULT,
         ),
         applies=lambda runs: _schemes_on(runs, INSTRUCTION), by_name=True,
     ),

@@ -37,7 +37,8 @@ def _notes(runs: Runs) -> tuple[str, ...]:
 
 register(
     View(
-        "sequence", "Success rates, known whenever one stops", ("environment", "setting", "target", "stratum"),
+        "sequence", "Success rates with intervals valid at any stopping time",
+        ("environment", "setting", "target", "stratum"),
         (
             m.first("n", "n"),
             Measure("success", "success %", RATE,

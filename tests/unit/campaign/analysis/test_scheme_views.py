@@ -32,7 +32,7 @@ def test_what_is_lost_and_what_comes_back():
     assert (found["late_in_time"].successes, found["late_in_time"].n) == (1, 1)
     assert (found["detected"].successes, found["detected"].n) == (1, 2)
     notes = VIEWS["schemes"].table(runs(*scenario())).notes
-    assert any(note.startswith("2 of 2 lost missions were struck in the fields") for note in notes)  # way-points
+    assert any(note.startswith("in 2 of 2 lost missions the fault is in a field") for note in notes)  # way-points
     assert found["newly_lost"] == 1
 
 
