@@ -135,7 +135,9 @@ def explain(directory: Path, run_id: str) -> Explanation:
     with Store.open(directory) as store:
         run = store.run(run_id)
         if run.spec.fault is None:
-            raise BadInputError(f"{directory}: run {run.spec.run_id}: has no fault to explain; allowed: runs with one")
+            raise BadInputError(
+                f"{directory}: run {run.spec.run_id}: is a golden run; explain needs a run with a fault"
+            )
         stored = run.record
         if stored is None or not stored.flown:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")

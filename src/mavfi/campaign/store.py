@@ -302,9 +302,7 @@ class Store:
             raise BadInputError(f"{self.directory}: run {run_id!r}: no run of that name; `mavfi runs` lists them")
         if len(rows) > 1:
             some = ", ".join(row[0] for row in rows[:_CANDIDATES])
-            raise BadInputError(
-                f"{self.directory}: run {run_id!r}: {len(rows)} runs match; allowed, among others: {some}"
-            )
+            raise BadInputError(f"{self.directory}: run {run_id!r}: ambiguous, {len(rows)} runs match, e.g. {some}")
         return self._run(*rows[0][1:])
 
     def _run(self, spec: str, record: str | None, note: str, wall_s: float | None) -> Run:

@@ -70,7 +70,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     port: Port = 41451,
     clock: Clock = "real",
-    speed: Annotated[float, typer.Option(help="Of the clock real: simulated time / wall-clock time.")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Simulated seconds per wall-clock second, with --clock real.")] = 1.0,
     image: Annotated[
         str, typer.Option(metavar="WxH", help=f"Size of images; {IMAGE} by default, with --in-flight that of missions.")
     ] = "",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import check_number, console, write_json
+from mavfi.cli.console import check_number, console, counted, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 
@@ -102,7 +102,7 @@ def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None,
     runs, *forecast = forecast_lines(plan, ledger, workers, shard)
     return [
         runs,
-        f"host {campaign.host} · {campaign.missions} missions in each of: {', '.join(campaign.environments)}"
+        f"host {campaign.host} · {counted(campaign.missions, 'mission')} in each of: {', '.join(campaign.environments)}"
         f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
         f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
         f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
@@ -149,7 +149,7 @@ def status(
 def verify(
     directory: options.Ledger,
     share: Annotated[float, typer.Option(help="Sample size; 1 = all runs.")] = 0.02,
-    seed: Annotated[int, typer.Option(help="Of the sample.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
     """Replay a random sample of the runs, compare their records, and bound the share of wrong records.

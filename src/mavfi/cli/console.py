@@ -35,6 +35,11 @@ def titled_table(title: str, **more: Any) -> Table:
     return Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, **more)
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun, in the plural unless it is 1."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def one_line(text: str) -> str:
     """The text as one line for a terminal: unprintable characters are escaped, long text is shortened in the middle."""
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -28,7 +29,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     access: Annotated[
         str, typer.Option(help="Inject what the next instruction reads, or what it has written: read, write, either.")
     ] = "either",
-    thread: Annotated[int, typer.Option(help="Its number; 0 = the busiest, or whichever calls the symbol.")] = 0,
+    thread: Annotated[int, typer.Option(help="Thread id; 0 = the busiest, or the first to call --symbol.")] = 0,
     walk: Annotated[
         int, typer.Option(help="From the stop on, fewer than this many instructions are executed before the injection.")
     ] = DEFAULT_WALK,
@@ -52,7 +53,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
     fault = RegisterFault(registers, access, symbol, thread, walk, timeout, null, seed=seed)
     process = _process(pid, ros_node)
-    done = inject_register(process, fault, count, interval, None if as_json else _report)
+    done = inject_register(process, fault, count, interval, None if as_json else partial(_report, null=null))
     if as_json:
         injections = [injection.to_json() for injection in done]
         write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
@@ -70,15 +71,19 @@ def _process(pid: int | None, ros_node: str | None) -> int:
     return Master().node_pid(ros_node)
 
 
-def _report(injection: Injection) -> None:
+def _report(injection: Injection, *, null: bool) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
     known = injection.details
     moment = "before" if known["access"] == "read" else "after"
-    done = "injected" if injection.activated else "NOT injected as planned"
+    done, values = "injected", f"{injection.before} → {injection.after}"
+    if not injection.activated:
+        done = "NOT injected as planned"
+    elif null:
+        done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
     out = console()
     out.print(Text.assemble(
         f"pid {known['pid']}, thread {known['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
-        f"{moment} ", (known["instruction"], "bold"), f": {injection.before} → {injection.after}",
+        f"{moment} ", (known["instruction"], "bold"), f": {values}",
     ))  # fmt: skip
     out.print(Text(
         f"  at {known['address']}, {known['symbol'] or known['offset']} in {known['library']}; "

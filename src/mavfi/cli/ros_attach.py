@@ -79,13 +79,13 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     field: Annotated[str, typer.Option(help="A number in them, e.g. position\\[0] or pose.position.x.")],
     bit: Annotated[int | None, typer.Option(help="0 = least significant; drawn by default.")] = None,
     at: Annotated[int, typer.Option(help="First message that may be changed, counted from 1.")] = 1,
-    once: Annotated[bool, typer.Option("--once", help="Change one message, then let go (the default).")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Change one message, then stop (the default).")] = False,
     rate: Annotated[float | None, typer.Option(help="Change each message with this probability, until Ctrl-C.")] = None,
     node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
     to: Annotated[
         str | None, typer.Option(metavar="TOPIC", help="Publish there; the target was started with that remapping.")
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="Let go after so long, s.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
     seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:

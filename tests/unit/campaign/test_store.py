@@ -219,7 +219,7 @@ def test_a_run_is_found_by_the_beginning_of_its_id(store):
 
 
 def test_an_ambiguous_id_lists_candidates(store):
-    with pytest.raises(BadInputError, match="4 runs match; allowed, among others: sparse-0-golden-.*, sparse-3-g"):
+    with pytest.raises(BadInputError, match="ambiguous, 4 runs match, e.g. sparse-0-golden-.*, sparse-3-g"):
         store.run("sparse")
     plan(store, [RunSpec("golden", "golden", "sparse", seed, "key", position=seed) for seed in range(10, 100)])
     with pytest.raises(BadInputError, match="94 runs match") as caught:

@@ -113,10 +113,10 @@ def test_a_dry_run_says_what_would_be_flown_and_writes_nothing(capsys, config, f
     assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("5 runs at most, 0 of them done")
-    assert "1 missions in each of: sparse · seeds 10000 to 10000" in text
+    assert "1 mission in each of: sparse · seeds 10000 to 10000" in text
     assert "faults of level state, 3 per environment: perception, planning, control" in text
-    assert "1 missions · 1 golden runs, 4 with a fault or null" in text
-    assert f"time and size of the ledger: not known before runs on host {HOST} are in it" in text
+    assert "1 mission · 1 golden run, 4 with a fault or null" in text
+    assert f"time and size of the ledger: no estimate until the ledger holds runs on host {HOST}" in text
     assert not (tmp_path / "out").exists()
     assert run(["campaign", "run", str(config), "--out", str(flown), "--dry-run"]) == 0
     text = capsys.readouterr().out
@@ -137,7 +137,7 @@ def test_runs_are_sorted_and_an_ambiguous_id_lists_its_candidates(capsys, flown)
     assert [row["run_id"] for row in rows] == sorted((row["run_id"] for row in rows), reverse=True)
     assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
     stderr = capsys.readouterr().err
-    assert stderr.count("\n") == 1 and "3 runs match; allowed, among others: sparse-10000-fi-" in stderr
+    assert stderr.count("\n") == 1 and "ambiguous, 3 runs match, e.g. sparse-10000-fi-" in stderr
 
 
 @pytest.mark.slow
@@ -214,8 +214,8 @@ def test_explain_tells_the_story(capsys, really_flown):
         (["replay", "OUT", "run"], "holds no campaign"),
         (["explain", "OUT", "run"], "holds no campaign"),
         (["replay", "FLOWN", "nothing"], "no run of that name"),
-        (["replay", "FLOWN", "sparse"], "5 runs match; allowed, among others: sparse-10000-golden-"),
-        (["explain", "FLOWN", "sparse-10000-golden-"], "no fault to explain"),
+        (["replay", "FLOWN", "sparse"], "ambiguous, 5 runs match, e.g. sparse-10000-golden-"),
+        (["explain", "FLOWN", "sparse-10000-golden-"], "is a golden run; explain needs a run with a fault"),
         (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
         (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
         (["reproduce", "--out", "CONFIG"], "cannot be written"),

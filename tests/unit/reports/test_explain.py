@@ -166,5 +166,5 @@ def test_a_run_is_explained_from_the_fault_on(flown, injected):
 
 @pytest.mark.slow
 def test_golden_runs_have_nothing_to_explain(flown):
-    with pytest.raises(BadInputError, match="has no fault to explain"):
+    with pytest.raises(BadInputError, match="is a golden run; explain needs a run with a fault"):
         explain(flown, "sparse-10000-golden-")

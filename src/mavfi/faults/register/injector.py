@@ -31,6 +31,8 @@ _PAUSES = (2e-4, 5e-3)
 _STEP_LIMIT = 2.0
 _NAP = 1e-3
 _LONGEST_INSTRUCTION = 15
+_VERBS = {"read": "reads", "write": "writes", "either": "reads or writes"}
+_NOUNS = {"general": "a general register", "fp": "an fp register", "all": "a register"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +113,8 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
                     return _record(search, attempt, attempt.done, attempts, space)
             if search.is_over():
                 raise TracerTimeoutError(
-                    f"pid {pid}: within {fault.timeout:g} s and {attempts} stops it was never at an "
-                    f"instruction with registers {fault.registers!r} to {fault.access}, outside of system calls"
+                    f"pid {pid}: found no instruction that {_VERBS[fault.access]} {_NOUNS[fault.registers]} "
+                    f"({attempts} stops in {fault.timeout:g} s, system calls excluded)"
                 )
             time.sleep(search.choices.uniform(*_PAUSES))
     except TargetGoneError as error:

@@ -108,7 +108,9 @@ def test_a_walk_cures_the_skid_of_stops(spin):
 
 def test_a_target_in_a_system_call_is_left_alone(targets):
     target, _ = targets.start("reader")
-    with pytest.raises(MavfiError, match="outside of system calls"):
+    with pytest.raises(
+        MavfiError, match=r"that reads or writes a register \(\d+ stops in 0.5 s, system calls excluded\)"
+    ):
         only(target.pid, timeout=0.5)
     out, _ = target.communicate("abc", timeout=10)
     assert out == "3 0 abc"  # not interrupted: no EINTR
@@ -275,7 +277,7 @@ def test_the_command_tells_what_it_did(spin, capsys):
     assert {"site", "bit", "before", "after", "details"} <= set(record["injections"][0])
     assert {"address", "symbol", "instruction", "register"} <= set(record["injections"][0]["details"])
     assert run(["inject", "--pid", str(spin.pid), "--null"]) == 0
-    assert "injected" in capsys.readouterr().out
+    assert ", unchanged" in capsys.readouterr().out
 
 
 def test_the_command_refuses_in_one_line(capsys):
