@@ -41,7 +41,7 @@ EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
     help="Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.\n\n"
-    "Exit codes: 0 done (whatever the mission's fate), 2 bad input, 3 a refuted plan, 1 a failure of mavfi, "
+    "Exit codes: 0 done (also if the mission failed), 2 bad input, 3 a refuted plan, 1 a failure of mavfi, "
     "130 stopped by Ctrl-C.",
     add_completion=False,
     pretty_exceptions_enable=False,

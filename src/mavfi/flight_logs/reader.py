@@ -24,10 +24,10 @@ class Number(Protocol):
 
     @property
     def offset(self) -> int:
-        """Its first byte."""
+        """Position of its first byte in the message."""
 
     def value(self, data: bytes) -> int | float:
-        """The number."""
+        """Decode the number from the bytes of a message."""
 
 
 class Layout(Protocol):

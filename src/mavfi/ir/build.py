@@ -28,7 +28,7 @@ class Rewrite(Protocol):
 
     @property
     def key(self) -> bytes:
-        """Its identity."""
+        """Bytes that identify the transformation in caches."""
 
     def __call__(self, module: Module) -> Module:
         """The transformed module, e.g. with protection; a BadInputError if it was made for another module."""

@@ -152,12 +152,12 @@ class Function:
     location: int | None = None
 
     def head(self) -> str:
-        """The first line of its definition."""
+        """The first line of the definition, up to the opening brace."""
         parameters = ", ".join(f"{kind} {name}" for kind, name in self.parameters)
         return f"define {self.linkage}{self.kind} {self.name}({parameters}) {{"
 
     def text(self) -> str:
-        """Its definition."""
+        """Definition of the function as LLVM IR: head, blocks, closing brace."""
         lines = [self.head()]
         for block in self.blocks:
             lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.all())]

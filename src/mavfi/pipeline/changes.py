@@ -40,8 +40,8 @@ class Changes:
     def __init__(self, array: np.ndarray) -> None:
         self._array = array
         self._list: list[Change] = []
-        self._twin: np.ndarray | None = None
-        self._twin_list: list[Change] = []
+        self._copy: np.ndarray | None = None
+        self._copied: list[Change] = []
 
     def __len__(self) -> int:
         return len(self._list)
@@ -70,21 +70,21 @@ class Changes:
         Returns:
             Contents of the array at that time, read-only; the caller writes them to the array.
         """
-        twin = self._twin_at(saved)
+        copy = self._copy_at(saved)
         self._list = list(saved)
-        return twin
+        return copy
 
-    def _twin_at(self, saved: tuple[Change, ...]) -> np.ndarray:
+    def _copy_at(self, saved: tuple[Change, ...]) -> np.ndarray:
         """A second copy of the array, moved from the snapshot used last to `saved`."""
-        if self._twin is None:
-            self._twin = np.zeros_like(self._array)
-        common = common_length(self._twin_list, saved)
-        for change in reversed(self._twin_list[common:]):
-            self._twin[change.places[::-1]] = change.before[::-1]
+        if self._copy is None:
+            self._copy = np.zeros_like(self._array)
+        common = common_length(self._copied, saved)
+        for change in reversed(self._copied[common:]):
+            self._copy[change.places[::-1]] = change.before[::-1]
         for change in saved[common:]:
-            self._twin[change.places] = change.after
-        self._twin_list = list(saved)
-        return self._twin
+            self._copy[change.places] = change.after
+        self._copied = list(saved)
+        return self._copy
 
     def same(self, saved: tuple[Change, ...], revocable: int) -> bool:
         """Whether the array is bit-identical to its contents at the time of `saved`.
@@ -97,9 +97,9 @@ class Changes:
             return True
         if not self._same_newest(saved, revocable):
             return False
-        twin = self._twin_at(saved)
-        bits = f"u{twin.itemsize}"
-        return np.array_equal(self._array.view(bits), twin.view(bits))
+        copy = self._copy_at(saved)
+        bits = f"u{copy.itemsize}"
+        return np.array_equal(self._array.view(bits), copy.view(bits))
 
     def _same_newest(self, saved: tuple[Change, ...], count: int) -> bool:
         if min(len(saved), len(self._list)) < count:

@@ -30,7 +30,7 @@ def flipped(values: Numbers) -> Triple:
 
 
 def vector(values: Numbers) -> dict[str, float]:
-    """Vector3r."""
+    """Three numbers as plain data of AirSim's type Vector3r."""
     x, y, z = values
     return {"x_val": float(x), "y_val": float(y), "z_val": float(z)}
 

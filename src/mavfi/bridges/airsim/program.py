@@ -81,7 +81,7 @@ class Ended:
 
     @property
     def status(self) -> MissionStatus:
-        """As the status of a mission."""
+        """Status of the mission: a collision, otherwise a success, however the program ended."""
         return MissionStatus.COLLISION if self.collided else MissionStatus.SUCCESS
 
 

@@ -23,7 +23,7 @@ class Done:
 class Lost:
     """The last item of a mission whose worker was lost."""
 
-    reason: str  # fate of the worker, as text
+    reason: str  # what became of the worker, as text
     died: bool  # False = it did not respond in time
     signal: str = ""  # signal that killed it
 

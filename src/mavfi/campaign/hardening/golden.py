@@ -41,7 +41,7 @@ class GoldenCheck:
         return self.same == self.flights and self.alarms == 0
 
     def plus(self, other: "GoldenCheck") -> "GoldenCheck":
-        """Sums."""
+        """Both checks as one: the sums of all counts."""
         return GoldenCheck(
             self.flights + other.flights, self.same + other.same, self.calls + other.calls, self.alarms + other.alarms
         )

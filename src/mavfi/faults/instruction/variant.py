@@ -150,7 +150,7 @@ class Variant:
         return result, int(self._control[Control.COUNTER])
 
     def tally(self, *args: Any) -> tuple[Any, np.ndarray]:
-        """Run without a fault; returns the result and execution counts of blocks; the fast twin of `profile`."""
+        """Run without a fault; returns the result and execution counts of blocks; faster than `profile`."""
         if self._tally is None:
             engine, function = self._load(self._built.tally)
             place = ctypes.c_void_p.from_address(engine.get_global_value_address(HISTOGRAM))

@@ -111,7 +111,7 @@ def is_armed(pid: int) -> bool:
 
 
 def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> str | None:
-    """Fate of the injected nodes, given injections and events of the flight.
+    """End of the injected nodes, given injections and events of the flight.
 
     Returns:
         "crash": a node terminated; "hang": a node was killed as unresponsive; "alive": neither; None: no injection.

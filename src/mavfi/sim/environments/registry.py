@@ -138,5 +138,6 @@ def _check_end(source: str, key: str, point: np.ndarray, world: World, radius: f
     clearance = float(world.clearance(point)[0])
     if clearance < radius:
         raise BadInputError(
-            f"{source}: {key} {text}: {clearance:.2f} m from an obstacle; allowed: the hull's {radius:g} m at least"
+            f"{source}: {key} {text}: {clearance:.2f} m from an obstacle; allowed: at least {radius:g} m, "
+            "the collision radius of the vehicle"
         )
