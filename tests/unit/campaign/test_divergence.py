@@ -100,7 +100,7 @@ def test_a_flight_that_is_late_on_the_same_path_never_leaves_it():
     assert found.time_s is None
     assert found.largest_m == pytest.approx(0.0, abs=1e-12)
     assert found.behind_s == pytest.approx(4.0 - 4.0 * 7.0 / 20.0)
-    assert departure(slow, golden).behind_s is not None
+    assert departure(slow, golden).behind_s == pytest.approx(2.0 - 4.0)  # beyond the end of the other path
 
 
 def test_a_flight_that_is_early_is_ahead():

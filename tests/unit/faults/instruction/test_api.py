@@ -51,13 +51,13 @@ def test_an_injected_call_changes_its_arguments_and_tells():
     fault = replace(first(fill, "fmul", values, 2.0), bits=(62,))
     result, injection = inject(fill, fault, values, 2.0)
     plain = numbers()
-    fill(plain, 2.0)
+    sound = fill(plain, 2.0)
     changed = np.flatnonzero(values != plain)
     assert injection.activated and len(changed) > 0
     assert flipped(injection) == 1 << 62
     assert injection.before == numbers()[1] * 2.0
     assert injection.details["opcode"] == "fmul" and injection.file.endswith("kernels.py")
-    assert isinstance(result, int)
+    assert result == sum(i for i in range(1, len(values)) if values[i] > 3.0) != sound
 
 
 def test_outcomes_are_distinguished_and_arguments_stay():
@@ -174,6 +174,15 @@ def test_faults_survive_json():
     for model in ("one_bit", "bits", "random", "zero"):
         for fault in draw(fill, 3, numbers(), 2.0, model=model):
             assert fault_from_json(json.loads(json.dumps(fault.to_json()))) == fault
+
+
+def test_an_injection_names_the_variable_that_its_instruction_sets():
+    fault = first(fill, "fmul", numbers(), 2.0)
+    sites = resolve(fill, range(count(fill, numbers(), 2.0)), numbers(), 2.0)
+    for variable, text in (("total", "total"), (None, "")):
+        index = next(index for index, site in enumerate(sites) if site.variable == variable)
+        injection = run_forked(fill, replace(fault, index=index), numbers(), 2.0).injection
+        assert injection.details["variable"] == text
 
 
 def test_an_injection_names_line_instruction_and_value():

@@ -154,7 +154,9 @@ def test_a_fault_beyond_the_end_is_not_hit(trace):
     assert injected(variant, LOOP, len(trace), 0) == loop(*LOOP)
     assert variant.report() is None
     injected(variant, LOOP, len(trace) - 1, 63)
-    assert variant.report() is not None
+    report = variant.report()
+    assert (report.site.opcode, report.site.kind) == trace[-1]
+    assert report.before ^ report.after == 1 << 63
 
 
 def test_values_before_and_after_are_those_that_were_there(oracle, trace):
