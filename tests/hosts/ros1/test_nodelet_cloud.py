@@ -5,7 +5,6 @@ A flight of these tests takes about 8 s on two idle cores, and none may take mor
 
 import os
 import signal
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -54,7 +53,7 @@ flying = [*ros, pytest.mark.slow, pytest.mark.skipif(bool(absent()), reason=abse
 
 @pytest.fixture
 def in_time():
-    """The test ends within a minute; what it has started ends with it."""
+    """The test ends within `LONGEST_S`, a guard against hanging; what it has started ends with it."""
 
     def stop(number, frame):
         raise TimeoutError(f"took more than {LONGEST_S} s")
@@ -214,7 +213,6 @@ class TestFlights:
         ("number", "why"), [(signal.SIGSEGV, "has ended"), (signal.SIGSTOP, "did not answer")], ids=["crash", "hang"]
     )
     def test_a_nodelet_that_fails_is_restarted_and_the_flight_continues(self, in_time, number, why):
-        began = time.monotonic()
         flown = plan(None, Sender(number), 5, recovery=Recovery("observer"), restart_us=200_000)
         log = fly_there(flown).flight.log
         assert lives(log) == [("node_lost", NODE, why), ("node_back", NODE, None)]
@@ -224,7 +222,6 @@ class TestFlights:
         assert log.status.label == "success"
         before = lost.time_us / short(5).platform.latency_us["octomap"]  # there is no image while a map is made
         assert before + 1 < clouds(log) < clouds(fly_here(short(5)).log)
-        assert time.monotonic() - began < LONGEST_S
 
     def test_a_fault_in_its_registers_has_an_effect(self, in_time):
         flown = plan(register_faults=(fault_in_node(NODE, 100_000, "fp", 3),))

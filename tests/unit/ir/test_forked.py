@@ -73,7 +73,7 @@ def test_the_wall_clock_ends_a_child_that_does_not_end():
     start = time.monotonic()
     ended = run_in_child(lambda: time.sleep(60), timeout=0.2)
     assert (ended.how, ended.detail) == ("hang", "wall clock")
-    assert time.monotonic() - start < 5
+    assert time.monotonic() - start < 5  # far from the child's own end: a guard against hanging, not a measurement
     assert no_child_left()
 
 

@@ -10,6 +10,7 @@ from tests.unit.kernels.cases import CASES, corrupted
 
 ROOT = Path(__file__).parents[3]
 LONGEST_CALL = 5.0
+"""Of one kernel (s): a guard against hanging, not a measurement."""
 
 
 @pytest.mark.parametrize("name", CASES)
