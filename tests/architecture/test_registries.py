@@ -1,5 +1,7 @@
 """The tables from which the rest is derived: states, monitored sets, entry points, shipped configurations."""
 
+import tomllib
+from importlib import import_module
 from importlib.metadata import entry_points
 
 import numpy as np
@@ -18,6 +20,7 @@ from mavfi.detectors.registry import (
 from mavfi.mission import MissionStatus
 from mavfi.platforms.redundancy import DesignConfig
 from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage
+from tests.architecture.source import ROOT
 
 UNITS = {"m", "m/s", "m/s^2", "rad", "rad/s", "s", "-"}
 MODELS = {
@@ -30,6 +33,19 @@ MODELS = {
     "redundancy": DesignConfig,
     "upsets": UpsetConfig,
 }
+DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+SHIPPED = {
+    "mavfi.environments": "mavfi.sim.environments.registry:_BUILT_IN",
+    "mavfi.planners": "mavfi.pipeline.planners:_SHIPPED",
+    "mavfi.flight_controllers": "mavfi.sim.controller:_SHIPPED",
+    "mavfi.maps": "mavfi.pipeline.maps:_SHIPPED",
+    "mavfi.hosts": "mavfi.hosts.host:SHIPPED",
+    "mavfi.detectors": "mavfi.detectors.registry:_SHIPPED",
+    "mavfi.flight_logs": "mavfi.flight_logs.reader:_SHIPPED",
+}
+"""Where each group's own names are, found without the metadata of an installation."""
+INTERNAL = {"mavfi.detectors": {"none"}}
+"""Names without an entry point: the absence of a detector."""
 
 
 def shipped():
@@ -79,7 +95,20 @@ def test_mission_statuses_are_sentences():
         assert status.value[0].isupper() and status.value.endswith(".")
 
 
-@pytest.mark.parametrize("group", ["mavfi.environments", "mavfi.planners", "mavfi.maps", "mavfi.detectors"])
+def test_every_group_of_entry_points_has_shipped_names():
+    assert set(DECLARED) == set(SHIPPED)
+
+
+@pytest.mark.parametrize("group", SHIPPED)
+def test_entry_points_are_those_that_are_shipped(group):
+    module, _, name = SHIPPED[group].partition(":")
+    shipped_here = dict(getattr(import_module(module), name))
+    for internal in INTERNAL.get(group, ()):
+        del shipped_here[internal]
+    assert shipped_here == DECLARED[group]
+
+
+@pytest.mark.parametrize("group", SHIPPED)
 def test_entry_points_resolve(group):
     found = list(entry_points(group=group))
     assert found
