@@ -155,7 +155,11 @@ def _fly(mission: MissionPlan) -> Iterator[Planned | Flown]:
     runs = _draw(plan, mission, sampled)
     yield Planned.of(runs, last=True)
     left = [spec for spec in runs if spec.run_id not in mission.done]
-    yield from (_alone(left, flights) if mission.alone else _injected(left, flights))
+
+    def fly_golden(arm: str) -> None:
+        host.mission({arm: setups[arm]}, fast_forward=False).golden(arm)
+
+    yield from (_alone(left, flights, fly_golden) if mission.alone else _injected(left, flights))
 
 
 def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
@@ -213,11 +217,16 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
         yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
 
 
-def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
+def _alone(
+    specs: Sequence[RunSpec], flights: MissionFlights, fly_golden: Callable[[str], None]
+) -> Iterator[Flown]:  # fmt: skip
     """Runs, each in a separate child process: `due` if every attempt dies, `unknown` if one exceeds the time limit.
 
+    A process that dies without its fault, too, dies of the machine: before a `due`, `fly_golden` flies the golden run
+    of the arm in a child.
+
     Raises:
-        MachineError: A child was killed from outside.
+        MachineError: A child was killed from outside, or the golden run died, too.
     """
     for spec in specs:
         late = False
@@ -228,8 +237,20 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
                 break
             late |= ended.detail == WALL_CLOCK
         else:
+            if not late:
+                _check_machine(spec, fly_golden)
             end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
             yield Flown.of(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
+
+
+def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
+    def fly() -> bytes:
+        fly_golden(spec.arm)
+        return b""
+
+    ended = run_in_child(fly, LONGEST_ALONE)
+    if ended.how != "done":
+        raise MachineError(f"{spec.run_id}: the process died, and that of its golden run, too ({ended.detail})")
 
 
 def _pickled(spec: RunSpec, flights: MissionFlights) -> bytes:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from mavfi.campaign.config import MOST_FAULTS, Campaign, StateSampling
+from mavfi.campaign.config import MOST_FAULTS, Campaign
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
@@ -185,7 +185,7 @@ def cell_of(campaign: Campaign, spec: RunSpec) -> Cell | None:
         return None
     if spec.fault is None:
         return spec.setting, "", ""
-    strata = list(sampling.strata) if isinstance(sampling, StateSampling) else []
+    strata = list(getattr(sampling, "strata", None) or ())
     if HEADLINE in strata:
         if spec.fault.stratum != HEADLINE:
             return None

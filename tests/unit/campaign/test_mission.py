@@ -1,6 +1,7 @@
 """The unit of work: what one mission gives, as a function of its plan alone."""
 
 import json
+import os
 import pickle
 from dataclasses import replace
 
@@ -9,10 +10,11 @@ import pytest
 from mavfi.campaign import mission as mission_module
 from mavfi.campaign.mission import ATTEMPTS_ALONE, MissionPlan, fly_mission
 from mavfi.campaign.plan import Flown, Planned
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MachineError
 from mavfi.flight_record import End
 from mavfi.ir.forked import WALL_CLOCK, Ended
 from tests.unit.campaign import fakes
+from tests.unit.campaign.analysis.handmade import injected
 from tests.unit.campaign.fakes import DEADLY, TROUBLE, deaths, small
 
 MISSION = MissionPlan(small(), "sparse", DEADLY)
@@ -139,3 +141,21 @@ def test_a_host_that_raises_between_flights_loses_what_is_left(monkeypatch):
 def test_names_that_are_not_known_end_the_mission():
     with pytest.raises(BadInputError, match="environment 'venus'"):
         list(fly_mission(MissionPlan(small(environments=["venus"]), "venus", 10_000)))
+
+
+class Deadly:
+    """Flights whose process dies in each injected run."""
+
+    def injected(self, runs):
+        os._exit(9)
+
+
+@pytest.mark.parametrize(("golden", "due"), [(lambda arm: None, True), (lambda arm: os._exit(9), False)])
+def test_a_process_that_dies_without_its_fault_too_is_a_failure_of_the_machine(golden, due):
+    """`_alone` is what `fly_mission` does with a mission whose worker died; memory is not exhausted in a test."""
+    runs = mission_module._alone([injected(1, None).spec], Deadly(), golden)
+    if due:
+        assert [flown.record.end for flown in runs] == [End.DUE]
+    else:
+        with pytest.raises(MachineError, match="the process died, and that of its golden run, too"):
+            next(runs)

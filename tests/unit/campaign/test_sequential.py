@@ -75,6 +75,11 @@ def test_what_counts_in_which_rate():
     assert cell_of(kernels, injected(1, None, INSTRUCTION, target="pid").spec) == ("fi", "pid", "")
     assert cell_of(bits, injected(1, None, FAULT).spec) == ("fi", "", "sign_exponent"), "fields together"
     assert cell_of(table1, null(1, None).spec) is None
+    memory = load_campaign("memory")
+    by_class = memory.model_copy(
+        update={"sampling": memory.sampling.model_copy(update={"strata": bits.sampling.strata})}
+    )
+    assert cell_of(by_class, injected(1, None, FAULT).spec) == ("fi", "", "sign_exponent")
 
 
 def test_a_campaign_ends_when_its_rates_are_known_and_resumes_to_the_same(tmp_path):
