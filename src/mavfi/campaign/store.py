@@ -132,7 +132,7 @@ class Store:
             return self._connection.execute(query).fetchone()[0]
         except sqlite3.DatabaseError as error:
             code = error.sqlite_errorcode
-            if code in (sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_NOMEM):
+            if code & 0xFF in (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_NOMEM):
                 raise MachineError(f"{self.directory / FILE}: cannot be read ({error})") from None
         self._check_disk()
         if code == sqlite3.SQLITE_READONLY_ROLLBACK:
