@@ -215,7 +215,7 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """Register a view over all environments, and one by environment for campaigns with several."""
     applies, headings = more.pop("applies", of_states), more.pop("headings", ())
     measures = more.pop("measures", (m.leading_success, m.other_success, m.hurt))
-    columns: dict[str, Any] = {"measures": measures, "notes": _slow_note}
+    columns: dict[str, Any] = {"measures": measures, "notes": more.pop("notes", _slow_note)}
     columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY, SENSOR)))
     register(
         View(name, title, (*by, "setting"), applies=applies, headings=headings, **columns, **more),
@@ -233,6 +233,11 @@ _by("by_state", "Success by inter-kernel state", ("state",))
 _of_failures: dict[str, Any] = {
     "applies": of_sensors,
     "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
+    "notes": lambda _: (
+        f"success: {INTERVALS.split(';')[0]}], n",
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
+        ONE_FAULT,
+    ),
 }
 _by("by_unit", "Success by failing sensor or motor", ("state",), headings=("unit", "setting"), **_of_failures)
 _by("by_failure", "Success by type of failure", ("field",), headings=("type", "setting"), **_of_failures)
