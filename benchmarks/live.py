@@ -25,6 +25,8 @@ PAGE = DOCS / "logs.md"
 SCENARIO = resolve(MissionSpec(environment="sparse", seed=7))
 KINDS = ("without --live", "--live, no viewer", "--live, a viewer of all topics")
 _TOPICS = 12
+_NEW = multiprocessing.get_context("spawn")
+"""A viewer that is a fork would share this process's memory: the flight would copy each page that it writes to."""
 
 
 def watch(address: str, ready: Any) -> None:
@@ -42,8 +44,8 @@ def flown(kind: str) -> float:
     view = LiveView(0)
     viewer = None
     if kind == KINDS[2]:
-        ready = multiprocessing.Event()
-        viewer = multiprocessing.Process(target=watch, args=(view.address, ready))
+        ready = _NEW.Event()
+        viewer = _NEW.Process(target=watch, args=(view.address, ready))
         viewer.start()
         if not ready.wait(30):
             raise SystemExit("the viewer did not subscribe within 30 s")
