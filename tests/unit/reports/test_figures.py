@@ -51,15 +51,19 @@ def test_success_at_every_level_with_counts_the_paper_and_words(level, populatio
             {"level": level, "population": population},
             {"level": level, "population": population, "setting": "dr_gaussian", "arm": "gaussian",
              "detector": "gaussian", "detector_profile": "paper"}]  # fmt: skip
-    axes = figures.success(runs(*rows)).axes[0]
-    legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert legend == ["golden run", "fault", "fault + gaussian", "the paper's figure"]
-    assert [text.get_text() for text in axes.texts] == ["2", "2", "1"], "number of missions at each point"
+    figure = figures.success(runs(*rows))
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "golden run", "fault", "fault + gaussian", "the paper's figure"
+    ]  # fmt: skip
+    figure.draw_without_rendering()
+    assert legend.get_window_extent().x1 <= figure.bbox.x1, "whole also with one environment"
+    assert [text.get_text() for text in figure.axes[0].texts] == ["2", "2", "1"], "number of missions at each point"
 
 
 def test_the_paper_is_compared_with_its_own_profile_only():
-    axes = figures.success(runs({"success": True}, campaign={"profile": "hardened"})).axes[0]
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["fault"]
+    (legend,) = figures.success(runs({"success": True}, campaign={"profile": "hardened"})).legends
+    assert [text.get_text() for text in legend.get_texts()] == ["fault"]
 
 
 def test_failures_are_censored():

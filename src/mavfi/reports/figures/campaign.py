@@ -54,7 +54,8 @@ def success(runs: Runs) -> Figure | None:
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
             if rate.low is not None:
-                axes.annotate(f"{rate.n}", (x, rate.low), (0, -9), textcoords="offset points", ha="center", **_SMALL)
+                axes.annotate(f"{rate.n}", (x, rate.low), (0, -9), textcoords="offset points", ha="center",
+                              zorder=6, bbox=_OVER_LINES, **_SMALL)  # fmt: skip
             figured = _paper(chosen, environment, setting)
             if figured is not None:
                 axes.plot([x - 0.4 * width, x + 0.4 * width], [figured, figured], color=style.INK, zorder=5)
@@ -74,12 +75,16 @@ def success(runs: Runs) -> Figure | None:
     dead = "nodes that die are restarted; " if has(chosen, level="instruction") else ""
     axes.set_xlabel(f"{bits}{dead}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
     profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
-    axes.set_title(f"Success{profile} · one fault per mission", pad=26)
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.02, 1.0), **_LEGEND)
+    axes.set_title(f"Success{profile} · one fault per mission")
+    columns = int(figure.get_figwidth() / _LEGEND_COLUMN)
+    figure.legend(handles=handles, loc="outside upper left", **{**_LEGEND, "ncols": columns})
     return figure
 
 
 _SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
+_OVER_LINES: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+_LEGEND_COLUMN = 2.0
+"""Width of a column of the legend (inches)."""
 
 
 def _flown(runs: Runs) -> Runs:
