@@ -72,7 +72,8 @@ def test_a_campaign_stops_and_resumes_and_its_ledger_does_not_show_it(campaign, 
 
     with pytest.raises(KeyboardInterrupt):
         run(campaign, tmp_path / "a", progress=stop)
-    assert 5 <= status(tmp_path / "a").done < status(tmp_path / "a").total == 1 + 2 * 4 + 2
+    # the worker may have ended the mission before the command stops
+    assert 5 <= status(tmp_path / "a").done <= status(tmp_path / "a").total == 1 + 2 * 4 + 2
     assert run(campaign, tmp_path / "a").complete
     assert run(campaign, tmp_path / "b").complete
     with Store.open(tmp_path / "a") as one, Store.open(tmp_path / "b") as other:
