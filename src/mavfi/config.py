@@ -342,17 +342,18 @@ def _owner(
 
     Follows models nested directly or as members of a tagged union, without a collection in between.
     """
-    left, found = list(location), []
-    while len(left) > 1:
-        found.append(left.pop(0))
-        annotation = model.model_fields[str(found[-1])].annotation if str(found[-1]) in model.model_fields else None
-        members: dict[Any, Any] = {tag.tag: get_args(part)[0] for part in get_args(annotation) for tag in _tags(part)}
-        if len(left) > 1 and left[0] in members:
-            annotation = members[left.pop(0)]
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            break
-        model = annotation
-    return model, (*found, *left)
+    if len(location) < 2:
+        return model, location
+    key, rest = location[0], location[1:]
+    field = model.model_fields.get(str(key))
+    annotation = None if field is None else field.annotation
+    members: dict[Any, Any] = {tag.tag: get_args(part)[0] for part in get_args(annotation) for tag in _tags(part)}
+    if len(rest) > 1 and rest[0] in members:
+        annotation, rest = members[rest[0]], rest[1:]
+    if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+        return model, (key, *rest)
+    owner, inner = _owner(annotation, rest)
+    return owner, (key, *inner)
 
 
 def _tags(part: Any) -> list[Tag]:  # noqa: ANN401 - a member of an annotation

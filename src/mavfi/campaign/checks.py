@@ -7,7 +7,9 @@ from pathlib import Path
 
 from mavfi.config import names
 from mavfi.faults.strata import STRATA
+from mavfi.sim.environments import SCAN_ENDINGS
 
+_ENVIRONMENT_FILES = (".yaml", ".yml", *SCAN_ENDINGS)
 NULL_RUNS = 3  # default number of null runs per environment, except for instruction faults
 
 
@@ -30,9 +32,6 @@ def check_strata(strata: Mapping[str, float]) -> None:
     check_known("sampling.strata", sorted(strata), STRATA)
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
         raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")
-
-
-_ENVIRONMENT_FILES = (".yaml", ".yml", ".bt", ".ot")
 
 
 @cache

@@ -64,7 +64,7 @@ def flight_again(store: Store, spec: RunSpec) -> Flight:
         BadInputError, SpecMismatchError: See `replay`; or the host's runs are no flights.
     """
     host = host_of(stored_campaign(store))
-    if not host.flies:
+    if not host.flies:  # before it is run
         raise BadInputError(f"{store.directory}: host {host.name}: its runs leave no flight log")
     flown = fly_again(store, spec)
     assert isinstance(flown, Flight)  # by `Host.flies`
@@ -118,9 +118,8 @@ class Explanation:
         return effect_of(record_of(self.golden.log), record_of(self.flight.log))
 
 
-def explained_levels(store: Store) -> frozenset[str]:
-    """Levels of the faults of a ledger whose publications can be recorded: those that the host `local` flies, too."""
-    host = host_of(stored_campaign(store))
+def explained_levels(host: Host) -> frozenset[str]:
+    """Levels of a host's faults whose publications can be recorded: those that the host `local` flies, too."""
     return host.levels & LocalHost.levels if host.flies and host.deterministic else frozenset()
 
 
@@ -168,7 +167,7 @@ def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[Publicati
 def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
     """Arm setup of a run whose publications can be recorded; raises the errors of `explain`."""
     host, setup = setup_of_run(store, spec)
-    levels = explained_levels(store)
+    levels = explained_levels(host)
     if not levels or (spec.fault is not None and spec.fault.level not in levels):
         raise BadInputError(
             f"{store.directory}: run {spec.run_id}: its publications cannot be recorded; allowed: faults of level "

@@ -120,7 +120,7 @@ def _with_new_names(arguments: Sequence[str]) -> list[str]:
     """The words with older names of options replaced, each with a warning; those of a program are its own."""
     if list(arguments[:2]) == ["airsim", "run"]:
         return list(arguments)
-    words = []
+    words: list[str] = []
     for word in arguments:
         name, separator, value = word.partition("=")
         if name in _RENAMED:

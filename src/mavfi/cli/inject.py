@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -53,7 +52,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
     fault = RegisterFault(registers, access, symbol, thread, walk, timeout, null, seed=seed)
     process = _process(pid, ros_node)
-    done = inject_register(process, fault, count, interval, None if as_json else partial(_report, null=null))
+    done = inject_register(process, fault, count, interval, None if as_json else _report)
     if as_json:
         injections = [injection.to_json() for injection in done]
         write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
@@ -71,14 +70,14 @@ def _process(pid: int | None, ros_node: str | None) -> int:
     return Master().node_pid(ros_node)
 
 
-def _report(injection: Injection, *, null: bool) -> None:
+def _report(injection: Injection) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
     known = injection.details
     moment = "before" if known["access"] == "read" else "after"
     done, values = "injected", f"{injection.before} → {injection.after}"
     if not injection.activated:
         done = "NOT injected as planned"
-    elif null:
+    elif injection.before == injection.after:
         done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
     out = console()
     out.print(Text.assemble(

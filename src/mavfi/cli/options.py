@@ -21,12 +21,11 @@ if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor as AnyExecutor
 
+FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
 Fault = Annotated[
     str | None,
     typer.Option(
-        metavar="SPEC",
-        help="state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, or null; with bits, instants and more: "
-        "see fault-specs.md in the documentation.",
+        metavar="SPEC", help=f"state:PLACE, memory:PLACE, instruction:KERNEL, sensor:UNIT:TYPE, or null; {FORMS}"
     ),
 ]
 FaultSeed = Annotated[

@@ -10,6 +10,7 @@ import polars as pl
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.mission import host_of
 from mavfi.campaign.replay import explain, explained_levels
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import FILE, Store
@@ -68,7 +69,7 @@ def _cases(parts: Sequence[Part], most: int) -> list[Case]:
     for part in parts:
         frame = part.report.runs.frame
         with Store.open(part.directory) as store:
-            levels = explained_levels(store)
+            levels = explained_levels(host_of(stored_campaign(store)))
         ids = ordered(frame.filter(pl.col("level").is_in(levels)))[:most]
         chosen.append([(part.directory, run_id) for run_id in ids])
     turns = [case for turn in zip_longest(*chosen) for case in turn if case is not None][:most]

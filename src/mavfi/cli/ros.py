@@ -36,12 +36,7 @@ def _ros() -> None:
 def fly(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     fault: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SPEC",
-            help="state:PLACE, sensor:UNIT:TYPE, or null; with bits, instants and more: see fault-specs.md in the "
-            "documentation.",
-        ),
+        str | None, typer.Option(metavar="SPEC", help=f"state:PLACE, sensor:UNIT:TYPE, or null; {options.FORMS}")
     ] = None,
     fault_seed: options.FaultSeed = None,
     detector: options.Detector = "none",

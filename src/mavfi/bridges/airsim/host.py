@@ -124,7 +124,7 @@ class ProgramRuns:
         return one_by_one(runs, run)
 
     def _golden_run(self, arm: str) -> Ended:
-        """The error-free run, unless known by running it: a replay begins with a fault."""
+        """The error-free run, which is run now if it was not before: a replay begins with a fault."""
         if arm not in self._golden:
             self.golden(arm)
         return self._golden[arm]
