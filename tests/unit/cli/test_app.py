@@ -26,7 +26,14 @@ def test_every_verb_has_help_with_an_example(capsys, verb):
     assert "Example:" in text and f"mavfi {verb[0]}" in text
 
 
-@pytest.mark.parametrize("verb", [*VERBS, ["ros", "fly"], ["airsim", "serve"], ["harden"]], ids=" ".join)
+def commands_of(group, *words):
+    """The words of every command."""
+    for name, command in getattr(group, "commands", {}).items():
+        yield [*words, name]
+        yield from commands_of(command, *words, name)
+
+
+@pytest.mark.parametrize("verb", [*commands_of(typer.main.get_command(app))], ids=" ".join)
 def test_help_is_not_cut_in_a_terminal_of_80_columns(capsys, monkeypatch, verb):
     monkeypatch.setenv("COLUMNS", "80")
     assert run([*verb, "--help"]) == 0
