@@ -99,7 +99,8 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
     every = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
-    lines = [f"{campaign.missions} missions per environment ({seeds}), {campaign.faults} faults per {each}, {how}"]
+    missions = f"{campaign.missions} mission{'s' * (campaign.missions != 1)} per environment ({seeds})"
+    lines = [f"{missions}, {campaign.faults} faults per {each}, {how}"]
     if campaign.until_halfwidth:
         lines[0] = f"at most {lines[0]}; until success is known to ±{100 * campaign.until_halfwidth:g} points"
     if campaign.arms:
