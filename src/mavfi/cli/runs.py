@@ -28,7 +28,7 @@ def runs(
     """
     from mavfi.campaign.analysis.listing import listing
     from mavfi.campaign.analysis.runs import Runs
-    from mavfi.reports.terminal import rendered
+    from mavfi.reports.terminal import show_table
 
     table = listing(Runs.read(directory), where or (), failed=failed, sort=sort or ())
     if as_csv:
@@ -36,5 +36,4 @@ def runs(
     elif as_json:
         write_json(table.to_json())
     else:
-        out = console()
-        out.print(rendered(table, out.width))
+        show_table(table, console())

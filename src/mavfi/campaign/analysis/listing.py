@@ -14,6 +14,7 @@ _COLUMNS = (
     Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
     Column("inflation", "against golden", SIGNED), Column("alarms_total", "alarms", NUMBER),
 )  # fmt: skip
+_SHOWN = 12  # values listed where a condition names one that does not occur
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
 
@@ -37,7 +38,8 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort
     hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in names]
     columns = (*shown, *hidden)
     rows = frame.select(column.key for column in columns).rows()
-    return Table("runs", f"{len(own)} of {len(runs)} runs", columns, rows)
+    notes = tuple(filter(None, (_absent(runs, text) for text in where)))
+    return Table("runs", f"{len(own)} of {len(runs)} runs", columns, rows, notes=notes)
 
 
 def _sorted(frame: pl.DataFrame, sort: Sequence[str]) -> pl.DataFrame:
@@ -55,4 +57,19 @@ def _test(runs: Runs, text: str) -> pl.Expr:
         raise BadInputError(f"--where: {text!r}: allowed: column=value, e.g. stage=planning")
     if column not in runs.frame.columns:
         raise BadInputError(f"--where: column {column!r}: not known; allowed: {', '.join(runs.frame.columns)}")
-    return pl.col(column).cast(pl.String).is_in([_FLAGS.get(value, value) for value in values.split(",")])
+    return pl.col(column).cast(pl.String).is_in(_alternatives(values))
+
+
+def _alternatives(values: str) -> list[str]:
+    return [_FLAGS.get(value, value) for value in values.split(",")]
+
+
+def _absent(runs: Runs, text: str) -> str:
+    """A line on values of a condition that no run of the ledger has, e.g. mistyped ones; "" = none."""
+    column, _, values = text.partition("=")
+    held = runs.frame[column].cast(pl.String).drop_nulls().unique(maintain_order=True).to_list()
+    absent = [value for value in _alternatives(values) if value not in held]
+    if not absent:
+        return ""
+    some = ", ".join(held[:_SHOWN]) + ", ..." * (len(held) > _SHOWN)
+    return f"no run has {column} = {', '.join(absent)}; the ledger has: {some or 'none'}"

@@ -31,6 +31,18 @@ def test_filters(own, where, count):
 
 
 @pytest.mark.parametrize(
+    ("where", "notes"),
+    [
+        (["kind=golden", "success=no,yes"], ()),
+        (["status=colision"], ("no run has status = colision; the ledger has: success, collision, unknown",)),
+        (["seed=1,9"], ("no run has seed = 9; the ledger has: 1, 2, 3",)),
+    ],
+)
+def test_a_value_that_no_run_has_is_named_with_those_that_occur(own, where, notes):
+    assert listing(own, where).notes == notes
+
+
+@pytest.mark.parametrize(
     ("where", "message"), [("seed", "allowed: column=value"), ("seeds=1", "column 'seeds': not known")]
 )
 def test_filters_that_are_none_are_refused(own, where, message):
