@@ -48,22 +48,23 @@ TESTS = (
 
 
 def run(test: Long, share: float) -> tuple[str, int, float]:
-    """Run a test; returns its output, exit code and duration (s)."""
+    """Run a test and show its output as it comes; returns it, the exit code and the duration (s)."""
     tries = max(1, round(test.tries * share))
     started = time.monotonic()
     environment = {key: value for key, value in os.environ.items() if key != "ONLY"} | {"N": str(tries)}
-    done = subprocess.run(
-        [sys.executable, "-m", test.module], env=environment, capture_output=True, text=True, check=False
-    )
-    output = done.stdout if done.returncode == 0 else done.stdout + done.stderr
-    return output, done.returncode, time.monotonic() - started
+    command = [sys.executable, "-m", test.module]
+    output = ""
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        for line in process.stdout or ():
+            sys.stdout.write(line)  # it takes hours
+            sys.stdout.flush()
+            output += line
+    return output, process.returncode, time.monotonic() - started
 
 
 def section(test: Long, share: float) -> str:
     """The test's section of the page."""
     output, code, seconds = run(test, share)
-    if code:
-        sys.stdout.write(output)  # the page has its end only
     tries = max(1, round(test.tries * share))
     last_lines = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
     return (
