@@ -235,7 +235,9 @@ def main():
                 level, place, references[level], min(KILLS_PER_CAMPAIGN, kills - hits.total()), draw,
                 lambda hit: hits.update([hit]),
             )  # fmt: skip
-            wrong += [f"{level} {number}: {line}" for line in found]
+            for line in found:
+                wrong.append(f"{level} {number}: {line}")
+                say(wrong[-1])
             number += 1
             say(f"{hits.total()} of {kills} kills, {number} campaigns, {len(wrong)} wrong")
     for (role, name), count in sorted(hits.items()):

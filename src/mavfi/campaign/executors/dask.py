@@ -23,7 +23,7 @@ from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.plugins import allow_names, allowed_names
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
 LOOPBACK = "127.0.0.1"
 _AHEAD = 2  # tasks per worker thread: one in progress, one waiting
@@ -69,7 +69,7 @@ class DaskExecutor:
 
         Raises:
             BadInputError: No scheduler responds, or a worker has different code, versions or architecture.
-            MachineError: The connection to the scheduler is lost.
+            MachineError: The connection to the scheduler is lost, or the local cluster does not start.
         """
         with self._connected() as client:
             flights = _Flights(client, function)
@@ -80,17 +80,12 @@ class DaskExecutor:
 
     @contextlib.contextmanager
     def _connected(self) -> "Iterator[Client]":
-        from distributed import Client, LocalCluster
+        from distributed import Client
         from distributed.utils import silence_logging_cmgr
 
         with contextlib.ExitStack() as stack:
             stack.enter_context(silence_logging_cmgr("CRITICAL"))
-            where: Any = self._scheduler or stack.enter_context(
-                LocalCluster(
-                    n_workers=self.workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
-                    silence_logs="CRITICAL",
-                )
-            )  # fmt: skip
+            where: Any = self._scheduler or stack.enter_context(self._local())
             try:
                 client = stack.enter_context(Client(where, set_as_default=False, timeout=_PATIENCE_S))
             except (OSError, ValueError) as error:
@@ -100,6 +95,18 @@ class DaskExecutor:
                 raise BadInputError(f"--scheduler: {self._scheduler}: no scheduler answers ({reason})") from None
             self._answered = True
             yield client
+
+    def _local(self) -> "LocalCluster":
+        """A cluster of processes on this machine; raises a `MachineError` if one of them dies at its start."""
+        from distributed import LocalCluster
+
+        try:
+            return LocalCluster(
+                n_workers=self.workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
+                silence_logs="CRITICAL",
+            )  # fmt: skip
+        except RuntimeError as error:
+            raise MachineError(f"the local Dask cluster did not start ({error})") from error
 
 
 @dataclass(slots=True)

@@ -202,6 +202,17 @@ def test_a_scheduler_that_dies_is_a_failure_of_the_machine_in_one_line(tmp_path,
                 flat(retry)
 
 
+def test_a_worker_that_is_killed_while_the_cluster_starts_is_a_failure_of_the_machine(monkeypatch):
+    """Found by a signal at this instant: a traceback.  Failures of the machine are tried again."""
+
+    def killed(**_):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr("distributed.LocalCluster", killed)
+    with pytest.raises(MachineError, match=r"^the local Dask cluster did not start \(Nanny failed to start.\)$"):
+        next(DaskExecutor().map(count_to, [1]))
+
+
 def test_a_cluster_of_no_workers_is_refused():
     with pytest.raises(BadInputError, match="workers: 0: allowed: >= 1"):
         DaskExecutor(workers=0)
