@@ -209,9 +209,14 @@ def differences(campaign, reference):
         found.append(f"the ledger differs: {campaign.digest()} instead of {digest}")
     if campaign.files() != files:
         found.append(f"files are left: {sorted(set(campaign.files()) - set(files))}")
-    if "Traceback" in log:
-        found.append(f"a traceback: {log[log.index('Traceback') :][:600]}")
+    found += [f"a traceback: {text}" for text in tracebacks(log)[:1]]
     return found
+
+
+def tracebacks(log):
+    """Beginnings of the tracebacks in a log, without those of Python's tracker of semaphores after its own death."""
+    parts = [part[:600] for part in log.split("Traceback")[1:]]
+    return [part for part in parts if "multiprocessing/resource_tracker.py" not in part]
 
 
 def say(text):

@@ -32,3 +32,10 @@ def test_another_ledger_is_noticed(reference, folder):
     other = ("0" * 64, *reference[1:])
     (message,) = chaos.disturbed("instruction", folder, other, 0, random.Random(1))
     assert message.startswith("the ledger differs")
+
+
+def test_a_traceback_is_noticed_but_for_that_of_a_tracker_which_was_killed():
+    ours = 'Traceback (most recent call last):\n  File "src/mavfi/campaign/run.py", line 1\nError\n'
+    tracker = 'Traceback (most recent call last):\n  File "lib/multiprocessing/resource_tracker.py", line 1\nKeyError\n'
+    assert chaos.tracebacks(tracker * 2 + "Done.") == []
+    assert len(chaos.tracebacks(tracker + ours)) == 1
