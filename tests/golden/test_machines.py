@@ -86,6 +86,7 @@ MACHINES = {
 LAST = list(MACHINES)[-1]
 IN_CI = ("C library without FMA", "C library without AVX-512")
 """And the last one; the others repeat parts of it."""
+PYTHONS = os.environ.get("MAVFI_PYTHONS", "").split()
 
 
 pytestmark = pytest.mark.long
@@ -133,3 +134,21 @@ def test_they_have_the_same_bits_in_another_folder_with_an_empty_cache_and_two_w
     compiled = [path.name.rsplit(".", 2)[0] for path in (tmp_path / "cache").rglob("*.nbc")]
     assert len(compiled) > 100
     assert {name for name in compiled if compiled.count(name) > 1} == set()
+
+
+@pytest.mark.skipif(not PYTHONS, reason="MAVFI_PYTHONS: no other interpreters with mavfi are named")
+def test_every_python_gives_the_same_ledger(tmp_path):
+    """Of faults in states; the space of faults in instructions depends on Python's bytecode, and its version is stored.
+
+    MAVFI_PYTHONS="py312/bin/python py313/bin/python" python -m pytest -m long tests/golden/test_machines.py
+    """
+    digests = {}
+    for number, python in enumerate([sys.executable, *PYTHONS]):
+        place = str(tmp_path / str(number))
+        for command in (["run", "smoke", "--out", place], ["digest", place]):
+            result = subprocess.run(
+                [python, "-m", "mavfi", "campaign", *command], capture_output=True, text=True, timeout=900
+            )
+            assert result.returncode == 0, result.stderr
+        digests[python] = result.stdout.split()[-1]
+    assert len(set(digests.values())) == 1, digests
