@@ -19,7 +19,7 @@ from mavfi.faults.register import inject
 from mavfi.flight_log import Injection
 from mavfi.hosts.node.bench import MASTER_URI, Bench
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.station import Outlet
+from mavfi.hosts.node.peer import Outlet
 from mavfi.hosts.ros1.supervisor import loopback_up
 
 MESSAGES = 500
@@ -30,13 +30,13 @@ TOPIC = "/speed"
 READER = """
 import sys, time
 from mavfi.hosts.node.master import Master
-from mavfi.hosts.node.station import Station
+from mavfi.hosts.node.peer import Peer
 
 def arrived(message):
     sys.stdout.buffer.write(time.perf_counter_ns().to_bytes(8, "little"))
     sys.stdout.flush()
 
-Station(Master(), "/reader").subscribe("/speed", arrived)
+Peer(Master(), "/reader").subscribe("/speed", arrived)
 time.sleep(3600)
 """
 """Reports the arrival time of each message; all processes share one monotonic clock."""
@@ -73,7 +73,7 @@ def measure_relay(bench: Bench) -> None:
     """Latency of a joint state between two processes, direct and relayed by mavfi, alternating."""
     composer = Composer("sensor_msgs/JointState")
     message = composer.pack({"name": ["a", "b"], "position": [0.5, 0.25]})
-    outlet = bench.station("/writer").advertise(TOPIC, composer.header)
+    outlet = bench.peer("/writer").advertise(TOPIC, composer.header)
     straight, relayed = [], []
     with subprocess.Popen([sys.executable, "-c", READER], stdout=subprocess.PIPE) as reader:
         wait_for(lambda: outlet.reader("/reader"))
@@ -100,7 +100,7 @@ def measure_stops(bench: Bench) -> None:
     process = bench.start(list(node.command))
     bench.wait_for_node(node.name, process)
     composer = Composer(node.inputs.type)
-    outlet = bench.station().advertise(node.inputs.topic, composer.header)
+    outlet = bench.peer().advertise(node.inputs.topic, composer.header)
     message = composer.pack(node.inputs.messages[0])
     for walk in (1, DEFAULT_WALK):
         fault = RegisterFault(symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)

@@ -74,7 +74,7 @@ class Arm:
         self.master = bench.master
         bench.wait_for_node(self.node, self.process)
         composer = Composer("sensor_msgs/JointState")
-        self.outlet = bench.station("/driver").advertise("/joint_states", composer.header)
+        self.outlet = bench.peer("/driver").advertise("/joint_states", composer.header)
         self.composer, self.sent, self.over = composer, 0, threading.Event()
         until(lambda: self.outlet.reader(self.node))
         self.thread = threading.Thread(target=self._drive, daemon=True)

@@ -28,7 +28,7 @@ class Camera:
 
     def __init__(self, bench, process):
         self.master = bench.master
-        self.images = bench.station("/camera")
+        self.images = bench.peer("/camera")
         self.image, self.info = Composer("sensor_msgs/Image"), Composer("sensor_msgs/CameraInfo")
         self.outlets = (
             self.images.advertise("/cam/depth", self.image.header),

@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.hosts.node.master import URI_VARIABLE, Master, absolute
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.station import Station
+from mavfi.hosts.node.peer import Peer
 from mavfi.hosts.node.tcpros import Source
 from mavfi.hosts.ros1 import finder
 
@@ -35,7 +35,7 @@ class Bench:
         finder.require()
         self._folder = folder
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._stations: list[Station] = []
+        self._peers: list[Peer] = []
 
     def __enter__(self) -> "Bench":
         try:
@@ -47,8 +47,8 @@ class Bench:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for station in self._stations:
-            station.close()
+        for peer in self._peers:
+            peer.close()
         for process in reversed(self._processes):
             process.kill()
             process.wait(_LAST_WORDS_S)
@@ -84,10 +84,10 @@ class Bench:
         self._processes.append(process)
         return process
 
-    def station(self, name: str = DRIVER) -> Station:
+    def peer(self, name: str = DRIVER) -> Peer:
         """A participant of the graph that publishes the inputs."""
-        self._stations.append(Station(self.master, name))
-        return self._stations[-1]
+        self._peers.append(Peer(self.master, name))
+        return self._peers[-1]
 
     def wait_for_node(self, name: str, process: "subprocess.Popen[bytes]") -> None:
         """Wait until a node is registered and responds; `MavfiError` if its process ends first, or on timeout."""
@@ -109,7 +109,7 @@ class Drive:
     def __init__(self, bench: Bench, node: NodeConfig) -> None:
         self._node, self._patience = node, node.patience_s
         self._composer = Composer(node.inputs.type)
-        self._outlet = bench.station().advertise(absolute(node.inputs.topic), self._composer.header)
+        self._outlet = bench.peer().advertise(absolute(node.inputs.topic), self._composer.header)
         self._sent = 0
         self._answers: queue.Queue[bytes] = queue.Queue()
         self._is_over = threading.Event()

@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import Definition
 from mavfi.hosts.node.guardian import Guardian, Registered, Turned
 from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, absolute, call, check_known
-from mavfi.hosts.node.station import Reader, Station
+from mavfi.hosts.node.peer import Peer, Reader
 from mavfi.hosts.node.tcpros import Source
 
 TURN_PATIENCE_S = 2.0
@@ -108,7 +108,7 @@ class Relay:
 
     def __enter__(self) -> "Relay":
         self._guardian = Guardian(self.master.uri)
-        self._station = Station(self.master, f"/mavfi_{os.getpid()}")
+        self._peer = Peer(self.master, f"/mavfi_{os.getpid()}")
         try:
             self._begin()
         except BaseException:
@@ -119,10 +119,10 @@ class Relay:
     def _begin(self) -> None:
         header = self._sources[0].header
         if self._is_turned:
-            self._outlet = self._station.offer(self.to, header, active=False)
+            self._outlet = self._peer.offer(self.to, header, active=False)
         else:
-            self._guardian.remember(Registered(self.to, self._station.name, self._station.uri))
-            self._outlet = self._station.advertise(self.to, header)
+            self._guardian.remember(Registered(self.to, self._peer.name, self._peer.uri))
+            self._outlet = self._peer.advertise(self.to, header)
         latched = self._sources[0].is_latched
         if not latched:
             self._pump(self._sources)
@@ -138,7 +138,7 @@ class Relay:
         with self._lock:  # no subscriber is redirected after this point
             self._guardian.undo()
         self._close_sources()
-        self._station.close()
+        self._peer.close()
 
     def _close_sources(self) -> None:
         for source in self._sources:
@@ -191,9 +191,9 @@ class Relay:
             if self._ended.is_set():
                 return
             self._guardian.remember(Turned(self.topic, node, uri, tuple(publishers)))
-            call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [*publishers, self._station.uri])
+            call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [*publishers, self._peer.uri])
             reader = self._wait_for(node)
-            call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [self._station.uri])
+            call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [self._peer.uri])
             reader.active = True
 
     def _wait_for(self, node: str) -> Reader:
@@ -222,7 +222,7 @@ class Relay:
         known = {source.uri for source in self._sources}
         for node in graph.publishers.get(self.topic, ()):
             uri = self.master.node_uri(node)
-            if uri not in known and node != self._station.name:
+            if uri not in known and node != self._peer.name:
                 source = Source(node, uri, self.topic)
                 self._sources.append(source)
                 self._pump([source])

@@ -21,8 +21,8 @@ from mavfi.flight_logs.probe import Probe
 from mavfi.hosts.node.guardian import Guardian, Registered
 from mavfi.hosts.node.master import Master, absolute
 from mavfi.hosts.node.message import Composer
+from mavfi.hosts.node.peer import Outlet, Peer
 from mavfi.hosts.node.relay import sources_of
-from mavfi.hosts.node.station import Outlet, Station
 
 ALARM_TYPE = "std_msgs/String"
 FIRST_PATIENCE_S = 10.0
@@ -75,15 +75,15 @@ class Listener:
 
     def __enter__(self) -> "Listener":
         self._guardian = Guardian(self._master.uri)
-        self._station = Station(self._master, f"/mavfi_watch_{os.getpid()}")
+        self._peer = Peer(self._master, f"/mavfi_watch_{os.getpid()}")
         for topic in self.topics:
-            self._guardian.remember(Registered(topic, self._station.name, self._station.uri, "Subscriber"))
-            self._station.subscribe(topic, partial(self._arrived, topic))
+            self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri, "Subscriber"))
+            self._peer.subscribe(topic, partial(self._arrived, topic))
         return self
 
     def __exit__(self, *_: object) -> None:
         self._guardian.undo()
-        self._station.close()
+        self._peer.close()
 
     def _arrived(self, topic: str, message: bytes) -> None:
         self._messages.put((topic, message))
@@ -91,8 +91,8 @@ class Listener:
     def speak(self, topic: str, kind: str) -> tuple[Outlet, Composer]:
         """Publish on a topic until `__exit__`."""
         composer = Composer(kind)
-        self._guardian.remember(Registered(topic, self._station.name, self._station.uri))
-        return self._station.advertise(topic, composer.header), composer
+        self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri))
+        return self._peer.advertise(topic, composer.header), composer
 
     def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:
         """Messages in order of arrival, for a duration (s)."""

@@ -1,4 +1,4 @@
-"""What attaches to ROS, as far as it needs no ROS: headers, stations that talk to each other, probes."""
+"""What attaches to ROS, as far as it needs no ROS: headers, peers that talk to each other, probes."""
 
 import os
 import threading
@@ -12,7 +12,7 @@ from mavfi.faults.message.definition import Definition
 from mavfi.flight_logs.probe import make_probes
 from mavfi.hosts.node.master import Master
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.station import Station
+from mavfi.hosts.node.peer import Peer
 from mavfi.hosts.node.tcpros import Source, decode_header, encode_header
 
 COMPOSER = Composer("sensor_msgs/JointState")
@@ -30,8 +30,8 @@ class NoMaster:
 
 
 @pytest.fixture
-def station():
-    made = Station(NoMaster(), "/writer")
+def peer():
+    made = Peer(NoMaster(), "/writer")
     yield made
     made.close()
 
@@ -42,45 +42,45 @@ def test_headers_survive_the_wire():
     assert decode_header(encoded[4:]) == fields and int.from_bytes(encoded[:4], "little") == len(encoded) - 4
 
 
-def test_a_station_is_read_like_a_node_and_listens_on_loopback_only(station):
-    outlet = station.advertise("/t", COMPOSER.header)
-    source = Source("/writer", station.uri, "/t", "/reader")
+def test_a_peer_is_read_like_a_node_and_listens_on_loopback_only(peer):
+    outlet = peer.advertise("/t", COMPOSER.header)
+    source = Source("/writer", peer.uri, "/t", "/reader")
     assert source.header["md5sum"] == COMPOSER.header["md5sum"] and not source.is_latched
     assert source.definition().kind == "sensor_msgs/JointState"
     while outlet.reader("/reader") is None:
         time.sleep(0.001)
     assert outlet.send(MESSAGE) == 1 and next(source.messages()) == MESSAGE
-    assert station._listener.getsockname()[0] == station._server.server_address[0] == "127.0.0.1"
+    assert peer._listener.getsockname()[0] == peer._server.server_address[0] == "127.0.0.1"
     source.close()
 
 
-def test_late_readers_of_a_latched_topic_get_the_last_message(station):
-    outlet = station.advertise("/t", {**COMPOSER.header, "latching": "1"})
+def test_late_readers_of_a_latched_topic_get_the_last_message(peer):
+    outlet = peer.advertise("/t", {**COMPOSER.header, "latching": "1"})
     outlet.send(MESSAGE)
-    source = Source("/writer", station.uri, "/t")
+    source = Source("/writer", peer.uri, "/t")
     assert source.is_latched and next(source.messages()) == MESSAGE
     source.close()
 
 
-def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(station):
+def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(peer):
     with pytest.raises(MavfiError, match="no such topic"):
-        Source("/writer", station.uri, "/other")
+        Source("/writer", peer.uri, "/other")
     with pytest.raises(MavfiError, match="does not answer"):
         Source("/writer", "http://127.0.0.1:9/", "/other")
 
 
-def test_a_reader_follows_the_publishers_of_an_update(station):
+def test_a_reader_follows_the_publishers_of_an_update(peer):
     arrived, heard = [], threading.Event()
 
     def hear(message):
         arrived.append(message)
         heard.set()
 
-    first = station.advertise("/t", COMPOSER.header)
-    reader = Station(NoMaster(), "/reader")
+    first = peer.advertise("/t", COMPOSER.header)
+    reader = Peer(NoMaster(), "/reader")
     inlet = reader.subscribe("/t", hear)
-    inlet.connect([station.uri, "http://127.0.0.1:9/"])
-    assert list(inlet.sources) == [station.uri] and len(inlet.failures) == 1
+    inlet.connect([peer.uri, "http://127.0.0.1:9/"])
+    assert list(inlet.sources) == [peer.uri] and len(inlet.failures) == 1
     while first.reader("/reader") is None:
         time.sleep(0.001)
     first.send(MESSAGE)

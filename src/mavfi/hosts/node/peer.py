@@ -117,7 +117,7 @@ class Inlet:
                 del self.sources[uri]
 
 
-class Station:
+class Peer:
     """A participant of the graph with a given name."""
 
     def __init__(self, master: Master, name: str) -> None:
