@@ -117,7 +117,7 @@ def share_rows() -> list[Row]:
 def measure() -> list[Row]:
     """All rows of the speed table."""
     fly(resolve(MissionSpec(environment="sparse", seed=0)))  # compiles, or loads the cache
-    struck = [Row(name, value) for name, value in instruction_rows()]  # first: fork cost grows with process memory
+    injected = [Row(name, value) for name, value in instruction_rows()]  # first: fork cost grows with process memory
     rows: list[Row] = []
     for environment in ("sparse", "dense", "factory", "farm"):
         for stack in ("published", "hardened"):
@@ -130,7 +130,7 @@ def measure() -> list[Row]:
     rows.append(Row("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
     rows += share_rows() + map_rows() + depth_rows() + search_rows() + nearest_rows()
     rows += elementary_rows()
-    return rows + struck + growth_rows()
+    return rows + injected + growth_rows()
 
 
 def main() -> None:

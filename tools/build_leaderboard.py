@@ -35,9 +35,9 @@ def rules(sites: Path, instructions: Path) -> str:
         BadInputError: A folder holds no ledger.
     """
     lines = ["| rule | fault in | lost | back, GAD of the paper | back, recommended |", "|---|---|---:|---:|---:|"]
-    struck = table(load(sites), "schemes_by_target").entries()
+    injected = table(load(sites), "schemes_by_target").entries()
     for target, number in RULES.items():
-        own = {entry["arm"]: entry for entry in struck if entry["target"] == target}
+        own = {entry["arm"]: entry for entry in injected if entry["target"] == target}
         lines.append(_row(number, target, own[PAPERS]["lost"], own[PAPERS]["back"], own[OURS]["back"]))
     nodes = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
     died, papers = nodes[OURS]["died_back"], nodes[PAPERS]["died_back"]

@@ -40,11 +40,11 @@ def draw_moment(axes: Axes) -> None:
     flight, tape = drawing.record(scenario)
     planner, path, time_us = drawing.planner_at(scenario, flight, tape, NUMBER)
     trajectory = next(state for t, state in tape if t >= time_us and state.spec.name == "planning.trajectory")
-    room = drawing.room_at(scenario, flight, tape, time_us)
+    clearance = drawing.clearance_map_at(scenario, flight, tape, time_us)
     drawing.draw_boxes(axes, flight.world)
-    free = drawing.cube(room.cells, room.grid)[:, :, drawing.layer_of(room.grid, HEIGHT)] == KNOWN_FREE
-    drawing.shade(axes, room.grid, free, FREE, order=0.5)
-    drawing.shade(axes, room.grid, drawing.occupied_from_above(room), OCCUPIED)
+    free = drawing.cube(clearance.cells, clearance.grid)[:, :, drawing.layer_of(clearance.grid, HEIGHT)] == KNOWN_FREE
+    drawing.shade(axes, clearance.grid, free, FREE, order=0.5)
+    drawing.shade(axes, clearance.grid, drawing.occupied_from_above(clearance), OCCUPIED)
     trees = planner.routes.search._trees  # working memory after the last search
     for which, colour in enumerate((style.SKY, style.AMBER)):
         count = trees.counts[which]

@@ -58,17 +58,19 @@ def draw_point_cloud(scenario: Scenario, flight: Flight, tape: drawing.Tape, tim
 
 def draw_collision_check(scenario: Scenario, flight: Flight, tape: drawing.Tape, time_us: int, status: State) -> None:
     """Draw the remaining trajectory on the map at the instant of an alarm."""
-    room = drawing.room_at(scenario, flight, tape, time_us)
+    clearance = drawing.clearance_map_at(scenario, flight, tape, time_us)
     position = floats(latest(tape, "sensor.odometry", time_us).header, 3)
     waypoint = latest(tape, "planning.waypoint", time_us)
     elements = latest(tape, "planning.trajectory", time_us).elements
     points = np.stack([elements[axis] for axis in "xyz"], axis=1)
     index = int(waypoint.header["index"][0])
     figure, axes = plt.subplots(figsize=(7.6, 5.2), layout="constrained")
-    layer = drawing.layer_of(room.grid, position[2])
+    layer = drawing.layer_of(clearance.grid, position[2])
     drawing.draw_boxes(axes, flight.world)
-    drawing.shade(axes, room.grid, drawing.cube(room.narrow, room.grid)[:, :, layer] > 0, NEAR)
-    drawing.shade(axes, room.grid, drawing.cube(room.cells, room.grid)[:, :, layer] == OCCUPIED, SOLID, order=2.1)
+    drawing.shade(axes, clearance.grid, drawing.cube(clearance.narrow, clearance.grid)[:, :, layer] > 0, NEAR)
+    drawing.shade(
+        axes, clearance.grid, drawing.cube(clearance.cells, clearance.grid)[:, :, layer] == OCCUPIED, SOLID, order=2.1
+    )
     axes.plot(*points[:, :2].T, ".-", color=style.GREEN, linewidth=1.2, markersize=5, zorder=4)
     axes.plot(*points[index, :2], "o", color=style.BLUE, markersize=8, zorder=6)
     axes.plot(*position[:2], marker=(3, 0, -90), color=style.INK, markersize=11, zorder=7)
@@ -78,7 +80,7 @@ def draw_collision_check(scenario: Scenario, flight: Flight, tape: drawing.Tape,
     centre = 0.5 * (position + points[hit])
     drawing.from_above(axes, (centre[0] - 16, centre[0] + 16), (centre[1] - 9, centre[1] + 9))
     axes.set_title(f"{1e-6 * time_us:.1f} s: time_to_collision = {ahead:.1f} s")
-    figure.legend(handles=_legend(room.grid.resolution), loc="outside lower center", ncols=3, fontsize=8.5)
+    figure.legend(handles=_legend(clearance.grid.resolution), loc="outside lower center", ncols=3, fontsize=8.5)
     drawing.save(figure, "collision_check.png")
 
 

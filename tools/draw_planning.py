@@ -14,7 +14,7 @@ from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
 from mavfi.mission import MissionSpec
 from mavfi.numerics.random import seed_generator
-from mavfi.pipeline.room import Room
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.reports import style
 from mavfi.sim.environments import World
 from tools import drawing
@@ -28,12 +28,12 @@ HEIGHT = 4.0
 
 
 @cache
-def scene() -> tuple[Room, World]:
+def scene() -> tuple[ClearanceMap, World]:
     """The complete world as a map: all voxels inside obstacles are occupied, as after a very long flight."""
     scenario = resolve(MissionSpec(environment="factory", seed=0))
     flight, _ = drawing.record(scenario)
-    room = Room(drawing.config_of(scenario, flight))
-    grid, world = room.grid, flight.world
+    clearance = ClearanceMap(drawing.config_of(scenario, flight))
+    grid, world = clearance.grid, flight.world
     solid = np.zeros((grid.nx, grid.ny, grid.nz), bool)
     corner = np.array([grid.x0, grid.y0, grid.z0])
     for low, high in zip(world.lower, world.upper, strict=True):
@@ -41,15 +41,15 @@ def scene() -> tuple[Room, World]:
         last = np.ceil((high - corner) * grid.inverse).astype(int)
         solid[tuple(slice(a, b) for a, b in zip(first, last, strict=True))] = True
     update = drawing.map_update(np.flatnonzero(solid))
-    room.apply(update)
-    return room, world
+    clearance.apply(update)
+    return clearance, world
 
 
 def grown(name: str, iterations: int, seed: int) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
     """Trees of a planner (nodes, parents) after a number of iterations, and the path, empty if none is found."""
-    room, world = scene()
+    clearance, world = scene()
     random, path = seed_generator(seed, 1), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))
-    where = room.wide, room.grid, world.start, world.goal, world.flight_lower, world.flight_upper
+    where = clearance.wide, clearance.grid, world.start, world.goal, world.flight_lower, world.flight_upper
     if name == "rrt_connect":
         trees = rrt_connect.new_trees()
         count = rrt_connect.plan(*where, RANGE, iterations, random, trees, path)
@@ -66,10 +66,10 @@ def grown(name: str, iterations: int, seed: int) -> tuple[list[tuple[np.ndarray,
 
 def background(axes: Axes) -> None:
     """Draw obstacles and their clearance zones at one height."""
-    room, world = scene()
-    layer = drawing.layer_of(room.grid, HEIGHT)
-    drawing.shade(axes, room.grid, drawing.cube(room.wide, room.grid)[:, :, layer] > 0, NEAR)
-    drawing.shade(axes, room.grid, drawing.cube(room.cells, room.grid)[:, :, layer] == 2, OCCUPIED)
+    clearance, world = scene()
+    layer = drawing.layer_of(clearance.grid, HEIGHT)
+    drawing.shade(axes, clearance.grid, drawing.cube(clearance.wide, clearance.grid)[:, :, layer] > 0, NEAR)
+    drawing.shade(axes, clearance.grid, drawing.cube(clearance.cells, clearance.grid)[:, :, layer] == 2, OCCUPIED)
     drawing.draw_ends(axes, world.start, world.goal)
 
 
@@ -94,7 +94,7 @@ def draw_trees() -> None:
 
 def draw_cost() -> None:
     """Draw the length of RRT*'s path against its budget, per run; it decreases monotonically."""
-    room, world = scene()
+    clearance, world = scene()
     figure, axes = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
     where = world.goal, world.flight_lower, world.flight_upper
     ends = []
@@ -103,7 +103,9 @@ def draw_cost() -> None:
         rrt_star.plant(tree, world.start, world.flight_lower, world.flight_upper)
         lengths, done = [], 0
         for budget in BUDGETS:
-            rrt_star.grow(room.wide, room.grid, *where, 2 * RANGE, GOAL_BIAS, int(budget) - done, random, tree)
+            rrt_star.grow(
+                clearance.wide, clearance.grid, *where, 2 * RANGE, GOAL_BIAS, int(budget) - done, random, tree
+            )
             done = int(budget)
             lengths.append(tree.costs[tree.state[1]] if tree.state[1] >= 0 else np.nan)
         axes.step(BUDGETS, lengths, where="post", color=style.BLUE, linewidth=1.0, alpha=0.6)
@@ -120,13 +122,13 @@ def draw_cost() -> None:
 
 def draw_shortcut() -> None:
     """Draw the path of one RRT-Connect run before and after each kind of shortcut."""
-    room, _ = scene()
+    clearance, _ = scene()
     _, raw = grown("rrt_connect", 4000, 1)
     work, buffer = np.zeros((len(raw) + 200, 3)), np.zeros((len(raw) + 200, 3))
     work[: len(raw)] = raw
-    count = paths.shortcut_greedy(room.wide, room.grid, work, len(raw))
+    count = paths.shortcut_greedy(clearance.wide, clearance.grid, work, len(raw))
     greedy = work[:count].copy()
-    count = paths.shortcut_random(room.wide, room.grid, work, count, 80, seed_generator(1, 2), buffer)
+    count = paths.shortcut_random(clearance.wide, clearance.grid, work, count, 80, seed_generator(1, 2), buffer)
     figure, axes = plt.subplots(figsize=(7.6, 4.6), layout="constrained")
     background(axes)
     looks = (("from RRT-Connect", raw, style.SKY, "-"), ("greedy shortcuts", greedy, style.PURPLE, "--"),

@@ -8,11 +8,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mavfi.kernels.planning import course, minimum_snap, stations, trajectory
+from mavfi.kernels.planning import knots, minimum_snap, time_allocation, trajectory
 from mavfi.numerics.voxels import Grid, offsets_within
 from tools.markers import IMAGES
 
-LAW = stations.Law(3.0, 4.5, 2.0, 3.5, 2.5, 4.0, 2.5, 1.5)
+CURVE_LIMITS = knots.CurveLimits(3.0, 4.5, 2.0, 3.5, 2.5, 4.0, 2.5, 1.5)
 LIMITS = trajectory.Limits(3.0, 3.0, 3.5, 2.5, 4.0, 2.5, 3.0)
 GRID = Grid(0.0, 0.0, 0.0, 2.0, 48, 24, 8)
 BOXES = ((6.0, 10.0, 0.0, 6.5), (14.0, 17.0, 5.0, 12.0))
@@ -22,7 +22,7 @@ PATH = np.array(
 STEP = 0.02
 
 
-def room() -> tuple[np.ndarray, np.ndarray]:
+def blocks() -> tuple[np.ndarray, np.ndarray]:
     """Occupied voxels, and those within the checker's radius. Shape (nx, ny, nz) each."""
     occupied = np.zeros((GRID.nx, GRID.ny, GRID.nz), bool)
     for x0, x1, y0, y1 in BOXES:
@@ -37,9 +37,9 @@ def room() -> tuple[np.ndarray, np.ndarray]:
 
 def curve(narrow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points and knots of the curve."""
-    work = stations.new_work()
+    work = knots.new_work()
     free = np.zeros(GRID.size, np.int16)
-    count = course.fit(narrow, free, GRID, PATH, len(PATH), np.zeros(3), np.zeros(3), LAW, work)
+    count = time_allocation.fit(narrow, free, GRID, PATH, len(PATH), np.zeros(3), np.zeros(3), CURVE_LIMITS, work)
     points = np.zeros((5000, trajectory.POINT_WIDTH))
     n = minimum_snap.sample(work.ends, work.times, count, STEP, 3.0, np.nan, 1.57, points)
     return points[:n], work.points[:count].copy()
@@ -57,7 +57,7 @@ def blends(narrow: np.ndarray) -> np.ndarray:
 
 def draw(path: Path) -> None:
     """Generate the three curves for one path, and draw them."""
-    occupied, narrow = room()
+    occupied, narrow = blocks()
     free = np.zeros(GRID.size, np.int16)
     before, _ = curve(free)
     after, passed = curve(narrow.reshape(-1))
@@ -71,7 +71,7 @@ def draw(path: Path) -> None:
     above.plot(PATH[:, 0], PATH[:, 1], "--", color="black", linewidth=1.0, label="shortcut path")
     above.plot(before[:, 0], before[:, 1], color="tab:red", label="first curve: leaves free space")
     above.plot(after[:, 0], after[:, 1], color="tab:blue", label="after splitting")
-    above.plot(passed[:, 0], passed[:, 1], ".", color="tab:blue", label="its stations")
+    above.plot(passed[:, 0], passed[:, 1], ".", color="tab:blue", label="its knots")
     above.set(xlabel="x (m)", ylabel="y (m)", title="dark: occupied, light: nearer than the checker's radius")
     above.legend(loc="upper left", fontsize=8)
     for points, colour, label in ((after, "tab:blue", "minimum snap"), (rounded, "tab:orange", "blends")):
@@ -80,8 +80,8 @@ def draw(path: Path) -> None:
         accelerations.plot(time, np.linalg.norm(points[:, 7:10], axis=1), color=colour, linewidth=1.0)
     speeds.set(xlabel="time (s)", ylabel="speed (m/s)", ylim=(0.0, 3.2))
     accelerations.set(xlabel="time (s)", ylabel="acceleration (m/s²)", ylim=(0.0, 5.2))
-    speeds.axhline(LAW.speed, color="grey", linewidth=0.8)
-    accelerations.axhline(LAW.acceleration, color="grey", linewidth=0.8)
+    speeds.axhline(CURVE_LIMITS.speed, color="grey", linewidth=0.8)
+    accelerations.axhline(CURVE_LIMITS.acceleration, color="grey", linewidth=0.8)
     speeds.legend(fontsize=8)
     figure.savefig(path, dpi=110)
 

@@ -17,9 +17,9 @@ from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import Scenario
 from mavfi.numerics.voxels import Grid
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.planning import MotionPlanner
-from mavfi.pipeline.room import Room
 from mavfi.reports import style
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import World
@@ -48,13 +48,13 @@ def config_of(scenario: Scenario, flight: Flight) -> PipelineConfig:
     return pipeline_config(scenario, flight.world, pixel_directions(scenario.camera))
 
 
-def room_at(scenario: Scenario, flight: Flight, tape: Tape, time_us: int) -> Room:
+def clearance_map_at(scenario: Scenario, flight: Flight, tape: Tape, time_us: int) -> ClearanceMap:
     """The clearance map of a consumer at an instant."""
-    room = Room(config_of(scenario, flight))
+    clearance = ClearanceMap(config_of(scenario, flight))
     for when, state in tape:
         if when <= time_us and state.spec.name == "perception.map_update":
-            room.apply(state)
-    return room
+            clearance.apply(state)
+    return clearance
 
 
 def planner_at(scenario: Scenario, flight: Flight, tape: Tape, number: int) -> tuple[Any, State, int]:
@@ -122,10 +122,10 @@ def shade(axes: Axes, grid: Grid, cells: np.ndarray, colour: str, *, alpha: floa
     )  # fmt: skip
 
 
-def occupied_from_above(room: Room, height: tuple[float, float] = (1.0, 9.0)) -> np.ndarray:
+def occupied_from_above(clearance: ClearanceMap, height: tuple[float, float] = (1.0, 9.0)) -> np.ndarray:
     """Columns with a known occupied voxel between two heights (m). Shape (nx, ny)."""
-    low, high = (layer_of(room.grid, z) for z in height)
-    seen: np.ndarray = (cube(room.cells, room.grid)[:, :, low:high] == OCCUPIED).any(axis=2)
+    low, high = (layer_of(clearance.grid, z) for z in height)
+    seen: np.ndarray = (cube(clearance.cells, clearance.grid)[:, :, low:high] == OCCUPIED).any(axis=2)
     return seen
 
 

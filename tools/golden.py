@@ -194,8 +194,8 @@ def _cause(flight: Flight, scenario: Scenario) -> str:
     log = flight.log
     position = log.columns("x", "y", "z")
     if log.status is MissionStatus.COLLISION:
-        room: Any = getattr(flight.pipeline["planner"], "room", None)
-        seen = room is not None and _is_mapped(room, position[-1], scenario.vehicle.hull_radius)
+        clearance: Any = getattr(flight.pipeline["planner"], "clearance_map", None)
+        seen = clearance is not None and _is_mapped(clearance, position[-1], scenario.vehicle.hull_radius)
         off = float(np.linalg.norm(position[-1] - log.columns("reference_x", "reference_y", "reference_z")[-1]))
         what = "touched what its map held for occupied" if seen else "touched what its map had not seen"
         return f"{what}, {off:.2f} m off its reference"
@@ -207,14 +207,14 @@ def _cause(flight: Flight, scenario: Scenario) -> str:
     return f"{way}, turned back {turns} time{'' if turns == 1 else 's'}"
 
 
-def _is_mapped(room: Any, point: np.ndarray, radius: float) -> bool:
+def _is_mapped(clearance: Any, point: np.ndarray, radius: float) -> bool:
     """Whether the map has an occupied voxel within the radius."""
-    grid, reach = room.grid, radius + 0.5 * room.grid.resolution
+    grid, reach = clearance.grid, radius + 0.5 * clearance.grid.resolution
     centre = (point - (grid.x0, grid.y0, grid.z0)) * grid.inverse
     low = np.maximum(np.floor(centre - reach * grid.inverse), 0).astype(int)
     high = np.minimum(np.floor(centre + reach * grid.inverse) + 1, (grid.nx, grid.ny, grid.nz)).astype(int)
     around = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    return bool((room.cells.reshape(grid.nx, grid.ny, grid.nz)[around] == OCCUPIED).any())
+    return bool((clearance.cells.reshape(grid.nx, grid.ny, grid.nz)[around] == OCCUPIED).any())
 
 
 def turns_back(distance: np.ndarray) -> int:

@@ -239,7 +239,7 @@ def test_a_flight_that_is_over_frees_its_maps_at_once():
     gc.disable()
     try:
         for detector in (None, Scripted()):
-            room = weakref.ref(fly(mission(), None, detector).pipeline["planner"].room)
-            assert room() is None, "nothing refers back to it"
+            clearance = weakref.ref(fly(mission(), None, detector).pipeline["planner"].clearance_map)
+            assert clearance() is None, "nothing refers back to it"
     finally:
         gc.enable()

@@ -16,7 +16,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.local.memory_faults import MemoryInjector, flip_bit
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.mission import MissionStatus
-from mavfi.pipeline.waypoints import WaypointHandOver
+from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
 from mavfi.states import KERNELS
 from tests.hosts.missions import golden, mission
@@ -132,7 +132,7 @@ def test_a_kernel_that_raises_dies_with_its_node(monkeypatch, policy, status):
         if kernel.memory.now.epoch >= 1 << 20:
             raise ZeroDivisionError("of such a number")
 
-    monkeypatch.setattr(WaypointHandOver, "_watch", watch)
+    monkeypatch.setattr(SetpointGenerator, "_watch", watch)
     log = fly(mission(dead_node=policy), MemoryFault("waypoint", "now.epoch", None, "i4", AT, 20)).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "ZeroDivisionError: of such a number")
     assert log.status is status

@@ -60,7 +60,7 @@ def test_perception_uses_the_same_image_again():
 
 
 @pytest.mark.parametrize(("request_", "action"), [({"stop": True}, "stop"), ({"abandon_waypoint": True}, "abandon")])
-def test_hand_over_obeys_at_its_next_step(request_, action):
+def test_the_setpoint_generator_obeys_at_its_next_step(request_, action):
     flight = fly(mission(), None, Scripted("control.command", n=200, **request_), recovery=OBSERVER)
     (alarm,) = flight.log.alarms
     assert (alarm.action, alarm.outcome) == (action, "replaced")

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from mavfi.kernels.control import pid
 from mavfi.kernels.perception import octomap
 from mavfi.kernels.planning import waypoint
-from mavfi.pipeline.room import Room
-from mavfi.pipeline.waypoints import WaypointHandOver
+from mavfi.pipeline.clearance_map import ClearanceMap
+from mavfi.pipeline.waypoints import SetpointGenerator
 from tests.unit.kernels.cases import FRAME, GAINS, RULE
 from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, status, tracking, trajectory
 
@@ -46,17 +46,17 @@ updates = st.lists(
 
 @settings(max_examples=40)
 @given(st.sampled_from(STACKS), st.lists(updates, max_size=3), st.lists(updates, min_size=1, max_size=3))
-def test_rolling_the_room_back_is_exact(stack, kept, undone):
-    room = Room(config(stack))
+def test_rolling_the_clearance_map_back_is_exact(stack, kept, undone):
+    clearance = ClearanceMap(config(stack))
     for content in kept:
-        room.apply(map_update([v for v, _ in content], [o for _, o in content]))
-    room.mark()
-    before = [array.tobytes() for array in (room.cells, room.wide, room.narrow)]
+        clearance.apply(map_update([v for v, _ in content], [o for _, o in content]))
+    clearance.mark()
+    before = [array.tobytes() for array in (clearance.cells, clearance.wide, clearance.narrow)]
     for content in undone:
-        room.apply(map_update([v for v, _ in content], [o for _, o in content]))
-    assert room.wide.min() >= 0 and room.narrow.min() >= 0
-    room.rollback()
-    assert [array.tobytes() for array in (room.cells, room.wide, room.narrow)] == before
+        clearance.apply(map_update([v for v, _ in content], [o for _, o in content]))
+    assert clearance.wide.min() >= 0 and clearance.narrow.min() >= 0
+    clearance.rollback()
+    assert [array.tobytes() for array in (clearance.cells, clearance.wide, clearance.narrow)] == before
 
 
 @given(st.lists(anything, min_size=11, max_size=11), st.lists(st.floats(-50, 50), min_size=3, max_size=3))
@@ -99,8 +99,8 @@ events = st.lists(
 
 @settings(max_examples=80)
 @given(st.sampled_from(STACKS), events, events)
-def test_hand_over_repeats_itself_from_the_same_memory(stack, before, between):
-    kernel = WaypointHandOver(config(stack))
+def test_the_setpoint_generator_repeats_itself_from_the_same_memory(stack, before, between):
+    kernel = SetpointGenerator(config(stack))
     with np.errstate(all="ignore"):
         for k, state in enumerate(before):
             kernel.receive(state, k * 20_000)

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from mavfi.kernels.planning import trajectory
 from mavfi.numerics.voxels import segment_free
-from mavfi.pipeline.room import Room
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.trajectories import TrajectoryGenerator
 from mavfi.states import floats, new_state
 from tests.unit.pipeline.parts import config
@@ -23,7 +23,7 @@ paths = st.lists(coordinate, min_size=2, max_size=8).map(np.array)
 
 def points_of(vertices, stack):
     settings_ = config(stack)
-    generator = TrajectoryGenerator(settings_, Room(settings_))
+    generator = TrajectoryGenerator(settings_, ClearanceMap(settings_))
     path = new_state("planning.path", len(vertices))
     floats(path.elements, 3).reshape(-1, 3)[:] = vertices
     path.header["junction"] = -1
@@ -73,12 +73,12 @@ def test_held_points_are_reached_at_the_speed_limit_at_most(vertices):
 @given(paths, st.integers(0, 1000), st.sampled_from([0.2, 1.0 / 3.0]))
 def test_blends_stay_out_of_what_is_blocked(vertices, seed, inner):
     assume((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > 0.5).all())
-    room = Room(config("hardened"))
-    blocked = (np.random.default_rng(seed).random(room.grid.size) < 0.03).astype(np.int16)
-    assume(all(segment_free(blocked, room.grid, a, b) for a, b in zip(vertices[:-1], vertices[1:], strict=True)))
+    clearance = ClearanceMap(config("hardened"))
+    blocked = (np.random.default_rng(seed).random(clearance.grid.size) < 0.03).astype(np.int16)
+    assume(all(segment_free(blocked, clearance.grid, a, b) for a, b in zip(vertices[:-1], vertices[1:], strict=True)))
     corners, curve = np.zeros((trajectory.CURVE_LIMIT, 3)), np.zeros((trajectory.CURVE_LIMIT, 3))
-    count = trajectory.smooth(blocked, room.grid, vertices, len(vertices), 2.0, inner, corners, curve)
+    count = trajectory.smooth(blocked, clearance.grid, vertices, len(vertices), 2.0, inner, corners, curve)
     length = np.linalg.norm(np.diff(vertices, axis=0), axis=1).sum()
     assert np.linalg.norm(np.diff(curve[:count], axis=0), axis=1).sum() <= length + 1e-6
-    free = [segment_free(blocked, room.grid, sample, sample) for sample in curve[:count]]
+    free = [segment_free(blocked, clearance.grid, sample, sample) for sample in curve[:count]]
     assert np.mean(free) > 0.99  # evenly spaced samples may cut a corner of the finer blend

@@ -18,7 +18,7 @@ BUDGETS = {
 }  # fmt: skip
 """Loop passes of one step, with the inputs that it received before it.
 
-The trajectory's follows from its limits: 10,000 stations solved at 850 passes each, and a curve of 1,500 s looked up
+The trajectory's follows from its limits: 10,000 knots solved at 850 passes each, and a curve of 1,500 s looked up
 six times, every 0.02 s, at 30 passes each.
 """
 

@@ -73,7 +73,7 @@ def _process(pid: int | None, ros_node: str | None) -> int:
 def _report(injection: Injection) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
     known = injection.details
-    moment = "before" if known["access"] == "read" else "after"
+    when = "before" if known["access"] == "read" else "after"
     done, values = "injected", f"{injection.before} → {injection.after}"
     if not injection.activated:
         done = "NOT injected as planned"
@@ -82,7 +82,7 @@ def _report(injection: Injection) -> None:
     out = console()
     out.print(Text.assemble(
         f"pid {known['pid']}, thread {known['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
-        f"{moment} ", (known["instruction"], "bold"), f": {values}",
+        f"{when} ", (known["instruction"], "bold"), f": {values}",
     ))  # fmt: skip
     out.print(Text(
         f"  at {known['address']}, {known['symbol'] or known['offset']} in {known['library']}; "

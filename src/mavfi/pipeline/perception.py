@@ -10,10 +10,10 @@ from mavfi.kernels.perception import collision_check, octomap
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import voxel_of
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
 from mavfi.pipeline.maps import make_map
 from mavfi.pipeline.memory import Memory, Remembers
-from mavfi.pipeline.room import Room
 from mavfi.states import STATES, Stage, State, floats, new_state
 
 _UNKNOWN_HORIZON = 15.0
@@ -192,8 +192,8 @@ class CollisionCheck(Remembers):
         self._every_map = config.stack.replanning == "every_map"
         # at most the planner's clearance, or a path along a wall would always encounter the unknown space inside it
         self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
-        self.room = Room(config, config.functions.apply_updates)
-        self.keepers = (self.room,)
+        self.clearance_map = ClearanceMap(config, config.functions.apply_updates)
+        self.keepers = (self.clearance_map,)
         self.memory = _CheckMemory(new_state("perception.collision_status"))
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -201,7 +201,7 @@ class CollisionCheck(Remembers):
         del time_us
         name = state.spec.name
         if name == "perception.map_update":
-            self.room.apply(state)
+            self.clearance_map.apply(state)
             self.memory.again = self.memory.rolled_back
             return True
         if name == self._config.odometry:
@@ -226,8 +226,8 @@ class CollisionCheck(Remembers):
         if len(state.elements) == 0:
             return False
         points = floats(state.elements, 11).reshape(-1, 11)
-        voxel = voxel_of(self.room.grid, points[0, 0], points[0, 1], points[0, 2])
-        if voxel >= 0 and self.room.narrow[voxel] > 0:
+        voxel = voxel_of(self.clearance_map.grid, points[0, 0], points[0, 1], points[0, 2])
+        if voxel >= 0 and self.clearance_map.narrow[voxel] > 0:
             self.memory.escaping = int(state.header["trajectory_seq"][0])
         return self._every_map
 
@@ -260,23 +260,24 @@ class CollisionCheck(Remembers):
         else:
             self.memory.used = (*self._in_force(), self.memory.position, self.memory.remaining)
         assert self.memory.used is not None  # `again` requires an earlier step
-        trajectory, index, epoch, position, remaining = self.memory.used
+        trajectory, index, alarm_seq, position, remaining = self.memory.used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
         config = self._config
-        unanswered = epoch < seq and not self._every_map
+        unanswered = alarm_seq < seq and not self._every_map
         if unanswered and config.stack.alarm == "one_shot":
             return [status]
         points = floats(trajectory.elements, 11).reshape(-1, 11)
         time = config.functions.time_to_collision(
-            self.room.narrow, self.room.grid, position, points, index, remaining, config.stack.geofence
-        )
+            self.clearance_map.narrow, self.clearance_map.grid, position, points, index, remaining,
+            config.stack.geofence,
+        )  # fmt: skip
         header = status.header[0]
         if self._every_map:
             number = int(trajectory.header["trajectory_seq"][0])
             blocked, unknown = config.functions.known_free_distance(
-                self.room.narrow, self.room.cells, self.room.grid, points, index, _UNKNOWN_HORIZON, self._reach,
-                self._still_escaping(number, points[index]),
+                self.clearance_map.narrow, self.clearance_map.cells, self.clearance_map.grid, points, index,
+                _UNKNOWN_HORIZON, self._reach, self._still_escaping(number, points[index]),
             )  # fmt: skip
             header["trajectory_seq"] = number
             header["distance_to_blocked"], header["distance_to_unknown"] = blocked, unknown
@@ -291,15 +292,15 @@ class CollisionCheck(Remembers):
         """Whether the trajectory starts too close to an obstacle, and the reference has not left that zone yet."""
         if number != self.memory.escaping:
             return False
-        voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
-        if voxel >= 0 and self.room.narrow[voxel] > 0:
+        voxel = voxel_of(self.clearance_map.grid, point[0], point[1], point[2])
+        if voxel >= 0 and self.clearance_map.narrow[voxel] > 0:
             return True
         self.memory.escaping = -1
         return False
 
     def mark(self) -> None:
         """Save the map for `rollback`."""
-        self.room.mark()
+        self.clearance_map.mark()
         self.memory.stepped = False
 
     def again(self) -> None:
@@ -308,7 +309,7 @@ class CollisionCheck(Remembers):
 
     def rollback(self) -> None:
         """Undo the map updates since the last mark; a step since then is repeated on its original inputs."""
-        self.room.rollback()
+        self.clearance_map.rollback()
         self.memory.rolled_back = self.memory.stepped
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
-from mavfi.kernels.planning import waypoint as handover
+from mavfi.kernels.planning import waypoint as setpoint
 from mavfi.numerics.vectors import length
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
@@ -80,8 +80,8 @@ class MotionPlanner(Remembers):
         )  # fmt: skip
         self._every_map = config.stack.replanning == "every_map"
         self.routes = Routes(config)
-        self.room = self.routes.room
-        self.keepers = (self.room, self.routes)
+        self.clearance_map = self.routes.clearance_map
+        self.keepers = (self.clearance_map, self.routes)
         self.scratch = self.routes.scratch
         self.memory = _PlannerMemory((_Decisions(), self.routes.random.copy()))
 
@@ -90,8 +90,8 @@ class MotionPlanner(Remembers):
         """Store an input; a step is due when the policy requests a plan."""
         name = state.spec.name
         if name == "perception.map_update":
-            self.room.apply(state)
-            self.room.mark()  # updates carry absolute values and are never rolled back here
+            self.clearance_map.apply(state)
+            self.clearance_map.mark()  # updates carry absolute values and are never rolled back here
         elif name == "perception.collision_status":
             self._take_status(state)
             if self._every_map:
@@ -117,7 +117,7 @@ class MotionPlanner(Remembers):
         self.memory.trajectory = state
         if len(state.elements):
             self.memory.arc = np.zeros(len(state.elements))
-            handover.arc_lengths(
+            setpoint.arc_lengths(
                 floats(state.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH), self.memory.arc
             )
         self.memory.decisions.progress, self.memory.decisions.progress_us = -np.inf, time_us
@@ -135,7 +135,7 @@ class MotionPlanner(Remembers):
 
     def _idle(self) -> bool:
         """Whether no trajectory is flown although a map is available."""
-        if self.memory.waypoint is None or self.room.updates == 0:
+        if self.memory.waypoint is None or self.clearance_map.updates == 0:
             return False
         return int(self.memory.waypoint.header["index"][0]) < 0
 
@@ -231,9 +231,9 @@ class MotionPlanner(Remembers):
             return None
         start = self.memory.odometry[:3] + velocity * self._config.plan_latency
         lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))
-        if not segment_free(self.room.narrow, self.room.grid, start, lead):
+        if not segment_free(self.clearance_map.narrow, self.clearance_map.grid, start, lead):
             return None
-        found = self.routes.between(lead, self.room.wide)
+        found = self.routes.between(lead, self.clearance_map.wide)
         if found is None:
             return None
         leading = [start] if speed < 0.2 else [start, lead]

@@ -6,7 +6,7 @@ from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.trajectories import TrajectoryGenerator
-from mavfi.pipeline.waypoints import WaypointHandOver
+from mavfi.pipeline.waypoints import SetpointGenerator
 
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
@@ -15,6 +15,6 @@ def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
     planner = MotionPlanner(config)
     kernels: tuple[Kernel, ...] = (
         *estimators, PointCloud(config), OctoMap(config), CollisionCheck(config), planner,
-        TrajectoryGenerator(config, planner.room), WaypointHandOver(config), Tracker(config),
+        TrajectoryGenerator(config, planner.clearance_map), SetpointGenerator(config), Tracker(config),
     )  # fmt: skip
     return {kernel.name: kernel for kernel in kernels}

@@ -12,10 +12,10 @@ from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.memory import Foreign
 from mavfi.pipeline.planners import PathSearch, SamplingSearch, make_search
-from mavfi.pipeline.room import Room
 
 TIGHT_SPEED = 2.0
 """Speed limit where only the checker's radius fits (m/s)."""
@@ -40,12 +40,12 @@ class Routes:
     """Finds paths to the goal.
 
     Attributes:
-        room: The clearance map for the searches.
+        clearance_map: The clearance map for the searches.
     """
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
-        self.room = Room(config)
+        self.clearance_map = ClearanceMap(config)
         search = make_search(config.planner, config.seed, config.functions)
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
         local = make_search(small, config.seed, config.functions)
@@ -59,7 +59,7 @@ class Routes:
             v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,
             BLEND * min(1.0, v_max / NOMINAL_SPEED),
         )  # fmt: skip
-        self._occupied = np.zeros(self.room.grid.size, np.int16)
+        self._occupied = np.zeros(self.clearance_map.grid.size, np.int16)
         self._buffer = np.zeros((2, 20_000, 3))
 
     @property
@@ -95,27 +95,27 @@ class Routes:
 
     def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
         """Vertices from (near) `start` to (near) the goal (None = the mission's) in `counter`; None = no path."""
-        config, room = self._config, self.room
+        config, clearance = self._config, self.clearance_map
         goal = config.goal if goal is None else goal
         first, last = np.zeros(3), np.empty(3)
         box = config.flight_lower, config.flight_upper
         core = self._core()
-        if not paths.nearest_with_room(counter, room.narrow, core, room.grid, start, *box, _REACH, first):
+        if not paths.nearest_clear(counter, clearance.narrow, core, clearance.grid, start, *box, _REACH, first):
             return None
-        if not paths.nearest_with_room(room.wide, room.narrow, core, room.grid, goal, *box, _REACH, last):
+        if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
-        found = self.search.search(counter, room.grid, first, last, *box)
+        found = self.search.search(counter, clearance.grid, first, last, *box)
         return found if len(found) else None
 
     def _core(self) -> np.ndarray:
         """Voxels (> 0) that an escape from a blocked place must avoid; the published code has none. Shape (size,)."""
         if self._config.stack.replanning == "every_map":
-            np.equal(self.room.cells, OCCUPIED, out=self._occupied, casting="unsafe")
+            np.equal(self.clearance_map.cells, OCCUPIED, out=self._occupied, casting="unsafe")
         return self._occupied
 
     def first_found(self, start: np.ndarray) -> np.ndarray | None:
         """A path with the planner's radius or, failing that, with the checker's."""
-        for counter in (self.room.wide, self.room.narrow):
+        for counter in (self.clearance_map.wide, self.clearance_map.narrow):
             found = self.between(start, counter)
             if found is not None:
                 return _from(start, found)
@@ -129,7 +129,7 @@ class Routes:
         straight = np.array([start, self._config.goal])
         enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
         best, least = None, np.inf
-        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
+        for counter, tight in ((self.clearance_map.wide, False), (self.clearance_map.narrow, True)):
             for _ in range(self._config.stack.searches):
                 found = self.between(start, counter)
                 if found is None:
@@ -144,7 +144,9 @@ class Routes:
         return best
 
     def _time(self, path: np.ndarray, velocity: np.ndarray) -> float:
-        return travel.travel_time(self.room.wide, self.room.grid, path, len(path), velocity, self._pace)
+        return travel.travel_time(
+            self.clearance_map.wide, self.clearance_map.grid, path, len(path), velocity, self._pace
+        )
 
     def _quickened(self, path: np.ndarray, velocity: np.ndarray, counter: np.ndarray) -> np.ndarray:
         """Path after stochastic local improvements that avoid `counter`."""
@@ -153,8 +155,8 @@ class Routes:
             return path
         work[: len(path)] = path
         count = travel.quicken(
-            counter, self.room.wide, self.room.grid, self._config.flight_lower, self._config.flight_upper, work,
-            len(path), velocity, self._pace, _TRIES, self.search.random, buffer,
+            counter, self.clearance_map.wide, self.clearance_map.grid, self._config.flight_lower,
+            self._config.flight_upper, work, len(path), velocity, self._pace, _TRIES, self.search.random, buffer,
         )  # fmt: skip
         return work[:count].copy()
 
@@ -176,16 +178,18 @@ class Routes:
         return self._shortened(np.vstack(kept))
 
     def _is_tight(self, point: np.ndarray) -> bool:
-        voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
-        return voxel >= 0 and bool(self.room.wide[voxel] > 0)
+        voxel = voxel_of(self.clearance_map.grid, point[0], point[1], point[2])
+        return voxel >= 0 and bool(self.clearance_map.wide[voxel] > 0)
 
     def _around(self, stretch: np.ndarray) -> np.ndarray:
         """Replacement of a narrow section, without its first point: a faster bypass, or the section itself."""
-        config, room = self._config, self.room
+        config, clearance = self._config, self.clearance_map
         lower = np.maximum(config.flight_lower, stretch.min(0) - _LOCAL_MARGIN)
         upper = np.minimum(config.flight_upper, stretch.max(0) + _LOCAL_MARGIN)
         if not self._is_tight(stretch[-1]):
-            found = self._searches.content[1].search(room.wide, room.grid, stretch[0], stretch[-1], lower, upper)
+            found = self._searches.content[1].search(
+                clearance.wide, clearance.grid, stretch[0], stretch[-1], lower, upper
+            )
             still = np.zeros(3)
             if len(found) and self._time(found, still) < self._time(stretch, still):
                 return found[1:]
@@ -193,12 +197,14 @@ class Routes:
 
     def _shortened(self, path: np.ndarray) -> np.ndarray:
         """The path with collision-free straight shortcuts."""
-        room, (work, buffer) = self.room, self._buffer
+        clearance, (work, buffer) = self.clearance_map, self._buffer
         if len(path) > len(work) - 2:
             return path
         work[: len(path)] = path
-        count = paths.shortcut_greedy(room.wide, room.grid, work, len(path))
-        count = paths.shortcut_random(room.wide, room.grid, work, count, _SHORTCUTS, self.search.random, buffer)
+        count = paths.shortcut_greedy(clearance.wide, clearance.grid, work, len(path))
+        count = paths.shortcut_random(
+            clearance.wide, clearance.grid, work, count, _SHORTCUTS, self.search.random, buffer
+        )
         return work[:count].copy()
 
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mavfi.kernels.planning import course, minimum_snap, stations
+from mavfi.kernels.planning import knots, minimum_snap, time_allocation
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
-from mavfi.kernels.planning import waypoint as handover
+from mavfi.kernels.planning import waypoint as setpoint
 from mavfi.numerics.vectors import length
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.memory import Memory, Remembers
-from mavfi.pipeline.room import Room
 from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
 from mavfi.states import Stage, State, floats, new_state
 
@@ -34,7 +34,7 @@ _ENTRY_SHARE = 0.8
 """Maximum initial acceleration of a polynomial / its limit."""
 _REACH_SHARE = 0.7
 """Reach of a polynomial at a corner / that of a blend with the same depth of cut."""
-_STATION_TIME = 0.5
+_KNOT_TIME = 0.5
 """Knot spacing on a straight leg / v_max (s)."""
 
 
@@ -71,11 +71,11 @@ class TrajectoryGenerator(Remembers):
     quiet = ("planning.waypoint", "planning.trajectory")
     memory: _GeneratorMemory
 
-    def __init__(self, config: PipelineConfig, room: Room) -> None:
+    def __init__(self, config: PipelineConfig, clearance: ClearanceMap) -> None:
         self._config = config
         self._splices = config.stack.replanning == "every_map"
         self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
-        self._room = room
+        self._clearance_map = clearance
         self.memory = _GeneratorMemory(new_state("planning.path"))
         self._corners = np.zeros((timing.CURVE_LIMIT, 3))
         self._curve = np.zeros((timing.CURVE_LIMIT, 3))
@@ -83,7 +83,7 @@ class TrajectoryGenerator(Remembers):
         self._speed = np.zeros(timing.CURVE_LIMIT)
         self._dense = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
         self._held = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
-        self._work = stations.new_work()
+        self._work = knots.new_work()
         self.fallbacks = 0
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -140,32 +140,34 @@ class TrajectoryGenerator(Remembers):
 
     def _blends(self, vertices: np.ndarray, entry: float) -> int:
         """Sample blended corners with a speed profile; returns the number of dense points."""
-        room, limits = self._room, self._limits()
+        clearance, limits = self._clearance_map, self._limits()
         count = timing.smooth(
-            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
-        )
+            clearance.narrow, clearance.grid, vertices, len(vertices), limits.blend, self._inner, self._corners,
+            self._curve,
+        )  # fmt: skip
         if count < 2:
             return 0
-        timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)
+        timing.speed_profile(clearance.wide, clearance.grid, self._curve, count, entry, limits, self._arc, self._speed)
         step = 1e-6 * self._config.control_period_us
         return timing.sample(self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense)
 
     def _polynomials(self, vertices: np.ndarray, motion: _Motion) -> int:
         """Sample a minimum-snap curve; returns the number of dense points, 0 = infeasible."""
-        room, limits = self._room, self._limits()
-        law = stations.Law(
+        clearance, limits = self._clearance_map, self._limits()
+        curve_limits = knots.CurveLimits(
             limits.speed, _ACCELERATION_SHARE * self._config.a_max, limits.tight_speed, limits.lateral,
-            limits.tangential, limits.braking, _REACH_SHARE * limits.blend, _STATION_TIME * limits.speed,
+            limits.tangential, limits.braking, _REACH_SHARE * limits.blend, _KNOT_TIME * limits.speed,
         )  # fmt: skip
         with np.errstate(over="ignore", invalid="ignore"):
             velocity = motion.velocity
             if velocity is None:
                 velocity = motion.speed * (vertices[1] - vertices[0]) / paths.distance(vertices[1], vertices[0])
             size = paths.distance(motion.acceleration, np.zeros(3))
-            acceleration = motion.acceleration * min(1.0, _ENTRY_SHARE * law.acceleration / max(size, 1e-9))
-        n = course.fit(
-            room.narrow, room.wide, room.grid, vertices, len(vertices), velocity, acceleration, law, self._work
-        )
+            acceleration = motion.acceleration * min(1.0, _ENTRY_SHARE * curve_limits.acceleration / max(size, 1e-9))
+        n = time_allocation.fit(
+            clearance.narrow, clearance.wide, clearance.grid, vertices, len(vertices), velocity, acceleration,
+            curve_limits, self._work,
+        )  # fmt: skip
         if n == 0:
             self.fallbacks += 1
             return 0
@@ -184,7 +186,7 @@ class TrajectoryGenerator(Remembers):
         if not 0 <= index < len(points) or not junction < len(points):
             return vertices, _Motion(entry)
         arc = np.zeros(len(points))
-        handover.arc_lengths(points, arc)
+        setpoint.arc_lengths(points, arc)
         waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)
         speed = length(waypoint[4:7])
         stand = int(np.searchsorted(arc, arc[index] + speed * speed / (2.0 * BRAKING)))

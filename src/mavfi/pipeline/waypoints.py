@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mavfi.kernels.planning import waypoint as handover
+from mavfi.kernels.planning import waypoint as setpoint
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import yaw_of
 from mavfi.numerics.vectors import length
@@ -44,7 +44,7 @@ class _InForce(Memory):
 
 
 @dataclass(slots=True)
-class _HandOverMemory(Memory):
+class _SetpointMemory(Memory):
     """Trajectory in force with its arc lengths, inputs, limits of the known space, and the marks."""
 
     now: _InForce = field(default_factory=_InForce)
@@ -59,19 +59,19 @@ class _HandOverMemory(Memory):
     marked_inputs: tuple[list[State], float, State | None] = field(default_factory=lambda: ([], 0.0, None))
 
 
-class WaypointHandOver(Remembers):
+class SetpointGenerator(Remembers):
     """Kernel `waypoint`; stepped at the control period, publishes only when the point in force changes."""
 
     name = "waypoint"
     stage = Stage.PLANNING
     writes = ("planning.waypoint",)
-    memory: _HandOverMemory
+    memory: _SetpointMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = ("planning.trajectory", "perception.collision_status", config.odometry, "control.tracking")
         self._governed = config.stack.sampling == "interpolated"
-        self.memory = _HandOverMemory()
+        self.memory = _SetpointMemory()
         self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -147,19 +147,19 @@ class WaypointHandOver(Remembers):
         waypoint, trajectory = last.get("planning.waypoint"), last.get("planning.trajectory")
         if waypoint is None:
             return ()
-        number, epoch, index = (
+        number, alarm_seq, index = (
             int(waypoint.header[name][0]) for name in ("trajectory_seq", "future_collision_seq", "index")
         )
         taken = False
         if trajectory is not None:
             offered = int(trajectory.header["trajectory_seq"][0])
-            taken = offered == number if index >= 0 else int(trajectory.header["future_collision_seq"][0]) <= epoch
+            taken = offered == number if index >= 0 else int(trajectory.header["future_collision_seq"][0]) <= alarm_seq
             number = offered if taken else number
         flown = trajectory if taken and index >= 0 else None
         self.memory.published = waypoint
         self._set(
-            trajectory=flown, index=-1 if flown is None else index, last_seq=number, epoch=epoch, seen_seq=epoch,
-            stopping=index < 0, clock=(float(max(index, 0)), 1.0, 0.0),
+            trajectory=flown, index=-1 if flown is None else index, last_seq=number, epoch=alarm_seq,
+            seen_seq=alarm_seq, stopping=index < 0, clock=(float(max(index, 0)), 1.0, 0.0),
         )  # fmt: skip
         self._load(flown)
         return ("planning.trajectory",) if taken else ()
@@ -172,8 +172,8 @@ class WaypointHandOver(Remembers):
         """Accept or reject a trajectory by its sequence numbers."""
         memory = self.memory.now
         seq = int(state.header["trajectory_seq"][0])
-        epoch = int(state.header["future_collision_seq"][0])
-        if seq < memory.last_seq or epoch < memory.epoch:
+        alarm_seq = int(state.header["future_collision_seq"][0])
+        if seq < memory.last_seq or alarm_seq < memory.epoch:
             since = memory.rejected_since if memory.rejected_since >= 0 else time_us
             patience = self._config.stack.epoch_liveness
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
@@ -183,7 +183,7 @@ class WaypointHandOver(Remembers):
             self._set(stop_us=time_us)
             return
         self._set(
-            waiting=state, last_seq=seq, epoch=epoch, seen_seq=max(memory.seen_seq, epoch), rejected_since=-1
+            waiting=state, last_seq=seq, epoch=alarm_seq, seen_seq=max(memory.seen_seq, alarm_seq), rejected_since=-1
         )  # fmt: skip
 
     def _warn(self, state: State, time_us: int) -> None:
@@ -237,7 +237,7 @@ class WaypointHandOver(Remembers):
         self.memory.points = floats(trajectory.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
         self.memory.arc = np.zeros(len(self.memory.points))
         if len(self.memory.points):
-            handover.arc_lengths(self.memory.points, self.memory.arc)
+            setpoint.arc_lengths(self.memory.points, self.memory.arc)
 
     def _slow_enough(self, waiting: State) -> bool:
         """Whether a trajectory may be adopted at the current speed."""
@@ -267,7 +267,7 @@ class WaypointHandOver(Remembers):
         start = self._nearest_start()
         self._set(clock=(float(start), 1.0, 0.0), index=start)
         waypoint = np.zeros(POINT_WIDTH)
-        handover.reference(np.array(self.memory.now.clock), self.memory.points, waypoint)
+        setpoint.reference(np.array(self.memory.now.clock), self.memory.points, waypoint)
         return self._publish(start, waypoint)
 
     def _nearest_start(self) -> int:
@@ -280,7 +280,7 @@ class WaypointHandOver(Remembers):
 
     def _held_point(self) -> list[State]:
         waypoint = np.zeros(POINT_WIDTH)
-        index = handover.hand_over(self.memory.points, self.memory.now.index, self.memory.remaining, waypoint)
+        index = setpoint.advance_index(self.memory.points, self.memory.now.index, self.memory.remaining, waypoint)
         if index == self.memory.now.index:
             return []
         if index >= len(self.memory.points):
@@ -298,13 +298,13 @@ class WaypointHandOver(Remembers):
             trajectory is not None and seq != int(trajectory.header["trajectory_seq"][0])
         ):
             blocked = unknown = np.inf
-        handover.advance_clock(
+        setpoint.advance_clock(
             clock, self.memory.points, self.memory.arc, 1e-6 * self._config.control_period_us, blocked, unknown,
             PLANNING_ACCELERATION, self._creep, 1.0 / self._config.tracker_slowdown,
         )  # fmt: skip
         self._set(clock=tuple(clock), index=int(clock[0]))
         waypoint = np.zeros(POINT_WIDTH)
-        handover.reference(clock, self.memory.points, waypoint)
+        setpoint.reference(clock, self.memory.points, waypoint)
         return [self._publish(int(clock[0]), waypoint)]
 
     def _publish(self, index: int, waypoint: np.ndarray) -> State:

@@ -206,11 +206,11 @@ def _shade(
 
 def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
     """Draw the occupied voxels of the planner's final map; return whether there are any."""
-    room: Any = getattr(flight.pipeline.get("planner"), "room", None)
-    if room is None:
+    clearance: Any = getattr(flight.pipeline.get("planner"), "clearance_map", None)
+    if clearance is None:
         return False
-    grid = room.grid
-    ix, iy, iz = np.nonzero(room.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
+    grid = clearance.grid
+    ix, iy, iz = np.nonzero(clearance.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
     corner, shape = np.array([grid.x0, grid.y0, grid.z0]), np.array([grid.nx, grid.ny, grid.nz])
     centres = corner + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
     lower, upper = limits

@@ -142,7 +142,7 @@ def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started
     loop.run(until=150)
     loop.actions["restart fresh"](loop.now, "collision_check")
     kernel = loop.kernels["collision_check"]
-    cells = kernel.room.cells.copy()
+    cells = kernel.clearance_map.cells.copy()
     assert len(np.unique(cells)) > 1, "it knows the map"
     kernel.rollback()
-    assert np.array_equal(kernel.room.cells, cells)
+    assert np.array_equal(kernel.clearance_map.cells, cells)

@@ -178,7 +178,7 @@ def test_an_injected_estimate_and_a_detector_that_wants_it_again(coupling):
 
 
 def test_every_kind_of_recovery():
-    """Of a stage, by hand-over, and of a stage that did not write what raised the alarm."""
+    """Of a stage, by the setpoint generator, and of a stage that did not write what raised the alarm."""
 
     def several():
         return Chain(

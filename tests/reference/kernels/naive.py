@@ -192,18 +192,18 @@ def length(path):
     return sum(math.dist(a, b) for a, b in zip(path[:-1], path[1:], strict=True))
 
 
-def nearest_with_room(room, check, core, grid, point, lower, upper, radius):
-    """Distance to the nearest place with room, or None."""
+def nearest_clear(blocked, check, core, grid, point, lower, upper, radius):
+    """Distance to the nearest clear place, or None."""
     here = cell_of(grid, point)
     if here is None:
         return None
-    if np.all(point >= lower) and np.all(point <= upper) and room[flat(grid, here)] == 0:
+    if np.all(point >= lower) and np.all(point <= upper) and blocked[flat(grid, here)] == 0:
         return 0.0
     found = []
     for cell in np.ndindex(grid.nx, grid.ny, grid.nz):
         centre = np.array([grid.x0, grid.y0, grid.z0]) + (np.array(cell) + 0.5) / grid.inverse
         away = math.dist(point, centre)
-        if room[flat(grid, cell)] > 0 or away > radius or np.any(centre < lower) or np.any(centre > upper):
+        if blocked[flat(grid, cell)] > 0 or away > radius or np.any(centre < lower) or np.any(centre > upper):
             continue
         in_the_way = core if check[flat(grid, here)] > 0 else check
         if first_blocked(in_the_way, grid, point, centre, True) > 1.0:

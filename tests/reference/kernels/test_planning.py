@@ -26,17 +26,17 @@ def test_nearest_node_and_steering():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.97])
-def test_the_nearest_place_with_room_is_that_of_a_full_search(share):
+def test_the_nearest_clear_place_is_that_of_a_full_search(share):
     random = np.random.default_rng(2)
     outcomes = set()
     lower, upper = scenes.LOWER + 0.4, scenes.UPPER - 0.4
     for _ in range(40):
-        room = scenes.counter(random, share)
-        check = room * scenes.counter(random, 0.3)
+        blocked = scenes.counter(random, share)
+        check = blocked * scenes.counter(random, 0.3)
         core = check * scenes.counter(random, 0.5)
         point, result = scenes.point(random, 0.3), np.empty(3)
-        found = paths.nearest_with_room(room, check, core, GRID, point, lower, upper, 1.6, result)
-        expected = naive.nearest_with_room(room, check, core, GRID, point, lower, upper, 1.6)
+        found = paths.nearest_clear(blocked, check, core, GRID, point, lower, upper, 1.6, result)
+        expected = naive.nearest_clear(blocked, check, core, GRID, point, lower, upper, 1.6)
         assert found == (expected is not None)
         if found:
             assert paths.distance(point, result) == pytest.approx(expected, abs=1e-9)
@@ -242,20 +242,20 @@ def test_held_points_are_the_ends_of_their_intervals_with_the_mean_velocity_ahea
     np.testing.assert_allclose(held[:n], naive.hold_points(dense, per_point, 0.02, look), atol=1e-9)
 
 
-def test_hand_over_advances_one_point_when_the_present_one_is_used_up():
+def test_the_index_advances_one_point_when_the_present_one_is_used_up():
     points = np.arange(33.0).reshape(3, 11)
     target = np.full(11, -1.0)
-    assert waypoint.hand_over(points, -1, 5.0, target) == 0
+    assert waypoint.advance_index(points, -1, 5.0, target) == 0
     np.testing.assert_array_equal(target, points[0])
-    assert waypoint.hand_over(points, 0, 0.02, target) == 0
-    assert waypoint.hand_over(points, 0, 1e-12, target) == 1
+    assert waypoint.advance_index(points, 0, 0.02, target) == 0
+    assert waypoint.advance_index(points, 0, 1e-12, target) == 1
     np.testing.assert_array_equal(target, points[1])
-    assert waypoint.hand_over(points, 2, -0.1, target) == 3
+    assert waypoint.advance_index(points, 2, -0.1, target) == 3
     np.testing.assert_array_equal(target, points[1])
 
 
 def test_a_remaining_time_that_is_not_a_number_hands_nothing_over():
-    assert waypoint.hand_over(np.zeros((3, 11)), 1, np.nan, np.zeros(11)) == 1
+    assert waypoint.advance_index(np.zeros((3, 11)), 1, np.nan, np.zeros(11)) == 1
 
 
 @pytest.mark.parametrize("seed", range(5))

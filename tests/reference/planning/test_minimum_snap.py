@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from mavfi.kernels.planning import minimum_snap, stations
-from tests.unit.kernels.cases import LAW
+from mavfi.kernels.planning import knots, minimum_snap
+from tests.unit.kernels.cases import CURVE_LIMITS
 
 
 def problem(seed, count=None):
@@ -87,10 +87,10 @@ def test_the_curve_is_the_spline_of_degree_seven(seed):
     """A free jerk at the ends of a curve of least snap means that its snap is zero there."""
     points, times, velocity, acceleration = problem(100 + seed)
     ends = solved(points, times, velocity, acceleration)
-    knots = np.concatenate([[0.0], np.cumsum(times)])
+    instants = np.concatenate([[0.0], np.cumsum(times)])
     nought = np.zeros(3)
     spline = make_interp_spline(
-        knots, points, k=7,
+        instants, points, k=7,
         bc_type=([(1, velocity), (2, acceleration), (4, nought)], [(1, nought), (2, nought), (4, nought)]),
     )  # fmt: skip
     polynomial, value = np.zeros((8, 3)), np.zeros(9)
@@ -98,7 +98,7 @@ def test_the_curve_is_the_spline_of_degree_seven(seed):
         minimum_snap.coefficients(ends, k, time, polynomial)
         for u in np.linspace(0.0, 1.0, 7):
             minimum_snap.evaluate(polynomial, points[k], time, u, value)
-            at = knots[k] + u * time
+            at = instants[k] + u * time
             for order in range(3):
                 wanted = spline(at, order)
                 np.testing.assert_allclose(value[3 * order : 3 * order + 3], wanted, rtol=1e-6, atol=1e-5)
@@ -135,11 +135,11 @@ def test_samples_are_the_curve_at_equal_times():
     ends = solved(points, times, velocity, acceleration)
     dense = np.zeros((2000, 11))
     count = minimum_snap.sample(ends, times, 6, 0.02, 3.0, np.nan, 1.5, dense)
-    found, knots = polynomials(points, times, ends), np.concatenate([[0.0], np.cumsum(times)])
-    assert count == int(np.ceil(knots[-1] / 0.02)) + 1
+    found, instants = polynomials(points, times, ends), np.concatenate([[0.0], np.cumsum(times)])
+    assert count == int(np.ceil(instants[-1] / 0.02)) + 1
     for n in range(count - 1):
-        k = int(np.searchsorted(knots, 0.02 * n + 1e-12, side="right")) - 1
-        late = 0.02 * n - knots[k]
+        k = int(np.searchsorted(instants, 0.02 * n + 1e-12, side="right")) - 1
+        late = 0.02 * n - instants[k]
         for order, first in ((0, 0), (1, 4), (2, 7)):
             np.testing.assert_allclose(dense[n, first : first + 3], row(late, order) @ found[k], rtol=1e-6, atol=1e-6)
     np.testing.assert_array_equal(dense[count - 1, :3], points[-1])
@@ -169,20 +169,20 @@ def test_yaw_turns_to_the_course_at_its_limit():
     np.testing.assert_allclose(dense[110 : count - 40, 3], 0.0, atol=1e-9)
 
 
-def test_stations_lie_on_the_path_in_order_around_large_turns_and_at_small_ones():
+def test_knots_lie_on_the_path_in_order_around_large_turns_and_at_small_ones():
     path = np.array([[0.0, 0.0, 2.0], [12.0, 0.0, 2.0], [12.0, 8.0, 2.0], [13.0, 14.0, 2.0]])
-    work = stations.new_work()
-    count = stations.first_stations(path, 4, LAW, work)
-    stations.place(path, 4, work, count)
-    at = work.stations[:count]
+    work = knots.new_work()
+    count = knots.first_knots(path, 4, CURVE_LIMITS, work)
+    knots.place(path, 4, work, count)
+    at = work.arc[:count]
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     expected = [np.interp(at, lengths, path[:, axis]) for axis in range(3)]
     np.testing.assert_allclose(work.points[:count].T, expected, atol=1e-9)
     assert (np.diff(at) > 0.0).all()
-    assert np.diff(at)[at[:-1] != 10.0].max() <= LAW.spacing + 1e-9
+    assert np.diff(at)[at[:-1] != 10.0].max() <= CURVE_LIMITS.spacing + 1e-9
     assert {10.0, 14.0, 20.0} <= set(np.round(at, 9))
     assert 12.0 not in np.round(at, 9)
     before = count
-    assert stations.insert(work, count, 13.0) == before + 1
-    assert stations.insert(work, before + 1, 13.01) == before + 1
-    assert (np.diff(work.stations[: before + 1]) > 0.0).all()
+    assert knots.insert(work, count, 13.0) == before + 1
+    assert knots.insert(work, before + 1, 13.01) == before + 1
+    assert (np.diff(work.arc[: before + 1]) > 0.0).all()

@@ -23,13 +23,13 @@ from mavfi.kernels.perception import (
 )
 from mavfi.kernels.perception.state_estimation import Noise, Spread
 from mavfi.kernels.planning import (
-    course,
+    knots,
     minimum_snap,
     nearest,
     rrt,
     rrt_connect,
     rrt_star,
-    stations,
+    time_allocation,
     trajectory,
     travel,
     tree,
@@ -50,7 +50,7 @@ PACE = travel.Pace(5.0, 1.0, 2.5, 3.5, 2.0)
 LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
 SENSORS = Noise(2e-3, 9e-5, 1e-5, 1e-6, 0.05, 0.025)
 ALIGNED = Spread(0.02, 0.01, 0.002, 0.0002)
-LAW = stations.Law(3.0, 4.5, 1.0, 3.5, 2.5, 4.0, 2.0, 1.5)
+CURVE_LIMITS = knots.CurveLimits(3.0, 4.5, 1.0, 3.5, 2.5, 4.0, 2.0, 1.5)
 OFFSETS = offsets_within(0.8, 0.5, False)
 
 
@@ -126,7 +126,7 @@ def curve(count=30):
     return np.linspace([-1.9, -1.9, 0.1], [3.9, 2.9, 2.9], count)
 
 
-def knots():
+def timed_points():
     """Points, times, start and work space of a minimum-snap curve."""
     still = np.array([1.0, 0.0, 0.0]), np.zeros(3)
     return [path_of(5), np.full(4, 1.2), 5, *still, np.zeros((5, 3, 6)), np.zeros((5, 4, 3))]
@@ -134,7 +134,7 @@ def knots():
 
 def solved():
     """Ends and times of such a curve."""
-    arguments = knots()
+    arguments = timed_points()
     minimum_snap.solve(*arguments)
     return [arguments[6], arguments[1]]
 
@@ -243,8 +243,8 @@ CASES = {
                  np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
         count_up_to(2 * rrt_connect.NODE_LIMIT),
     ),
-    "nearest_with_room": Case(
-        paths.nearest_with_room,
+    "nearest_clear": Case(
+        paths.nearest_clear,
         lambda: [blocked(), blocked(), blocked(), GRID, np.array([-1.9, -1.9, 0.1]), LOWER.copy(), UPPER.copy(), 1.5,
                  np.zeros(3)],
         never,
@@ -282,7 +282,7 @@ CASES = {
         count_up_to(400),
     ),
     "solve": Case(
-        minimum_snap.solve, knots,
+        minimum_snap.solve, timed_points,
         lambda result, a: not result or bool((np.abs(a[6][:, 1:]) < 1e6).all()),
     ),
     "coefficients": Case(minimum_snap.coefficients, lambda: [solved()[0], 1, 1.2, np.zeros((8, 3))], never),
@@ -293,19 +293,21 @@ CASES = {
     "sample of polynomials": Case(
         minimum_snap.sample, lambda: [*solved(), 5, 0.02, 3.0, 0.1, 1.5, np.zeros((400, 11))], count_up_to(400)
     ),
-    "first_stations": Case(
-        stations.first_stations, lambda: [path_of(5), 5, LAW, stations.new_work()], count_up_to(minimum_snap.KNOT_LIMIT)
+    "first_knots": Case(
+        knots.first_knots, lambda: [path_of(5), 5, CURVE_LIMITS, knots.new_work()], count_up_to(minimum_snap.KNOT_LIMIT)
     ),
     "fit": Case(
-        course.fit,
+        time_allocation.fit,
         lambda: [np.zeros(GRID.size, np.int16), blocked(), GRID, path_of(5), 5, np.array([1.0, 0.5, 0.0]), np.zeros(3),
-                 LAW, stations.new_work()],
+                 CURVE_LIMITS, knots.new_work()],
         lambda result, a: result == 0 or bool(np.isfinite(a[8].ends[:result]).all()),
     ),
     "hold_points": Case(
         trajectory.hold_points, lambda: [points(50), 50, 25, 0.02, 15, np.zeros((400, 11))], count_up_to(400)
     ),
-    "hand_over": Case(waypoint.hand_over, lambda: [points(), 3, 0.0, np.zeros(11)], lambda result, _: 3 <= result <= 4),
+    "advance_index": Case(
+        waypoint.advance_index, lambda: [points(), 3, 0.0, np.zeros(11)], lambda result, _: 3 <= result <= 4
+    ),
     "arc_lengths": Case(waypoint.arc_lengths, lambda: [points(), np.zeros(8)], never),
     "advance_clock": Case(
         waypoint.advance_clock,
@@ -340,10 +342,10 @@ def corrupted(case):
         elif isinstance(argument, np.ndarray) and argument.dtype.kind == "f":
             middle = argument.size // 2
             places = [0, middle, argument.size - 1, slice(None)]
-        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace | Noise | Spread | stations.Law):
+        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace | Noise | Spread | knots.CurveLimits):
             places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
         elif isinstance(argument, octree.Octree) or (
-            isinstance(argument, stations.Work) and case.function is course.fit
+            isinstance(argument, knots.Work) and case.function is time_allocation.fit
         ):
             yield from struck_memory(case, position)
             continue

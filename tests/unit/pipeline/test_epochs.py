@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from mavfi.pipeline.waypoints import WaypointHandOver
+from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.states import floats
 from tests.unit.pipeline.parts import config, odometry, status, tracking, trajectory
 
 TICK = 20_000
 
 
-def hand_over(stack="published", **rules):
-    kernel = WaypointHandOver(config(stack, **rules))
+def setpoint_generator(stack="published", **rules):
+    kernel = SetpointGenerator(config(stack, **rules))
     kernel.receive(odometry(), 0)
     kernel.step(0)
     return kernel
@@ -26,7 +26,7 @@ def seq_of(states):
 
 
 def test_without_a_trajectory_the_vehicle_holds_where_it_is():
-    kernel = WaypointHandOver(config())
+    kernel = SetpointGenerator(config())
     kernel.receive(odometry((4.0, 5.0, 2.0)), 0)
     (held,) = kernel.step(0)
     assert floats(held.header, 3).tolist() == [4.0, 5.0, 2.0]
@@ -36,7 +36,7 @@ def test_without_a_trajectory_the_vehicle_holds_where_it_is():
 
 @pytest.mark.parametrize("stack", ["published", "hardened"])
 def test_an_older_trajectory_is_rejected(stack):
-    kernel = hand_over(stack)
+    kernel = setpoint_generator(stack)
     assert seq_of(give(kernel, trajectory(seq=5, epoch=2)))[-1:] == [5]
     late = give(kernel, trajectory(seq=4, epoch=2, start=(2.0, 5.5, 3.0)), tracking(0.3), at=2 * TICK)
     assert set(seq_of(late)) <= {5}
@@ -44,7 +44,7 @@ def test_an_older_trajectory_is_rejected(stack):
 
 @pytest.mark.parametrize("stack", ["published", "hardened"])
 def test_a_trajectory_of_an_older_epoch_is_rejected(stack):
-    kernel = hand_over(stack)
+    kernel = setpoint_generator(stack)
     give(kernel, trajectory(seq=1, epoch=2))
     late = give(kernel, trajectory(seq=2, epoch=1), tracking(0.3), at=2 * TICK)
     assert set(seq_of(late)) <= {1}
@@ -54,7 +54,7 @@ def test_a_trajectory_of_an_older_epoch_is_rejected(stack):
 
 @pytest.mark.parametrize(("stack", "freed"), [("published", False), ("hardened", True)])
 def test_only_hardened_frees_itself_from_an_epoch_that_nobody_can_reach(stack, freed):
-    kernel = hand_over(stack)
+    kernel = setpoint_generator(stack)
     give(kernel, trajectory(seq=1, epoch=1 << 30))
     taken = []
     for k in range(300):
@@ -67,7 +67,7 @@ def test_only_hardened_frees_itself_from_an_epoch_that_nobody_can_reach(stack, f
 
 
 def test_a_collision_is_acted_on_only_when_its_number_grows():
-    kernel = hand_over()
+    kernel = setpoint_generator()
     give(kernel, trajectory())
     (stop,) = give(kernel, status(seq=1, time=0.1, collision=True), tracking(0.3), at=2 * TICK)
     assert int(stop.header["index"][0]) == -1
@@ -81,7 +81,7 @@ def test_a_collision_is_acted_on_only_when_its_number_grows():
 
 @pytest.mark.parametrize(("time", "at_once"), [(0.0, True), (1.6, True), (1.61, False), (np.nan, True)])
 def test_a_far_collision_gives_the_planner_the_grace_period(time, at_once):
-    kernel = hand_over()
+    kernel = setpoint_generator()
     give(kernel, trajectory())
     first = give(kernel, status(seq=1, time=time, collision=True), tracking(0.3), at=2 * TICK)
     assert bool(first) == at_once
@@ -91,7 +91,7 @@ def test_a_far_collision_gives_the_planner_the_grace_period(time, at_once):
 
 
 def test_held_points_are_handed_over_one_by_one():
-    kernel = hand_over()
+    kernel = setpoint_generator()
     assert [int(s.header["index"][0]) for s in give(kernel, trajectory(count=3))] == [0]
     indices = []
     for k in range(4):
@@ -101,7 +101,7 @@ def test_held_points_are_handed_over_one_by_one():
 
 
 def test_an_empty_trajectory_makes_the_vehicle_look_around():
-    kernel = hand_over()
+    kernel = setpoint_generator()
     (held,) = give(kernel, trajectory(count=0))
     assert held.header["yaw"][0] == pytest.approx(0.6)
 
@@ -110,7 +110,7 @@ def test_an_empty_trajectory_makes_the_vehicle_look_around():
     ("column", "value"), [(0, np.nan), (2, 1e300), (4, 9.0), (10, 0.0), (10, 5.0), (1, -20.0), (0, 9.0)]
 )
 def test_hardened_refuses_a_trajectory_that_makes_no_sense_and_stops(column, value):
-    kernel = hand_over("hardened")
+    kernel = setpoint_generator("hardened")
     give(kernel, trajectory(period=0.02))
     bad = trajectory(seq=2, period=0.02)
     floats(bad.elements, 11)[4, column] = value
@@ -120,7 +120,7 @@ def test_hardened_refuses_a_trajectory_that_makes_no_sense_and_stops(column, val
 
 
 def test_hardened_stops_when_it_has_left_the_reference():
-    kernel = hand_over("hardened")
+    kernel = setpoint_generator("hardened")
     give(kernel, trajectory(period=0.02))
     (on,) = give(kernel, odometry((2.0, 7.0, 3.0)), at=2 * TICK)
     assert int(on.header["index"][0]) >= 0
@@ -130,7 +130,7 @@ def test_hardened_stops_when_it_has_left_the_reference():
 
 @pytest.mark.parametrize("stack", ["published", "hardened"])
 def test_a_step_from_the_same_memory_gives_the_same_bits(stack):
-    kernel = hand_over(stack)
+    kernel = setpoint_generator(stack)
     give(kernel, trajectory(period=0.5 if stack == "published" else 0.02))
     for k in range(3, 12):
         kernel.receive(tracking(0.0), k * TICK)
@@ -151,7 +151,7 @@ def speed(states):
 
 @pytest.mark.parametrize(("blocked", "slower"), [(np.inf, False), (0.5, True)])
 def test_what_is_said_of_a_trajectory_before_it_is_in_force_holds_from_its_first_point_on(blocked, slower):
-    kernel = hand_over("hardened")
+    kernel = setpoint_generator("hardened")
     flown = trajectory(seq=1, period=0.02, count=100)
     give(kernel, flown, status(blocked=blocked, trajectory_seq=1))
     assert (speed([give(kernel, at=k * TICK)[-1] for k in range(2, 12)]) < 1.5) == slower
@@ -159,7 +159,7 @@ def test_what_is_said_of_a_trajectory_before_it_is_in_force_holds_from_its_first
 
 @pytest.mark.parametrize("stack", ["published", "hardened"])
 def test_only_hardened_flies_on_when_a_plan_has_failed_and_stops_where_the_way_is_blocked(stack):
-    kernel = hand_over(stack)
+    kernel = setpoint_generator(stack)
     flown = trajectory(seq=1, period=0.5 if stack == "published" else 0.02, count=100)
     give(kernel, flown)
     after = give(kernel, trajectory(seq=2, count=0), tracking(0.3), at=2 * TICK)

@@ -5,10 +5,10 @@ import pytest
 
 from mavfi.config import MapConfig
 from mavfi.numerics.voxels import voxel_of
+from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import map_grid
 from mavfi.pipeline.maps import MAPS
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
-from mavfi.pipeline.room import Room
 from mavfi.states import floats, new_state
 from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, same, trajectory, waypoint
 
@@ -79,22 +79,22 @@ def at(grid, *point):
 
 
 @pytest.mark.parametrize("stack", STACKS)
-def test_room_taken_back_is_the_room_before(stack):
-    room = Room(config(stack))
+def test_updates_taken_back_leave_the_clearance_map_as_before(stack):
+    clearance = ClearanceMap(config(stack))
     random = np.random.default_rng(0)
-    room.apply(map_update(random.integers(0, room.grid.size, 400), random.normal(size=400)))
-    room.mark()
-    before = room.cells.copy(), room.wide.copy(), room.narrow.copy(), room.updates
+    clearance.apply(map_update(random.integers(0, clearance.grid.size, 400), random.normal(size=400)))
+    clearance.mark()
+    before = clearance.cells.copy(), clearance.wide.copy(), clearance.narrow.copy(), clearance.updates
     for _ in range(3):
-        room.apply(map_update(random.integers(-9, room.grid.size + 9, 400), random.normal(size=400)))
-    assert (room.wide != before[1]).any()
-    room.rollback()
-    np.testing.assert_array_equal(room.cells, before[0])
-    np.testing.assert_array_equal(room.wide, before[1])
-    np.testing.assert_array_equal(room.narrow, before[2])
-    assert room.updates == before[3]
-    room.rollback()
-    np.testing.assert_array_equal(room.cells, before[0])
+        clearance.apply(map_update(random.integers(-9, clearance.grid.size + 9, 400), random.normal(size=400)))
+    assert (clearance.wide != before[1]).any()
+    clearance.rollback()
+    np.testing.assert_array_equal(clearance.cells, before[0])
+    np.testing.assert_array_equal(clearance.wide, before[1])
+    np.testing.assert_array_equal(clearance.narrow, before[2])
+    assert clearance.updates == before[3]
+    clearance.rollback()
+    np.testing.assert_array_equal(clearance.cells, before[0])
 
 
 def checker(stack):

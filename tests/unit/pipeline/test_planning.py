@@ -14,7 +14,7 @@ from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, same
 def planner(stack="published", **rules):
     """A planner behind whose start a wall with a gap stands."""
     kernel = MotionPlanner(config(stack, **rules))
-    grid = kernel.room.grid
+    grid = kernel.clearance_map.grid
     wall = [
         (ix * grid.ny + iy) * grid.nz + iz
         for ix in (30,) for iy in range(19, grid.ny) for iz in range(grid.nz)
@@ -41,7 +41,7 @@ def test_a_plan_is_wanted_when_nothing_is_flown_and_leads_around_the_wall(stack)
     np.testing.assert_allclose(vertices[0], [2.0, 5.0, 3.0])
     np.testing.assert_allclose(vertices[-1], kernel._config.goal, atol=2e-3)
     for a, b in zip(vertices[:-1], vertices[1:], strict=True):
-        assert segment_free(kernel.room.wide, kernel.room.grid, a, b)
+        assert segment_free(kernel.clearance_map.wide, kernel.clearance_map.grid, a, b)
     assert vertices[:, 1].min() < 4.0
 
 
@@ -54,13 +54,13 @@ def test_no_plan_is_wanted_before_the_first_map():
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_closed_wall_gives_an_empty_path_and_an_empty_trajectory(stack):
     kernel = planner(stack)
-    grid = kernel.room.grid
+    grid = kernel.clearance_map.grid
     wall = [(30 * grid.ny + iy) * grid.nz + iz for iy in range(grid.ny) for iz in range(grid.nz)]
     kernel.receive(map_update(wall), 0)
     assert request(kernel, stack)
     (path,) = kernel.step(600_000)
     assert len(path.elements) == 0
-    generator = TrajectoryGenerator(kernel._config, kernel.room)
+    generator = TrajectoryGenerator(kernel._config, kernel.clearance_map)
     assert generator.receive(path, 0)
     assert len(generator.step(0)[0].elements) == 0
 
@@ -92,7 +92,7 @@ def test_a_plan_from_the_same_memory_has_the_same_bits(stack):
 def generator(stack="published"):
     kernel = planner(stack)
     kernel_config = kernel._config
-    return TrajectoryGenerator(kernel_config, kernel.room)
+    return TrajectoryGenerator(kernel_config, kernel.clearance_map)
 
 
 def path(*vertices, entry=0.0):
@@ -122,7 +122,7 @@ def test_narrow_places_slow_hardened_flights_only(stack, slower):
     kernel = generator(stack)
     durations = []
     for narrow in (0, 1):
-        kernel._room.wide[:] = narrow
+        kernel._clearance_map.wide[:] = narrow
         kernel.receive(path(*LEGS), 0)
         durations.append(kernel.step(0)[0].elements["duration"].sum())
     assert (durations[1] > 1.2 * durations[0]) == slower

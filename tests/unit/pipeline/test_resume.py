@@ -8,7 +8,7 @@ from mavfi.pipeline.perception import CollisionCheck
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.trajectories import TrajectoryGenerator
-from mavfi.pipeline.waypoints import WaypointHandOver
+from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.states import floats
 from tests.unit.pipeline.parts import (
     STACKS,
@@ -58,7 +58,7 @@ def test_the_planner_knows_the_trajectory_and_which_alarms_it_has_answered(stack
 
 def test_plans_of_the_node_continue_the_count():
     planner = MotionPlanner(config())
-    back = TrajectoryGenerator(config(), planner.room)
+    back = TrajectoryGenerator(config(), planner.clearance_map)
     flown = trajectory(seq=4, epoch=2)
     assert back.resume(last(flown), TICK) == ()
     assert back.memory.flown is flown
@@ -67,7 +67,7 @@ def test_plans_of_the_node_continue_the_count():
 
 def test_a_plan_that_failed_is_no_trajectory_to_splice_onto():
     planner = MotionPlanner(config("hardened"))
-    back = TrajectoryGenerator(config("hardened"), planner.room)
+    back = TrajectoryGenerator(config("hardened"), planner.clearance_map)
     back.resume(last(trajectory(seq=4, count=0)), TICK)
     assert back.memory.flown is None and back.memory.seq == 4
 
@@ -75,7 +75,7 @@ def test_a_plan_that_failed_is_no_trajectory_to_splice_onto():
 def check(**rules):
     """A collision check with a map in which the trajectory of `flying` leads into a wall."""
     kernel = CollisionCheck(config(**rules))
-    grid = kernel.room.grid
+    grid = kernel.clearance_map.grid
     wall = [(30 * grid.ny + iy) * grid.nz + iz for iy in range(grid.ny) for iz in range(grid.nz)]
     kernel.receive(map_update(np.arange(grid.size), -1.0), 0)
     kernel.receive(map_update(wall), 0)
@@ -123,7 +123,7 @@ def test_a_repeated_alarm_ends_when_the_way_is_free():
     kernel = check(alarm="repeated")
     flying(kernel)
     kernel.receive(kernel.step(0)[0], 0)
-    kernel.receive(map_update(np.arange(kernel.room.grid.size), -9.0), 0)
+    kernel.receive(map_update(np.arange(kernel.clearance_map.grid.size), -9.0), 0)
     assert numbers(kernel.step(0)) == [(1, False)]
 
 
@@ -140,8 +140,8 @@ def test_the_tracker_continues_with_the_way_point_in_force():
     assert Tracker(config()).resume(last(in_force), TICK) == (), "it has tracked nothing yet"
 
 
-def hand_over(stack, *given):
-    kernel = WaypointHandOver(config(stack))
+def setpoint_generator(stack, *given):
+    kernel = SetpointGenerator(config(stack))
     kernel.receive(odometry(), 0)
     published = kernel.step(0)
     for place, states in enumerate(given, 1):
@@ -154,8 +154,8 @@ def hand_over(stack, *given):
 @pytest.mark.parametrize("stack", STACKS)
 def test_the_setpoint_generator_continues_along_its_trajectory(stack):
     flown = trajectory(seq=3, epoch=2, period=period(stack), count=100)
-    undisturbed, in_force = hand_over(stack, [flown], [tracking(0.0)], [tracking(0.0)])
-    back = WaypointHandOver(config(stack))
+    undisturbed, in_force = setpoint_generator(stack, [flown], [tracking(0.0)], [tracking(0.0)])
+    back = SetpointGenerator(config(stack))
     assert back.resume(last(flown, in_force), 4 * TICK) == ("planning.trajectory",)
     for name in ("trajectory", "index", "last_seq", "epoch", "seen_seq", "stopping"):
         assert getattr(back.memory.now, name) == getattr(undisturbed.memory.now, name), name
@@ -171,17 +171,20 @@ def test_the_setpoint_generator_continues_along_its_trajectory(stack):
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_what_was_published_meanwhile_is_offered(stack):
-    flown, newer = trajectory(seq=3, epoch=2, period=period(stack)), trajectory(seq=4, epoch=3, period=period(stack))
-    _, in_force = hand_over(stack, [flown])
-    assert WaypointHandOver(config(stack)).resume(last(newer, in_force), 2 * TICK) == ()
+    flown, newer = (
+        trajectory(seq=3, epoch=2, period=period(stack)),
+        trajectory(seq=4, epoch=3, period=period(stack)),
+    )
+    _, in_force = setpoint_generator(stack, [flown])
+    assert SetpointGenerator(config(stack)).resume(last(newer, in_force), 2 * TICK) == ()
 
 
 def test_a_trajectory_that_was_given_up_is_not_flown_again():
     flown = trajectory(seq=3, epoch=2)
-    _, hold = hand_over("published", [flown], [status(seq=3, time=0.1, collision=True)])
+    _, hold = setpoint_generator("published", [flown], [status(seq=3, time=0.1, collision=True)])
     assert int(hold.header["index"][0]) == -1
-    back = WaypointHandOver(config())
+    back = SetpointGenerator(config())
     assert back.resume(last(flown, hold), 3 * TICK) == ("planning.trajectory",)
     back.receive(odometry(), 3 * TICK)
     assert back.step(3 * TICK) == [] and back.memory.now.last_seq == 3
-    assert WaypointHandOver(config()).resume(last(trajectory(seq=4, epoch=3), hold), 3 * TICK) == ()
+    assert SetpointGenerator(config()).resume(last(trajectory(seq=4, epoch=3), hold), 3 * TICK) == ()

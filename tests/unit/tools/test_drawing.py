@@ -22,7 +22,9 @@ def test_the_planner_is_stepped_again_as_it_was(recorded):
     paths = [(time_us, state) for time_us, state in tape if state.spec.name == "planning.path"]
     planner, path, time_us = drawing.planner_at(scenario, flight, tape, len(paths))
     assert len(paths) > 1 and time_us == paths[-1][0] and path.same_bits(paths[-1][1])
-    np.testing.assert_array_equal(planner.room.cells, drawing.room_at(scenario, flight, tape, time_us).cells)
+    np.testing.assert_array_equal(
+        planner.clearance_map.cells, drawing.clearance_map_at(scenario, flight, tape, time_us).cells
+    )
 
 
 def test_what_did_not_happen_is_refused(recorded):
@@ -36,11 +38,11 @@ def test_what_did_not_happen_is_refused(recorded):
 
 def test_occupied_voxels_are_seen_from_above(recorded):
     scenario, flight, _ = recorded
-    room = drawing.room_at(scenario, flight, [], 0)
-    voxel = (20 * room.grid.ny + 30) * room.grid.nz + drawing.layer_of(room.grid, 4.0)
-    room.apply(drawing.map_update(np.array([voxel])))
-    assert room.cells[voxel] == OCCUPIED
-    assert np.argwhere(drawing.occupied_from_above(room)).tolist() == [[20, 30]]
+    clearance = drawing.clearance_map_at(scenario, flight, [], 0)
+    voxel = (20 * clearance.grid.ny + 30) * clearance.grid.nz + drawing.layer_of(clearance.grid, 4.0)
+    clearance.apply(drawing.map_update(np.array([voxel])))
+    assert clearance.cells[voxel] == OCCUPIED
+    assert np.argwhere(drawing.occupied_from_above(clearance)).tolist() == [[20, 30]]
 
 
 def test_a_picture_that_is_too_large_is_refused(monkeypatch, tmp_path):

@@ -28,7 +28,7 @@ def test_the_command_flies_the_mission_again():
     words = setting.command(10_003).split()
     options = dict(zip(words[2::2], words[3::2], strict=True))
     assert options == {
-        "--environment": "dense", "--seed": "10003", "--autopilot": "hardened", "--planner": "rrt_connect",
+        "--environment": "dense", "--seed": "10003", "--stack": "hardened", "--planner": "rrt_connect",
         "--platform": "cortex-a57", "--v-max": "5", "--depth-noise": "0.02", "--picture": "flight.png",
     }  # fmt: skip
     scenario = resolve(setting.spec(10_003))
@@ -87,12 +87,14 @@ def test_a_collision_tells_whether_the_map_knew(monkeypatch):
     flown = []
     fly = golden.fly
     monkeypatch.setattr(golden, "fly", lambda scenario: flown.append(fly(scenario)) or flown[-1])
-    monkeypatch.setattr("mavfi.pipeline.room.Room.apply", lambda room, _: setattr(room, "updates", 1))  # blind
+    monkeypatch.setattr(
+        "mavfi.pipeline.clearance_map.ClearanceMap.apply", lambda clearance, _: setattr(clearance, "updates", 1)
+    )  # blind
     one = measure((Setting.of("dense", "published"), 1))
     assert one.status == "collision" and one.clearance_m < 0.01
     assert one.cause.startswith("touched what its map had not seen, ")
-    room = flown[0].pipeline["planner"].room
-    room.cells[:] = 2
+    clearance = flown[0].pipeline["planner"].clearance_map
+    clearance.cells[:] = 2
     monkeypatch.setattr(golden, "fly", lambda scenario: flown[0])
     assert measure((Setting.of("dense", "published"), 1)).cause.startswith("touched what its map held for occupied, ")
 

@@ -263,7 +263,7 @@ def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np
     before = routes.search.random.copy()
     found = None
     if np.isfinite(start).all() and np.isfinite(goal).all():
-        for counter in (routes.room.wide, routes.room.narrow):
+        for counter in (routes.clearance_map.wide, routes.clearance_map.narrow):
             found = found if found is not None else routes.between(start, counter, goal)
     routes.search.random[:] = before
     if found is None:

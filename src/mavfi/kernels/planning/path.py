@@ -133,14 +133,14 @@ def inside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
 
 
 @kernel_jit
-def nearest_with_room(
-    room: np.ndarray, check: np.ndarray, core: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray,
+def nearest_clear(
+    blocked: np.ndarray, check: np.ndarray, core: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray,
     upper: np.ndarray, radius: float, result: np.ndarray,
 ) -> bool:  # fmt: skip
-    """Centre of the nearest voxel that is free in `room` and reachable by a straight line from `point`.
+    """Centre of the nearest voxel that is free in `blocked` and reachable by a straight line from `point`.
 
     Args:
-        room: > 0 = blocked, with the larger radius. Shape (grid.size,).
+        blocked: > 0 = blocked, with the larger radius. Shape (grid.size,).
         check: > 0 = blocked, narrow: the line must be free in it, unless the point itself is blocked there.
         core: > 0 = occupied: voxels that the line must not cross. Shape (grid.size,).
         grid: Geometry.
@@ -158,7 +158,7 @@ def nearest_with_room(
         return False
     for axis in range(3):
         result[axis] = point[axis]
-    if inside(point, lower, upper) and room[voxel] == 0:
+    if inside(point, lower, upper) and blocked[voxel] == 0:
         return True
     blocked_here = check[voxel] > 0
     ix = voxel // (grid.ny * grid.nz)
@@ -174,8 +174,8 @@ def nearest_with_room(
                 centre[1] = grid.y0 + (y + 0.5) / grid.inverse
                 centre[2] = grid.z0 + (z + 0.5) / grid.inverse
                 away = distance(point, centre)
-                blocked = room[(x * grid.ny + y) * grid.nz + z] > 0
-                if blocked or not inside(centre, lower, upper) or away >= best or away > radius:
+                taken = blocked[(x * grid.ny + y) * grid.nz + z] > 0
+                if taken or not inside(centre, lower, upper) or away >= best or away > radius:
                     continue
                 if not segment_free(core if blocked_here else check, grid, point, centre):
                     continue

@@ -15,7 +15,7 @@ CLOCK_WIDTH = 3
 
 
 @kernel_jit
-def hand_over(points: np.ndarray, index: int, remaining: float, waypoint: np.ndarray) -> int:
+def advance_index(points: np.ndarray, index: int, remaining: float, waypoint: np.ndarray) -> int:
     """The point in force, from the remaining time of the current one; advances by one step at most.
 
     Args:

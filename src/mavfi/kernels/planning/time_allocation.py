@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from mavfi.kernels.planning import minimum_snap
+from mavfi.kernels.planning.knots import BEND, NEAR, VERTEX_LIMIT, CurveLimits, Work, first_knots, insert, place
 from mavfi.kernels.planning.path import distance
-from mavfi.kernels.planning.stations import BEND, NEAR, VERTEX_LIMIT, Law, Work, first_stations, insert, place
 from mavfi.kernels.planning.travel import tight_share, turn
 from mavfi.numerics.elementary import tan
 from mavfi.numerics.jit import kernel_jit
@@ -36,57 +36,59 @@ _MOST_STEPS = 2_000
 
 
 @kernel_jit
-def _corner_speed(bend: float, reach: float, sharpness: float, law: Law) -> float:
+def _corner_speed(bend: float, reach: float, sharpness: float, limits: CurveLimits) -> float:
     """Speed in a turn for a given reach (m/s)."""
     sharp = sharpness * tan(0.5 * min(bend, 3.0))
-    return min(law.speed, math.sqrt(law.lateral * max(reach, 0.0) / sharp)) if sharp > 1e-6 else law.speed
+    return min(limits.speed, math.sqrt(limits.lateral * max(reach, 0.0) / sharp)) if sharp > 1e-6 else limits.speed
 
 
 @kernel_jit
-def _room_speeds(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, law: Law, work: Work, n: int) -> None:
+def _knot_speeds(
+    wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, limits: CurveLimits, work: Work, n: int
+) -> None:
     """Largest speed at each knot, from corners and narrow places; length and tight share of each segment."""
     for k in range(n):
         point = work.points[k]
         voxel = voxel_of(grid, point[0], point[1], point[2])
-        work.caps[k] = law.tight_speed if voxel >= 0 and wide[voxel] > 0 else law.speed
+        work.caps[k] = limits.tight_speed if voxel >= 0 and wide[voxel] > 0 else limits.speed
         work.push[k] = 1.0
     for k in range(n - 1):
         chord = distance(work.points[k], work.points[k + 1])
-        work.lengths[k] = 0.5 * (work.stations[k + 1] - work.stations[k] + chord)
+        work.lengths[k] = 0.5 * (work.arc[k + 1] - work.arc[k] + chord)
         work.shares[k] = tight_share(wide, grid, work.points[k], work.points[k + 1])
         for i in range(work.leg[k] + 1, min(work.leg[k + 1] + 1, count - 1)):
             bend = turn(path[i - 1], path[i], path[i + 1])
-            to = work.stations[k + 1] - work.corners[i]
-            since = work.corners[i] - work.stations[k]
+            to = work.arc[k + 1] - work.corners[i]
+            since = work.corners[i] - work.arc[k]
             if bend < BEND and to > 1e-6:
-                slow = _corner_speed(bend, 0.5 * (since + to), 1.0, law)
+                slow = _corner_speed(bend, 0.5 * (since + to), 1.0, limits)
                 work.caps[k] = min(work.caps[k], slow)
             elif to > 1e-6:
-                slow = _corner_speed(bend, min(since, to), _SHARPNESS, law)
+                slow = _corner_speed(bend, min(since, to), _SHARPNESS, limits)
                 work.caps[k] = min(work.caps[k], slow)
             else:  # the curve passes through the corner
-                after = work.stations[k + 2] - work.stations[k + 1] if k < n - 2 else since
-                slow = _corner_speed(bend, 0.5 * min(since, after), 1.0, law)
+                after = work.arc[k + 2] - work.arc[k + 1] if k < n - 2 else since
+                slow = _corner_speed(bend, 0.5 * min(since, after), 1.0, limits)
             work.caps[k + 1] = min(work.caps[k + 1], slow)
 
 
 @kernel_jit
-def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
+def _trapezoid(entry: float, limits: CurveLimits, work: Work, n: int) -> None:
     """Consecutively reachable speeds, and the duration of each segment."""
     caps, speeds, push = work.caps, work.speeds, work.push
     for k in range(n):
         speeds[k] = max(caps[k], _SLOWEST)
     speeds[n - 1] = 0.0
     for k in range(n - 2, -1, -1):
-        gained = 2.0 * law.tangential * push[k] * work.lengths[k]
+        gained = 2.0 * limits.tangential * push[k] * work.lengths[k]
         speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] ** 2 + gained))
     speeds[0] = entry
     unavoidable = entry
     for k in range(n - 1):
-        gained = 2.0 * law.tangential * push[k] * work.lengths[k]
-        lost = 2.0 * law.braking * push[k] * work.lengths[k]
+        gained = 2.0 * limits.tangential * push[k] * work.lengths[k]
+        lost = 2.0 * limits.braking * push[k] * work.lengths[k]
         speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + gained))
-        tight = max(law.tight_speed, unavoidable)
+        tight = max(limits.tight_speed, unavoidable)
         # an excess speed at the start decreases only gradually
         unavoidable = math.sqrt(max(0.0, unavoidable**2 - lost))
         if k < n - 2:
@@ -96,18 +98,20 @@ def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
             share = work.shares[k]
             work.times[k] = work.lengths[k] * ((1.0 - share) / mean + share / min(mean, tight))
         else:
-            work.times[k] = 2.0 * math.sqrt(work.lengths[k] / (law.tangential * push[k]))
+            work.times[k] = 2.0 * math.sqrt(work.lengths[k] / (limits.tangential * push[k]))
 
 
 @kernel_jit
-def _within_limits(entry: float, law: Law, work: Work, n: int) -> bool:
+def _within_limits(entry: float, limits: CurveLimits, work: Work, n: int) -> bool:
     """Whether all segments are within limits; slows down those that are not, and to a lesser degree neighbours."""
     kept = True
     excess = work.excess
     for k in range(n - 1):
         speed, acceleration = minimum_snap.peaks(work.ends, k, work.times[k])
-        fastest = max(law.speed, 1.05 * max(entry if k == 0 else 0.0, work.speeds[k] if entry > law.speed else 0.0))
-        over = max(speed / fastest, acceleration / law.acceleration)
+        fastest = max(
+            limits.speed, 1.05 * max(entry if k == 0 else 0.0, work.speeds[k] if entry > limits.speed else 0.0)
+        )
+        over = max(speed / fastest, acceleration / limits.acceleration)
         kept = kept and over <= 1.0
         excess[k] = min(1.0, over - 1.0 + 5e-3) if not over <= 1.0 else 0.0
     if kept:
@@ -119,7 +123,7 @@ def _within_limits(entry: float, law: Law, work: Work, n: int) -> bool:
     for k in range(n - 1):
         work.push[k] /= 1.0 + excess[k]
         gentler = 1.0 + 0.3 * max(excess[k], excess[k - 1] if k > 0 else 0.0)
-        work.caps[k] = min(work.caps[k], law.speed) / gentler
+        work.caps[k] = min(work.caps[k], limits.speed) / gentler
     return False
 
 
@@ -175,7 +179,7 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
             break
         if _segment_is_free(counter, grid, work, k) or not _path_is_free(counter, grid, path, work, k):
             continue
-        a, b = work.stations[k], work.stations[k + 1]
+        a, b = work.arc[k], work.arc[k + 1]
         corner = work.leg[k] + 1
         inside = corner < count and work.corners[corner] < b - 1e-6
         if inside and b - a > 4.0 * NEAR:
@@ -189,16 +193,16 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
 
 
 @kernel_jit
-def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work, n: int, trials: int) -> int:
+def _timed(velocity: np.ndarray, acceleration: np.ndarray, limits: CurveLimits, work: Work, n: int, trials: int) -> int:
     """Fit a curve within the limits through the knots; returns the number of trials, 0 = there is no such curve."""
     entry = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     if not entry < _ABSURD:
         return 0
     for trial in range(trials):
-        _trapezoid(entry, law, work, n)
+        _trapezoid(entry, limits, work, n)
         if not minimum_snap.solve(work.points, work.times, n, velocity, acceleration, work.elimination, work.ends):
             return 0
-        if _within_limits(entry, law, work, n):
+        if _within_limits(entry, limits, work, n):
             return trial + 1
     return 0
 
@@ -206,7 +210,7 @@ def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work,
 @kernel_jit
 def fit(
     narrow: np.ndarray, wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velocity: np.ndarray,
-    acceleration: np.ndarray, law: Law, work: Work,
+    acceleration: np.ndarray, limits: CurveLimits, work: Work,
 ) -> int:  # fmt: skip
     """Minimum-snap curve along a path, within the limits, and in free space wherever the path is.
 
@@ -218,7 +222,7 @@ def fit(
         count: Number of vertices, at least 2.
         velocity: Velocity at the start (m/s). Shape (3,).
         acceleration: Acceleration at the start (m/s^2). Shape (3,).
-        law: Limits.
+        limits: Of the vehicle, and of the deviation from the path.
         work: Work space, including the result.
 
     Returns:
@@ -226,15 +230,15 @@ def fit(
     """
     if count < 2 or count > VERTEX_LIMIT:
         return 0
-    n = first_stations(path, count, law, work)
+    n = first_knots(path, count, limits, work)
     if n < 2:
         return 0
-    added = np.empty(work.stations.shape[0])
+    added = np.empty(work.arc.shape[0])
     left = _MOST_SOLVED
     for _ in range(ROUNDS):
         place(path, count, work, n)
-        _room_speeds(wide, grid, path, count, law, work, n)
-        tried = _timed(velocity, acceleration, law, work, n, min(_TRIALS, left // n))
+        _knot_speeds(wide, grid, path, count, limits, work, n)
+        tried = _timed(velocity, acceleration, limits, work, n, min(_TRIALS, left // n))
         if tried == 0:
             return 0
         left -= n * tried

@@ -10,7 +10,7 @@ from mavfi.pipeline.kernel import PipelineConfig, map_grid
 from mavfi.states import State
 
 
-class Room:
+class ClearanceMap:
     """Clearance map: free space according to the map updates that a kernel has received.
 
     Attributes:

@@ -20,7 +20,7 @@ _PASSED = 0.5
 """Gentle bends closer to the last knot than this share of the spacing are not passed exactly."""
 
 
-class Law(NamedTuple):
+class CurveLimits(NamedTuple):
     """Limits of the vehicle, and of its deviation from the path.
 
     Attributes:
@@ -49,7 +49,7 @@ class Work(NamedTuple):
 
     Attributes:
         corners: Arc length of each vertex (m). Shape (VERTEX_LIMIT,).
-        stations: Arc length of each knot (m). Shape (KNOT_LIMIT,).
+        arc: Arc length of each knot (m). Shape (KNOT_LIMIT,).
         leg: Leg of the path on which each knot lies. Shape (KNOT_LIMIT,), int64.
         points: Position of each knot (m). Shape (KNOT_LIMIT, 3).
         lengths: Approximate length of the segment starting there (m). Shape (KNOT_LIMIT,).
@@ -64,7 +64,7 @@ class Work(NamedTuple):
     """
 
     corners: np.ndarray
-    stations: np.ndarray
+    arc: np.ndarray
     leg: np.ndarray
     points: np.ndarray
     lengths: np.ndarray
@@ -88,35 +88,35 @@ def new_work() -> Work:
 
 
 @kernel_jit
-def _add(work: Work, n: int, station: float) -> int:
+def _add(work: Work, n: int, arc: float) -> int:
     """Append a knot unless it is too close to the last one; returns the number of knots."""
-    if n >= work.stations.shape[0] - 1 or (n > 0 and not station - work.stations[n - 1] > _APART):
+    if n >= work.arc.shape[0] - 1 or (n > 0 and not arc - work.arc[n - 1] > _APART):
         return n
-    work.stations[n] = station
+    work.arc[n] = arc
     return n + 1
 
 
 @kernel_jit
-def _add_leg(work: Work, n: int, station: float, spacing: float) -> int:
-    """Append evenly spaced knots on a straight leg, up to `station`; returns the number of knots."""
-    first = work.stations[n - 1]
-    gap = station - first
+def _add_leg(work: Work, n: int, arc: float, spacing: float) -> int:
+    """Append evenly spaced knots on a straight leg, up to `arc`; returns the number of knots."""
+    first = work.arc[n - 1]
+    gap = arc - first
     if gap > spacing:
         steps = int(min(gap / spacing, 1e6)) + 1
-        for k in range(1, min(steps, work.stations.shape[0])):
+        for k in range(1, min(steps, work.arc.shape[0])):
             n = _add(work, n, first + gap * k / steps)
-    return _add(work, n, station)
+    return _add(work, n, arc)
 
 
 @kernel_jit
-def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
+def first_knots(path: np.ndarray, count: int, limits: CurveLimits, work: Work) -> int:
     """Initial knots: before, after and between corners.
 
     Args:
         path: Vertices without consecutive duplicates (m). Shape (>= count, 3).
         count: Number of vertices, 2 to `VERTEX_LIMIT`.
-        law: Reach of corners and spacing.
-        work: Output: `corners` and `stations`.
+        limits: Reach of corners and spacing.
+        work: Output: `corners` and `arc`.
 
     Returns:
         Number of knots; 0 if they do not fit or a vertex is corrupted.
@@ -125,55 +125,55 @@ def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
     for i in range(1, count):
         work.corners[i] = work.corners[i - 1] + distance(path[i - 1], path[i])
     length = work.corners[count - 1]
-    if not NEAR < length < law.spacing * (work.stations.shape[0] - 2.0 * count - 2.0):
+    if not NEAR < length < limits.spacing * (work.arc.shape[0] - 2.0 * count - 2.0):
         return 0
-    work.stations[0] = 0.0
+    work.arc[0] = 0.0
     n = 1
     for i in range(1, count - 1):
         before = work.corners[i] - work.corners[i - 1]
         after = work.corners[i + 1] - work.corners[i]
         if turn(path[i - 1], path[i], path[i + 1]) < BEND:
-            if work.corners[i] - work.stations[n - 1] > _PASSED * law.spacing:
-                n = _add_leg(work, n, work.corners[i], law.spacing)
+            if work.corners[i] - work.arc[n - 1] > _PASSED * limits.spacing:
+                n = _add_leg(work, n, work.corners[i], limits.spacing)
             continue
         # the first leg has only one corner, which may take most of it
-        reach = min(law.reach, min((0.9 if i == 1 else 0.5) * before, 0.5 * after))
-        n = _add_leg(work, n, work.corners[i] - reach, law.spacing)
+        reach = min(limits.reach, min((0.9 if i == 1 else 0.5) * before, 0.5 * after))
+        n = _add_leg(work, n, work.corners[i] - reach, limits.spacing)
         n = _add(work, n, work.corners[i] + reach)
-    if n > 1 and not length - work.stations[n - 1] > _APART:
+    if n > 1 and not length - work.arc[n - 1] > _APART:
         n -= 1
-    n = _add_leg(work, n, length, law.spacing)
+    n = _add_leg(work, n, length, limits.spacing)
     if n == 1:
         n = 2
-    work.stations[n - 1] = length
+    work.arc[n - 1] = length
     return n
 
 
 @kernel_jit
 def place(path: np.ndarray, count: int, work: Work, n: int) -> None:
-    """Set position and leg of each of the n knots; arguments as for `first_stations`."""
+    """Set position and leg of each of the n knots; arguments as for `first_knots`."""
     leg = 0
     for k in range(n):
-        while leg < count - 2 and work.corners[leg + 1] <= work.stations[k]:
+        while leg < count - 2 and work.corners[leg + 1] <= work.arc[k]:
             leg += 1
         length = work.corners[leg + 1] - work.corners[leg]
-        share = min(1.0, (work.stations[k] - work.corners[leg]) / length) if length > 0.0 else 0.0
+        share = min(1.0, (work.arc[k] - work.corners[leg]) / length) if length > 0.0 else 0.0
         work.leg[k] = leg
         for axis in range(3):
             work.points[k, axis] = path[leg, axis] + (path[leg + 1, axis] - path[leg, axis]) * share
 
 
 @kernel_jit
-def insert(work: Work, n: int, station: float) -> int:
+def insert(work: Work, n: int, arc: float) -> int:
     """Insert a knot in order unless one is close; returns the number of knots."""
-    if n >= work.stations.shape[0]:
+    if n >= work.arc.shape[0]:
         return n
     k = n
-    while k > 0 and work.stations[k - 1] > station:
+    while k > 0 and work.arc[k - 1] > arc:
         k -= 1
-    if k in (0, n) or station - work.stations[k - 1] < 0.5 * NEAR or work.stations[k] - station < 0.5 * NEAR:
+    if k in (0, n) or arc - work.arc[k - 1] < 0.5 * NEAR or work.arc[k] - arc < 0.5 * NEAR:
         return n
     for j in range(n, k, -1):
-        work.stations[j] = work.stations[j - 1]
-    work.stations[k] = station
+        work.arc[j] = work.arc[j - 1]
+    work.arc[k] = arc
     return n + 1
