@@ -21,7 +21,7 @@ from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros.md"
 FIRST_SEED = 10_000
-ENVIRONMENT, STACK = "dense", "published"
+ENVIRONMENT, AUTOPILOT = "dense", "published"
 ARMS = ("none", "gaussian inline", "gaussian observer", "autoencoder inline", "autoencoder observer")
 
 
@@ -34,11 +34,11 @@ def peak(flight: Flight, golden: Flight) -> float:
 
 def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
     """One mission with one fault in every arm: success, flight time (s), maximum distance from its golden run (m)."""
-    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=STACK))
+    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=AUTOPILOT))
     profile = fly(scenario, profile=True).profile
     assert profile is not None
     stage = ("planning", "control")[seed % 2]
-    fault = draw(stage_target(stage, STACK, "paper-13"), "sign_exponent", profile, seed, ENVIRONMENT, 0)
+    fault = draw(stage_target(stage, AUTOPILOT, "paper-13"), "sign_exponent", profile, seed, ENVIRONMENT, 0)
     found = {}
     for arm in ARMS:
         name, _, coupling = arm.partition(" ")
@@ -55,10 +55,10 @@ def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
 def table(pairs: list[dict[str, tuple[bool, float, float]]]) -> str:
     """The table of all arms."""
     lines = [
-        f"{len(pairs)} missions in `{ENVIRONMENT}`, autopilot profile `{STACK}`, seeds from {FIRST_SEED}, one fault "
-        "each in the sign or exponent of a monitored field of planning or control, profile `paper`; the same faults in "
-        "every arm. Distances are the largest ones from the golden run at the same instant; times are of missions "
-        "that arrive in every arm.",
+        f"{len(pairs)} missions in `{ENVIRONMENT}`, autopilot profile `{AUTOPILOT}`, seeds from {FIRST_SEED}, one "
+        "fault each in the sign or exponent of a monitored field of planning or control, profile `paper`; the same "
+        "faults in every arm. Distances are the largest ones from the golden run at the same instant; times are of "
+        "missions that arrive in every arm.",
         "",
         "| detector | arrived | distance from golden (m): median | p90 | flight time (s) |",
         "|---|---|---|---|---|",

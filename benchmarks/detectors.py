@@ -16,7 +16,7 @@ from mavfi.mission import MissionSpec
 from tools.markers import DOCS, between
 
 PAGE = DOCS / "models.md"
-ENVIRONMENTS, STACKS = ("dense", "factory"), ("published", "hardened")
+ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
 DETECTORS = (
     ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0), ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0),
     ("autoencoder", "tuned", 5.0),
@@ -24,7 +24,7 @@ DETECTORS = (
 """Detector, profile, and the largest share of the kernels' time that is wanted (%)."""
 
 
-def row(stack: str, name: str, profile: str, bar: float, costs: list[Cost]) -> str:
+def row(autopilot: str, name: str, profile: str, bar: float, costs: list[Cost]) -> str:
     """A row of the table: medians of flights."""
     each = statistics.median(1e6 * one.detection[ALL] / one.shown for one in costs)
     shares = sorted(100 * one.detection[ALL] / one.kernels for one in costs)
@@ -32,7 +32,7 @@ def row(stack: str, name: str, profile: str, bar: float, costs: list[Cost]) -> s
     redone = 100 * statistics.mean(one.recomputed for one in costs)
     verdict = "met" if middle <= bar else "not met"
     return (
-        f"| `{name}`, `{profile}` | `{stack}` | {each:.2f} | {middle:.2f} ({shares[0]:.2f} – {shares[-1]:.2f}) | "
+        f"| `{name}`, `{profile}` | `{autopilot}` | {each:.2f} | {middle:.2f} ({shares[0]:.2f} – {shares[-1]:.2f}) | "
         f"{bar:g}: {verdict} | {redone:.2f} |"
     )
 
@@ -41,10 +41,12 @@ def table(costs: dict[tuple[str, str, str], list[Cost]], flights: int, repeats: 
     """The table of all detectors and profiles."""
     bars = {(name, profile): bar for name, profile, bar in DETECTORS}
     kernels = {
-        stack: statistics.median(1e3 * one.kernels for key, own in costs.items() if key[0] == stack for one in own)
-        for stack in STACKS
+        autopilot: statistics.median(
+            1e3 * one.kernels for key, own in costs.items() if key[0] == autopilot for one in own
+        )
+        for autopilot in AUTOPILOTS
     }
-    times = ", ".join(f"{value:.0f} ms (`{stack}`)" for stack, value in kernels.items())
+    times = ", ".join(f"{value:.0f} ms (`{autopilot}`)" for autopilot, value in kernels.items())
     lines = [
         f"{flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), {repeats} repeats, detectors in turn; "
         f"{processor()}, load {os.getloadavg()[0]:.1f}. Golden flights, one process; the kernels take "
@@ -62,15 +64,15 @@ def main() -> None:
     repeats, seeds = int(os.environ.get("N", "5")), int(os.environ.get("SEEDS", "2"))
     missions = [(environment, seed) for environment in ENVIRONMENTS for seed in range(seeds)]
     costs: dict[tuple[str, str, str], list[Cost]] = {
-        (stack, name, profile): [] for stack in STACKS for name, profile, _ in DETECTORS
+        (autopilot, name, profile): [] for autopilot in AUTOPILOTS for name, profile, _ in DETECTORS
     }
     for repeat in range(-1, repeats):  # repeat -1 compiles, or loads the cache
         for environment, seed in missions if repeat >= 0 else missions[:1]:
-            for stack, name, profile in costs:
-                scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
+            for autopilot, name, profile in costs:
+                scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))
                 found = cost(scenario, name, profile)
                 if repeat >= 0:
-                    costs[stack, name, profile].append(found)
+                    costs[autopilot, name, profile].append(found)
         sys.stderr.write(f"\r{repeat + 1} of {repeats} repeats")
     written = table(costs, len(missions), repeats)
     PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "detector-cost", written), encoding="utf-8")

@@ -16,11 +16,11 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, State, floats
 
-SETTINGS = [(environment, stack) for environment in ("sparse", "dense") for stack in ("published", "hardened")]
+SETTINGS = [(environment, autopilot) for environment in ("sparse", "dense") for autopilot in ("published", "hardened")]
 WIDTH = 10
 
 
-def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.ndarray, float]:
+def fly_one(environment: str, autopilot: str, seed: int) -> tuple[MissionStatus, np.ndarray, float]:
     """Status, position errors at the control periods (m), and NEES of the final position."""
     estimates: dict[int, np.ndarray] = {}
 
@@ -28,7 +28,7 @@ def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.
         if state.spec.name == ODOMETRY["estimator"]:
             estimates[time_us] = floats(state.header, WIDTH).copy()
 
-    spec = MissionSpec(environment=environment, seed=seed, autopilot=stack, localization="estimator")
+    spec = MissionSpec(environment=environment, seed=seed, autopilot=autopilot, localization="estimator")
     flight = fly(resolve(spec), recorders=[note])
     log = flight.log
     times = np.round(1e6 * log.column("time")).astype(int)
@@ -41,14 +41,14 @@ def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.
 def main() -> None:
     """Fly and print."""
     count, first = int(os.environ.get("N", "20")), int(os.environ.get("FIRST_SEED", "10000"))
-    sys.stdout.write("| environment | stack | arrived | RMS (m) | max (m) | NEES |\n|---|---|---|---|---|---|\n")
-    for environment, stack in SETTINGS:
-        flights = [fly_one(environment, stack, seed) for seed in range(first, first + count)]
+    sys.stdout.write("| environment | autopilot | arrived | RMS (m) | max (m) | NEES |\n|---|---|---|---|---|---|\n")
+    for environment, autopilot in SETTINGS:
+        flights = [fly_one(environment, autopilot, seed) for seed in range(first, first + count)]
         arrived = sum(status is MissionStatus.SUCCESS for status, _, _ in flights)
         errors = np.concatenate([errors for _, errors, _ in flights])
         sys.stdout.write(
-            f"| {environment} | {stack} | {arrived}/{count} | {np.sqrt(np.mean(errors**2)):.3f} | {errors.max():.3f} "
-            f"| {np.mean([nees for _, _, nees in flights]):.1f} |\n"
+            f"| {environment} | {autopilot} | {arrived}/{count} | {np.sqrt(np.mean(errors**2)):.3f} | "
+            f"{errors.max():.3f} | {np.mean([nees for _, _, nees in flights]):.1f} |\n"
         )
         sys.stdout.flush()
 

@@ -66,11 +66,11 @@ class Recorder:
 def recorded() -> dict[str, tuple[Any, ...]]:
     """Arguments of the longest call of each injectable function, from three flights."""
     found: dict[str, tuple[Any, ...]] = {}
-    for planner, stack, kind in (
+    for planner, autopilot, kind in (
         ("rrt_connect", "hardened", "dense"), ("rrt", "published", "octree"), ("rrt_star", "hardened", "dense")
     ):  # fmt: skip
         recorders = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
-        scenario = resolve(MissionSpec(environment="sparse", seed=7, planner=planner, autopilot=stack, map=kind))
+        scenario = resolve(MissionSpec(environment="sparse", seed=7, planner=planner, autopilot=autopilot, map=kind))
         fly(scenario)  # compiles, or loads the cache
         fly(scenario, functions=replace(PLAIN, **recorders))
         found.update(

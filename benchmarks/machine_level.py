@@ -47,7 +47,7 @@ from mavfi.pipeline.functions import PLAIN
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
-ENVIRONMENT, STACK, SEED = "sparse", "published", 10_000
+ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
 RAYS, POINTS = 24, 3
 KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
 DETECTED = "detected"
@@ -100,7 +100,7 @@ class Study:
 
 def recorded() -> dict[str, tuple[Any, ...]]:
     """Arguments of the middle call in a golden flight, by function; fewer rays of the point cloud, fewer points."""
-    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=SEED, autopilot=STACK))
+    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=SEED, autopilot=AUTOPILOT))
     counters = {name: Recorder(getattr(PLAIN, name)) for name in KERNELS.values()}
     fly(scenario, functions=replace(PLAIN, **counters))
     keepers = {name: Recorder(getattr(PLAIN, name), counter.calls // 2) for name, counter in counters.items()}
@@ -200,10 +200,10 @@ def table(studies: list[Study]) -> str:
     )
     lines = [
         f"Measured by `make machine-level`: {date.today()} · {processor()} · {versions}. Arguments of the call "
-        f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays, of "
-        f"the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in points, "
-        "with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code is for "
-        "any x86-64 processor, plain code for the present one.",
+        f"in the middle of a golden flight ({ENVIRONMENT}, {AUTOPILOT}, seed {SEED}), of the point cloud {RAYS} rays, "
+        f"of the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in "
+        "points, with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code "
+        "is for any x86-64 processor, plain code for the present one.",
         "",
         f"| kernel | level | n | {' | '.join(OUTCOMES)} |",
         f"|---|---|---|{'---|' * len(OUTCOMES)}",

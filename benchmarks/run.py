@@ -49,11 +49,11 @@ def timed(action: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
-def golden(environment: str, stack: str) -> tuple[float, float]:
+def golden(environment: str, autopilot: str) -> tuple[float, float]:
     """Median wall time of a golden mission (s), and speed relative to real time."""
     walls, flown = [], 0.0
     for seed in SEEDS:
-        scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
+        scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))
         wall, flight = timed(partial(fly, scenario))
         walls.append(wall)
         flown += float(flight.log.rows[-1, 0])
@@ -104,13 +104,15 @@ def share_rows() -> list[Row]:
     """Breakdown of the wall time of a golden mission."""
     rows = []
     for environment in TARGETS:
-        for stack in ("published", "hardened"):
-            scenario = resolve(MissionSpec(environment=environment, seed=7, autopilot=stack))
+        for autopilot in ("published", "hardened"):
+            scenario = resolve(MissionSpec(environment=environment, seed=7, autopilot=autopilot))
             wall, spent = min((part_seconds(scenario) for _ in range(5)), key=lambda t: t[0])
             spent["host and start"] = wall - sum(spent.values())
             order = sorted(spent, key=spent.__getitem__, reverse=True)
             shares = ", ".join(f"{name} {100 * spent[name] / wall:.0f} %" for name in order)
-            rows.append(Row(f"share of wall time, {environment}, {stack}", f"{shares} (of {wall:.3f} s, with timers)"))
+            rows.append(
+                Row(f"share of wall time, {environment}, {autopilot}", f"{shares} (of {wall:.3f} s, with timers)")
+            )
     return rows
 
 
@@ -120,12 +122,12 @@ def measure() -> list[Row]:
     injected = [Row(name, value) for name, value in instruction_rows()]  # first: fork cost grows with process memory
     rows: list[Row] = []
     for environment in ("sparse", "dense", "factory", "farm"):
-        for stack in ("published", "hardened"):
-            wall, factor = golden(environment, stack)
+        for autopilot in ("published", "hardened"):
+            wall, factor = golden(environment, autopilot)
             value = f"{wall:.3f} s, {factor:.0f} x real time, {3600 / wall:.0f} missions per core-hour"
-            target = TARGETS.get(environment) if stack == "published" else None
+            target = TARGETS.get(environment) if autopilot == "published" else None
             rows.append(
-                Row(f"golden {environment}, {stack}, median of {len(SEEDS)}", value, wall, target, at_most=True)
+                Row(f"golden {environment}, {autopilot}, median of {len(SEEDS)}", value, wall, target, at_most=True)
             )
     rows.append(Row("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
     rows += share_rows() + map_rows() + depth_rows() + search_rows() + nearest_rows()

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavfi.config import StackConfig, shipped
+from mavfi.config import AutopilotConfig, shipped
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
@@ -90,25 +90,25 @@ def check_seeds(first: int, count: int) -> None:
         )
 
 
-def variant(stack: StackConfig, key: str, value: float) -> StackConfig:
+def variant(autopilot: AutopilotConfig, key: str, value: float) -> AutopilotConfig:
     """The profile with one value changed; a gain on all axes."""
-    is_vector = isinstance(getattr(stack, key), tuple)
-    return stack.model_copy(update={key: (value,) * 3 if is_vector else value})
+    is_vector = isinstance(getattr(autopilot, key), tuple)
+    return autopilot.model_copy(update={key: (value,) * 3 if is_vector else value})
 
 
-def present(stack: StackConfig, key: str) -> float:
+def present(autopilot: AutopilotConfig, key: str) -> float:
     """Current value of a key of the profile."""
-    value = getattr(stack, key)
+    value = getattr(autopilot, key)
     return float(value[0] if isinstance(value, tuple) else value)
 
 
-def score(stack: StackConfig, seeds: range) -> Score:
+def score(autopilot: AutopilotConfig, seeds: range) -> Score:
     """Fly every setting with every seed, and evaluate the variant."""
     arrived, squares, durations, farthest, speed = [], [], [], 0.0, 0.0
     for environment, v_max in SETTINGS:
         for seed in seeds:
-            scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack.name, v_max=v_max))
-            log = fly(scenario.model_copy(update={"stack": stack})).log
+            scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot.name, v_max=v_max))
+            log = fly(scenario.model_copy(update={"autopilot": autopilot})).log
             off = np.linalg.norm(
                 log.columns("x", "y", "z") - log.columns("reference_x", "reference_y", "reference_z"), axis=1
             )
@@ -120,18 +120,20 @@ def score(stack: StackConfig, seeds: range) -> Score:
     return Score(float(np.mean(arrived)), tuple(squares), farthest, speed, float(np.mean(durations)))
 
 
-def candidates(key: str, stack: StackConfig) -> list[float]:
+def candidates(key: str, autopilot: AutopilotConfig) -> list[float]:
     """Values to evaluate, including the current one."""
     values = LOOK_AHEAD if key == "look_ahead" else CANDIDATES[key]
-    return sorted({*values, present(stack, key)})
+    return sorted({*values, present(autopilot, key)})
 
 
-def search(stack: StackConfig, keys: list[str], seeds: range, known: dict[str, Score]) -> Iterator[tuple[str, list]]:
+def search(
+    autopilot: AutopilotConfig, keys: list[str], seeds: range, known: dict[str, Score]
+) -> Iterator[tuple[str, list]]:
     """Evaluate every value of each parameter, the others unchanged; `known` caches evaluated variants."""
     for key in keys:
         rows = []
-        for value in candidates(key, stack):
-            changed = variant(stack, key, value)
+        for value in candidates(key, autopilot):
+            changed = variant(autopilot, key, value)
             name = changed.model_dump_json()
             if name not in known:
                 known[name] = score(changed, seeds)
@@ -139,18 +141,18 @@ def search(stack: StackConfig, keys: list[str], seeds: range, known: dict[str, S
         yield key, rows
 
 
-def verdict(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
+def verdict(key: str, autopilot: AutopilotConfig, rows: list[tuple[float, Score]]) -> str:
     """Whether the current value is as good as the best one."""
-    ours = present(stack, key)
+    ours = present(autopilot, key)
     best_value, best = min(rows, key=lambda row: row[1].objective)
     own = next(found for value, found in rows if value == ours)
     more = own.objective / best.objective - 1.0
     excess = f"{100 * more:.1f} % above the best ({best_value:g})"
     if more <= TOLERANCE:
-        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {excess}"
+        return f"{autopilot.name}.yaml {key} {ours:g}: confirmed, {excess}"
     if by_chance(own, best):
-        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {excess}, which may be chance"
-    return f"{stack.name}.yaml {key} {ours:g}: NOT confirmed, {excess}"
+        return f"{autopilot.name}.yaml {key} {ours:g}: confirmed, {excess}, which may be chance"
+    return f"{autopilot.name}.yaml {key} {ours:g}: NOT confirmed, {excess}"
 
 
 def by_chance(own: Score, best: Score) -> bool:
@@ -160,13 +162,13 @@ def by_chance(own: Score, best: Score) -> bool:
     return own.penalty <= best.penalty and float(np.mean(more)) <= 2.0 * error
 
 
-def table(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
+def table(key: str, autopilot: AutopilotConfig, rows: list[tuple[float, Score]]) -> str:
     """Rows of one parameter, with the current value marked."""
     lines = [
         f"{key:26s} {'objective':>9s} {'arrived':>8s} {'rms (m)':>8s} {'max (m)':>8s} {'speed':>6s} {'time (s)':>9s}"
     ]
     for value, found in rows:
-        mark = " <- yaml" if value == present(stack, key) else ""
+        mark = " <- yaml" if value == present(autopilot, key) else ""
         lines.append(
             f"{value:26g} {found.objective:9.4f} {100 * found.arrived:7.0f}% {found.tracking:8.4f} "
             f"{found.farthest:8.3f} {found.speed:6.3f} {found.duration:9.1f}{mark}"
@@ -190,13 +192,13 @@ def main() -> None:
     sys.stdout.write(f"seeds {seeds[0]} to {seeds[-1]}; {flown}; tolerance {100 * TOLERANCE:g} %\n\n")
     verdicts = []
     for name, keys in (("hardened", list(CANDIDATES)), ("published", ["look_ahead"])):
-        stack = shipped("stacks", StackConfig, name)
+        autopilot = shipped("autopilots", AutopilotConfig, name)
         wanted = [key for key in keys if only in ("", key)]
-        for key, rows in search(stack, wanted, seeds, {}):
-            sys.stdout.write(f"{name}: {table(key, stack, rows)}\n\n")
+        for key, rows in search(autopilot, wanted, seeds, {}):
+            sys.stdout.write(f"{name}: {table(key, autopilot, rows)}\n\n")
             sys.stdout.flush()
             if name == "hardened":
-                verdicts.append(verdict(key, stack, rows))
+                verdicts.append(verdict(key, autopilot, rows))
     sys.stdout.write("\n".join(verdicts) + f"\n{time.perf_counter() - start:.0f} s\n")
 
 

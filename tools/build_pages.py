@@ -25,7 +25,7 @@ from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.plugins import load_object
-from mavfi.states import STACKS, STATES, Field, StateSpec
+from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
 from tools import build_reference
 from tools.markers import DOCS, between
 
@@ -34,7 +34,7 @@ _INSTANT_US = 10_000_000
 
 def field_text(field: Field) -> str:
     """Name and unit, and the profiles that read the field unless all do."""
-    readers = "" if set(field.read_in) == set(STACKS) else f" [{', '.join(field.read_in) or 'dead'}]"
+    readers = "" if set(field.read_in) == set(AUTOPILOTS) else f" [{', '.join(field.read_in) or 'dead'}]"
     return f"`{field.name}` ({field.unit}){readers}"
 
 

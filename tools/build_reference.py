@@ -81,7 +81,7 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
     "config-keys.md": (
         CONFIGS,
         (
-            config.VehicleConfig, config.PlatformConfig, config.StackConfig, config.PlannerConfig,
+            config.VehicleConfig, config.PlatformConfig, config.AutopilotConfig, config.PlannerConfig,
             config.EnvironmentConfig, config.CameraConfig, config.MapConfig, config.WindConfig,
             config.LocalizationConfig, DetectorConfig, DesignConfig, UpsetConfig,
         ),

@@ -58,7 +58,9 @@ def draw_moment(axes: Axes) -> None:
     axes.plot(*track[flown, 1:].T, color=style.INK, linewidth=2.0, zorder=7)
     axes.plot(*track[flown, 1:][-1], marker=(3, 0, -90), color=style.INK, markersize=11, zorder=9)
     drawing.draw_ends(axes, flight.world.start, flight.world.goal)
-    axes.set_title(f"dense, seed {scenario.seed}, profile {scenario.stack.name}, {1e-6 * time_us:.1f} s: plan {NUMBER}")
+    axes.set_title(
+        f"dense, seed {scenario.seed}, profile {scenario.autopilot.name}, {1e-6 * time_us:.1f} s: plan {NUMBER}"
+    )
 
 
 def legend() -> list[Line2D | Patch]:

@@ -105,7 +105,7 @@ def watch_flight() -> Seen:
     request = parse(FAULT)
     assert isinstance(request, StateRequest)
     detector, _ = detector_for(scenario, "gaussian", "paper")
-    plan = Plan(scenario, configure(scenario), request.resolve(0, scenario.stack.name, None), detector,
+    plan = Plan(scenario, configure(scenario), request.resolve(0, scenario.autopilot.name, None), detector,
                 free_running=True)  # fmt: skip
     seen = Seen()
     looking: list[threading.Thread] = []

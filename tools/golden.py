@@ -175,7 +175,7 @@ def measure(task: tuple[Setting, int]) -> GoldenFlight:
     speed = np.linalg.norm(log.columns("vx", "vy", "vz"), axis=1)
     return GoldenFlight(
         seed, log.status.label, float(log.column("time")[-1]), float(log.meta["time_limit_s"]),
-        float(flight.world.clearance(position).min()) - scenario.vehicle.hull_radius,
+        float(flight.world.clearance(position).min()) - scenario.vehicle.collision_radius,
         float(np.linalg.norm(position - reference, axis=1).max()), float(speed.max()) / scenario.v_max,
         log.count("plan"), log.count("plan_failed"), log.count("collision_predicted"), log.count("warning"),
         _point(position[-1]),
@@ -195,14 +195,14 @@ def _cause(flight: Flight, scenario: Scenario) -> str:
     position = log.columns("x", "y", "z")
     if log.status is MissionStatus.COLLISION:
         clearance: Any = getattr(flight.pipeline["planner"], "clearance_map", None)
-        seen = clearance is not None and _is_mapped(clearance, position[-1], scenario.vehicle.hull_radius)
+        seen = clearance is not None and _is_mapped(clearance, position[-1], scenario.vehicle.collision_radius)
         off = float(np.linalg.norm(position[-1] - log.columns("reference_x", "reference_y", "reference_z")[-1]))
         what = "touched what its map held for occupied" if seen else "touched what its map had not seen"
         return f"{what}, {off:.2f} m off its reference"
     flown = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     way = f"flew {flown:.0f} m on a course of {log.meta['course_m']:.0f} m"
     if log.status is MissionStatus.NO_PATH:
-        return f"{scenario.stack.max_failed_plans + 1} plans in a row found no path; {way}"
+        return f"{scenario.autopilot.max_failed_plans + 1} plans in a row found no path; {way}"
     turns = turns_back(np.linalg.norm(position - flight.world.goal, axis=1))
     return f"{way}, turned back {turns} time{'' if turns == 1 else 's'}"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, Tag, TypeAdapter, ValidationError, field_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Tag, TypeAdapter, ValidationError, field_validator
 
 from mavfi.errors import BadInputError
 from mavfi.files import LARGEST_TEXT, read_file
@@ -78,14 +78,17 @@ def _size(node: yaml.Node, known: dict[int, float]) -> float:
 class VehicleConfig(Config):
     """Airframe, rotors and the gains of its flight controller (reference values and sources: docs/models.md).
 
-    The inner loop is a cascade: velocity -> attitude -> rate.  Contact of the sphere `hull_radius` is a collision.
+    The inner loop is a cascade: velocity -> attitude -> rate.  Contact of the sphere `collision_radius` is a collision.
     """
 
     name: str
     mass: float = Field(gt=0, le=1e4, description="kg")
     inertia: Vector = Field(description="kg m^2, principal, body frame")
     arm_length: float = Field(gt=0, le=100, description="m, rotor axis to centre")
-    hull_radius: float = Field(gt=0, le=5, description="m, collision radius")
+    collision_radius: float = Field(
+        gt=0, le=5, validation_alias=AliasChoices("collision_radius", "hull_radius"), serialization_alias="hull_radius",
+        description="m, of the sphere that counts as the vehicle; `hull_radius`, its older name, is accepted",
+    )  # fmt: skip
     max_rotor_thrust: float = Field(gt=0, le=1e6, description="N, one rotor")
     rotor_torque_ratio: float = Field(gt=0, le=100, description="m, torque / thrust")
     rotor_time_constant: float = Field(ge=0, le=10, description="s")
@@ -182,7 +185,7 @@ class PlatformConfig(Config):
     time_limit_factor: float = Field(1.0, ge=1, le=1e3)
 
 
-class StackConfig(Config):
+class AutopilotConfig(Config):
     """The rules of one autopilot profile.  Two are shipped: the paper's, and one of current good practice."""
 
     name: str
@@ -370,7 +373,7 @@ def load(model: type[ConfigType], path: Path) -> ConfigType:
 
 
 def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
-    """A shipped configuration by its name in the folder `kind`, e.g. "stacks", or a user's file by path.
+    """A shipped configuration by its name in the folder `kind`, e.g. "autopilots", or a user's file by path.
 
     Raises:
         BadInputError: Unknown name or invalid file.

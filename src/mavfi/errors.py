@@ -32,7 +32,7 @@ class BadInputError(MavfiError):
 
 
 class SpecMismatchError(BadInputError):
-    """Two items do not match, e.g. a trained model and the stack that it should monitor."""
+    """Two items do not match, e.g. a trained model and the pipeline that it should monitor."""
 
 
 class MachineError(MavfiError):

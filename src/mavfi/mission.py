@@ -9,6 +9,7 @@ from pydantic import AliasChoices, ConfigDict, Field, field_validator
 
 from mavfi.config import (
     STRONGEST_WIND,
+    AutopilotConfig,
     CameraConfig,
     Config,
     EnvironmentConfig,
@@ -16,7 +17,6 @@ from mavfi.config import (
     MapConfig,
     PlannerConfig,
     PlatformConfig,
-    StackConfig,
     Vector,
     VehicleConfig,
     WindConfig,
@@ -140,7 +140,7 @@ class MissionSpec(Config):
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 """Mission keys that define the recovery from a detector's alarms."""
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
-_STACK_OPTIONS = ("alarm",)
+_AUTOPILOT_OPTIONS = ("alarm",)
 
 
 class Scenario(Config):
@@ -148,7 +148,7 @@ class Scenario(Config):
 
     environment: EnvironmentConfig
     seed: int
-    stack: StackConfig
+    autopilot: AutopilotConfig = Field(validation_alias=AliasChoices("autopilot", "stack"), serialization_alias="stack")
     vehicle: VehicleConfig
     platform: PlatformConfig
     planner: PlannerConfig = PlannerConfig()
@@ -165,13 +165,16 @@ class Scenario(Config):
     protection: Plan | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; options at their defaults are omitted, so that a mission without them keeps its key."""
-        data = self.model_dump(mode="json")
+        """Plain data; options at their defaults are omitted, so that a mission without them keeps its key.
+
+        For the same reason `autopilot` and `collision_radius` keep their older names in it: `stack`, `hull_radius`.
+        """
+        data = self.model_dump(mode="json", by_alias=True)
         for name in _OPTIONS:
             if getattr(self, name) == Scenario.model_fields[name].default:
                 del data[name]
-        for name in _STACK_OPTIONS:
-            if getattr(self.stack, name) == StackConfig.model_fields[name].default:
+        for name in _AUTOPILOT_OPTIONS:
+            if getattr(self.autopilot, name) == AutopilotConfig.model_fields[name].default:
                 del data["stack"][name]
         return data
 

@@ -14,7 +14,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 
 _BYTE = np.dtype(np.uint8)
-STACKS = ("published", "hardened")
+AUTOPILOTS = ("published", "hardened")
 ODOMETRY = {"truth": "sensor.odometry", "estimator": "perception.odometry"}
 """By localization, the state that carries the vehicle's odometry; both begin with the same 13 fields."""
 
@@ -130,17 +130,18 @@ class Field:
         name: Name, as in the paper if it has one.
         dtype: NumPy type string: "f8", "f4", "i4" or "?".
         unit: SI unit, "-" for counters and flags.
-        read_in: Stacks in which some consumer reads the field; elsewhere it is dead: a fault in it has no effect.
+        read_in: Autopilot profiles in which some consumer reads the field; elsewhere it is dead: a fault in it has no
+            effect.
     """
 
     name: str
     dtype: str
     unit: str
-    read_in: tuple[str, ...] = STACKS
+    read_in: tuple[str, ...] = AUTOPILOTS
 
-    def dead_in(self, stack: str) -> bool:
-        """Whether no consumer of the stack reads the field."""
-        return stack not in self.read_in
+    def dead_in(self, autopilot: str) -> bool:
+        """Whether no consumer in the autopilot profile reads the field."""
+        return autopilot not in self.read_in
 
 
 @dataclass(frozen=True, slots=True)

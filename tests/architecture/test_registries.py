@@ -19,13 +19,13 @@ from mavfi.detectors.registry import (
 )  # fmt: skip
 from mavfi.mission import MissionStatus
 from mavfi.platforms.redundancy import DesignConfig
-from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage
+from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, Stage
 from tests.architecture.source import ROOT
 
 UNITS = {"m", "m/s", "m/s^2", "rad", "rad/s", "s", "-"}
 MODELS = {
     "environments": config.EnvironmentConfig,
-    "stacks": config.StackConfig,
+    "autopilots": config.AutopilotConfig,
     "platforms": config.PlatformConfig,
     "vehicles": config.VehicleConfig,
     "planners": config.PlannerConfig,
@@ -58,7 +58,7 @@ def test_every_field_of_a_state_has_a_unit_and_a_type_that_can_be_struck(state):
     for field in state.fields:
         assert field.unit in UNITS, field.name
         assert field.dtype in ("f8", "f4", "i4", "?"), field.name
-        assert set(field.read_in) <= set(STACKS), field.name
+        assert set(field.read_in) <= set(AUTOPILOTS), field.name
 
 
 @pytest.mark.parametrize("state", STATES.values(), ids=STATES)
@@ -124,7 +124,7 @@ def test_shipped_configurations_load_and_are_named_as_their_files(kind, name):
 def test_what_the_paper_flew_is_shipped():
     assert {"factory", "farm", "sparse", "dense", "clutter"} <= set(config.names("environments"))
     assert {"i9-9940x", "cortex-a57"} <= set(config.names("platforms"))
-    assert set(STACKS) == set(config.names("stacks"))
+    assert set(AUTOPILOTS) == set(config.names("autopilots"))
     assert {"rrt", "rrt_connect", "rrt_star"} == set(config.names("planners"))
 
 

@@ -12,9 +12,9 @@ from mavfi.mission import MissionSpec
 
 STORE = Path(__file__).with_name("digests.json")
 FLIGHTS = [
-    (environment, stack, seed)
+    (environment, autopilot, seed)
     for environment in ("sparse", "dense", "factory", "farm")
-    for stack in ("published", "hardened")
+    for autopilot in ("published", "hardened")
     for seed in (0, 1)
 ]
 TAGS = {
@@ -37,9 +37,9 @@ def test_the_flights_are_still_the_same(request):
                        if content["made_with"].get(name) != tag}  # fmt: skip
         pytest.skip(f"bits are promised for one set of versions only: {differences}")
     digests = {}
-    for environment, stack, seed in FLIGHTS:
-        log = fly(resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))).log
-        digests[f"{environment} {stack} {seed}"] = f"{log.digest()} {log.status.label} {len(log.rows)}"
+    for environment, autopilot, seed in FLIGHTS:
+        log = fly(resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))).log
+        digests[f"{environment} {autopilot} {seed}"] = f"{log.digest()} {log.status.label} {len(log.rows)}"
     if update:
         STORE.write_text(json.dumps({"made_with": TAGS, "digests": digests}, indent=2) + "\n", encoding="utf-8")
     assert digests == stored()["digests"]

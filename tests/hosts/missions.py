@@ -11,19 +11,19 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionSpec, MissionStatus, time_limit
 from mavfi.sim.environments.arena import arena_world
 
-STACKS = ("published", "hardened")
+AUTOPILOTS = ("published", "hardened")
 GOAL = (45.0, 5.0, 3.0)
 """Behind an obstacle: there is a predicted collision and a second plan on the way."""
 
 
-def mission(stack="published", **changes):
+def mission(autopilot="published", **changes):
     """36 m through dense boxes, about 15 s."""
-    return resolve(MissionSpec(environment="dense", seed=1, autopilot=stack, goal=GOAL, **changes))
+    return resolve(MissionSpec(environment="dense", seed=1, autopilot=autopilot, goal=GOAL, **changes))
 
 
 @cache
-def golden(stack="published"):
-    return fly(mission(stack), profile=True)
+def golden(autopilot="published"):
+    return fly(mission(autopilot), profile=True)
 
 
 def fault(state, field, at, bit=None, element=None):

@@ -19,7 +19,7 @@ from mavfi.hosts.watching import detector_for
 from mavfi.pipeline.memory import Foreign, Memory
 from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES
-from tests.hosts.missions import STACKS, Scripted, fault, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, fault, mission
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 
@@ -124,7 +124,7 @@ CASES = {
 
 
 REPEATED = ("rrt_star", "tuned", "acceptance hardened")
-"""They show what others show: another planner; the detector in another profile; another stack."""
+"""They show what others show: another planner; the detector in another profile; another autopilot."""
 IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
 
 
@@ -150,17 +150,17 @@ def test_a_flight_continues_from_any_checkpoint_as_it_did(case):
 
 
 @cache
-def nervous_flight(stack):
+def nervous_flight(autopilot):
     detector = Nervous()
-    return content(fly(mission(stack), None, detector).log)
+    return content(fly(mission(autopilot), None, detector).log)
 
 
-def same_from_everywhere(stack="published"):
+def same_from_everywhere(autopilot="published"):
     """Whether a flight with alarms in every stage continues as it did, from instants in the middle of everything."""
-    log, stops = fly_with_stops(mission(stack), Nervous(), pitch=7)
-    assert content(log) == nervous_flight(stack)
+    log, stops = fly_with_stops(mission(autopilot), Nervous(), pitch=7)
+    assert content(log) == nervous_flight(autopilot)
     try:  # from the middle backwards, so that what is forgotten is what came later
-        return all(content(stop.resume()) == nervous_flight(stack) for stop in stops[len(stops) // 2 :: -6])
+        return all(content(stop.resume()) == nervous_flight(autopilot) for stop in stops[len(stops) // 2 :: -6])
     except (IndexError, KeyError, BadInputError):  # pieces of two instants that do not fit together
         return False
 
@@ -174,8 +174,10 @@ def test_nothing_is_forgotten():
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_checkpoint_that_forgets_a_kernel_is_noticed(name, monkeypatch):
     monkeypatch.setattr(type(new_loop(mission()).kernels[name]), "restore", lambda *_: None)
-    stack = "hardened" if name == "octomap" else "published"  # there the clock follows the known space, scan by scan
-    assert not same_from_everywhere(stack)
+    autopilot = (
+        "hardened" if name == "octomap" else "published"
+    )  # there the clock follows the known space, scan by scan
+    assert not same_from_everywhere(autopilot)
 
 
 @pytest.mark.parametrize("name", ["awaited", "command"])
@@ -228,8 +230,8 @@ def test_what_a_checkpoint_copies_is_small():
             return sum(map(size, saved.values()))
         return sum(map(size, saved)) if isinstance(saved, (list, tuple)) else 0
 
-    for stack in STACKS:
-        _, stops = fly_with_stops(mission(stack), pitch=100)
+    for autopilot in AUTOPILOTS:
+        _, stops = fly_with_stops(mission(autopilot), pitch=100)
         for name, (saved, _) in stops[-1].instant.kernels.items():
             assert size(saved) < 300_000, name
 

@@ -9,7 +9,7 @@ from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import MissionSpec
-from tests.hosts.missions import STACKS, golden, mission
+from tests.hosts.missions import AUTOPILOTS, golden, mission
 
 AWAY_US = 570_000
 UNHEARD, REFUSED = (6002, 1), (6005, 2)
@@ -65,9 +65,9 @@ def test_a_mission_that_ends_with_its_node_ends_there():
     assert (log.rows == died("fresh", *REFUSED).rows[: len(log.rows)]).all()
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_golden_flight_with_repeated_alarms_is_the_same_flight(stack):
-    flown, plain = fly(mission(stack, alarm="repeated")).log, golden(stack).log
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_golden_flight_with_repeated_alarms_is_the_same_flight(autopilot):
+    flown, plain = fly(mission(autopilot, alarm="repeated")).log, golden(autopilot).log
     assert flown.digest() == plain.digest() and flown.meta["publications"] == plain.meta["publications"]
     rest, others = ([event for event in log.events if event.kind != "collision_predicted"] for log in (flown, plain))
     assert rest == others and flown.count("collision_predicted") >= plain.count("collision_predicted") > 0

@@ -9,19 +9,19 @@ from mavfi.hosts.loop.compose import find_environment, resolve
 from mavfi.mission import FLY_AWAY_MARGIN, MissionSpec, MissionStatus
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
-from tests.hosts.missions import STACKS, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, fault, golden, mission
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("stack", "expected"),
+    ("autopilot", "expected"),
     [("published", MissionStatus.NO_PATH), ("hardened", MissionStatus.NO_PATH)],
 )
-def test_in_a_closed_yard_no_path_is_found(stack, expected):
+def test_in_a_closed_yard_no_path_is_found(autopilot, expected):
     yard = EnvironmentConfig(name="yard", generator="tests.hosts.missions:walled")
-    scenario = mission(stack).model_copy(update={"environment": yard, "goal": (60.0, 0.0, 3.0)})
-    few = scenario.stack.model_copy(update={"max_failed_plans": 6})
-    flight = fly(scenario.model_copy(update={"stack": few}))
+    scenario = mission(autopilot).model_copy(update={"environment": yard, "goal": (60.0, 0.0, 3.0)})
+    few = scenario.autopilot.model_copy(update={"max_failed_plans": 6})
+    flight = fly(scenario.model_copy(update={"autopilot": few}))
     assert flight.log.status is expected
     assert flight.log.count("plan_failed") > 6
 
@@ -72,8 +72,8 @@ def test_the_vehicles_state_is_judged(odometry, expected):
 
 def test_failed_plans_and_time_are_judged():
     limit = golden().log.meta["time_limit_s"] * 1e6
-    assert judge({}, failed_plans=mission().stack.max_failed_plans) is None
-    assert judge({}, failed_plans=mission().stack.max_failed_plans + 1) is MissionStatus.NO_PATH
+    assert judge({}, failed_plans=mission().autopilot.max_failed_plans) is None
+    assert judge({}, failed_plans=mission().autopilot.max_failed_plans + 1) is MissionStatus.NO_PATH
     assert judge({}, int(limit)) is MissionStatus.TIMEOUT
     assert judge({}, int(limit) - 20_000) is None
 
@@ -101,9 +101,9 @@ def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
     assert log.column("time")[-1] <= 2.04
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(axis, stack):
+def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(axis, autopilot):
     class Corrupt:
         """A fault injector of another kind: puts NaN into one way-point."""
 
@@ -119,7 +119,7 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
         def finish(self):
             return []
 
-    loop = new_loop(mission(stack))
+    loop = new_loop(mission(autopilot))
     loop.taps.injector = Corrupt()
     flight = loop.fly()
     assert flight.log.meta["rejected_commands"] > 0
@@ -143,7 +143,7 @@ def test_a_huge_command_is_shortened():
         ({"environment": "nowhere"}, "environment 'nowhere': not known; allowed: "),
         ({"seed": -1}, "'seed': -1"),
         ({"v_max": 99.0}, "'v_max': 99.0"),
-        ({"stack": "soft"}, "stack 'soft': not known; allowed: hardened, published"),
+        ({"stack": "soft"}, "autopilot 'soft': not known; allowed: hardened, published"),
         ({"platform": "abacus"}, "platform 'abacus': not known"),
     ],
 )

@@ -17,7 +17,7 @@ from mavfi.hosts.local import fast_forward, fly
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.recovery import Recovery
-from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
 
 FAULTS = [
@@ -59,12 +59,12 @@ ARMS = {
 }
 
 
-def every_fault(stack, arm, forward, detector, faults=FAULTS):
+def every_fault(autopilot, arm, forward, detector, faults=FAULTS):
     """Runs of which its answer is another one."""
     other = []
     for number, injected in enumerate([None, *faults]):
         mine = forward.fly(injected, detector, arm)
-        truth = fly(mission(stack), injected, detector, profile=injected is None)
+        truth = fly(mission(autopilot), injected, detector, profile=injected is None)
         if content(mine.log) != content(truth.log):
             other.append(number)
     return other
@@ -79,19 +79,21 @@ REPEATED = [
 stage: `test_detectors_share_what_was_flown_in_any_order` and `test_an_observer_is_fast_forwarded_too` have them."""
 
 
-def marked(stack, arm):
+def marked(autopilot, arm):
     marks = (
         ()
-        if (stack, arm) in IN_THE_FAST_SUITE
-        else (pytest.mark.slow, *[pytest.mark.long] * ((stack, arm) in REPEATED))
+        if (autopilot, arm) in IN_THE_FAST_SUITE
+        else (pytest.mark.slow, *[pytest.mark.long] * ((autopilot, arm) in REPEATED))
     )
-    return pytest.param(stack, arm, marks=marks)
+    return pytest.param(autopilot, arm, marks=marks)
 
 
-@pytest.mark.parametrize(("stack", "arm"), [marked(stack, arm) for stack in STACKS for arm in ARMS[stack]])
-def test_fast_forwarded_flights_are_the_flights(stack, arm):
-    forward = FastForward(mission(stack))
-    assert every_fault(stack, arm, forward, ARMS[stack][arm]()) == []
+@pytest.mark.parametrize(
+    ("autopilot", "arm"), [marked(autopilot, arm) for autopilot in AUTOPILOTS for arm in ARMS[autopilot]]
+)
+def test_fast_forwarded_flights_are_the_flights(autopilot, arm):
+    forward = FastForward(mission(autopilot))
+    assert every_fault(autopilot, arm, forward, ARMS[autopilot][arm]()) == []
     assert forward.share.flights == 1 + len(FAULTS)
     if arm != "nervous":  # which alarms all the time
         assert forward.share.flown < 0.75 * forward.share.ticks
@@ -170,23 +172,23 @@ def test_an_observer_is_fast_forwarded_too():
 
 
 @cache
-def table1(stack):
+def table1(autopilot):
     """The table's campaign on a profile."""
-    return load_campaign("table1").model_copy(update={"autopilot": stack, "first_seed": 10_100})
+    return load_campaign("table1").model_copy(update={"autopilot": autopilot, "first_seed": 10_100})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("environment", "stack"),
+    ("environment", "autopilot"),
     [
         ("dense", "published"),
         pytest.param("factory", "hardened", marks=pytest.mark.long),
         *(pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")),
     ],
 )
-def test_a_mission_of_the_table_leaves_the_same_records(environment, stack):
+def test_a_mission_of_the_table_leaves_the_same_records(environment, autopilot):
     """All arms, all stages, both strata and a null fault; `benchmarks/fast_forward.py` compares hundreds of runs."""
-    campaign = table1(stack)
+    campaign = table1(autopilot)
     models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
     plan = MissionPlan(campaign, environment, campaign.first_seed, models=models)
     flown = [

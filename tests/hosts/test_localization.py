@@ -11,13 +11,13 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
-from tests.hosts.missions import STACKS, Scripted, ends_as_its_status_says, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission
 
 ESTIMATE = ODOMETRY["estimator"]
 
 
-def estimating(stack="hardened", **figures):
-    plain = mission(stack, localization="estimator")
+def estimating(autopilot="hardened", **figures):
+    plain = mission(autopilot, localization="estimator")
     return plain.model_copy(update={"localization": LocalizationConfig(kind="estimator", **figures)})
 
 
@@ -33,9 +33,9 @@ class Seen:
 
 
 @cache
-def flown(stack="hardened"):
+def flown(autopilot="hardened"):
     seen = Seen(ESTIMATE, "sensor.depth", "sensor.position", "sensor.imu")
-    return fly(estimating(stack), profile=True, recorders=[seen]), seen.rows
+    return fly(estimating(autopilot), profile=True, recorders=[seen]), seen.rows
 
 
 def errors(flight, estimates):
@@ -47,23 +47,23 @@ def errors(flight, estimates):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
-def test_with_an_estimator_it_arrives_and_knows_where_it_is(stack):
-    flight, rows = flown(stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_with_an_estimator_it_arrives_and_knows_where_it_is(autopilot):
+    flight, rows = flown(autopilot)
     assert flight.log.status is MissionStatus.SUCCESS
     found = errors(flight, rows[ESTIMATE])
     assert np.sqrt(np.mean(found**2)) < 0.05 and found.max() < 0.25
-    assert flight.log.digest() != golden(stack).log.digest()
-    assert fly(estimating(stack)).log.digest() == flight.log.digest()
+    assert flight.log.digest() != golden(autopilot).log.digest()
+    assert fly(estimating(autopilot)).log.digest() == flight.log.digest()
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_only_what_exists_is_published_counted_and_profiled(stack):
-    counts = flown(stack)[0].log.meta["publications"]
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_only_what_exists_is_published_counted_and_profiled(autopilot):
+    counts = flown(autopilot)[0].log.meta["publications"]
     assert list(counts) == list(states_with("estimator")) and all(counts.values())
     assert ODOMETRY["truth"] not in counts
-    assert list(flown(stack)[0].profile.times_us) == list(counts)
-    calm = golden(stack)
+    assert list(flown(autopilot)[0].profile.times_us) == list(counts)
+    calm = golden(autopilot)
     assert list(calm.log.meta["publications"]) == list(calm.profile.times_us) == list(states_with("truth"))
     assert "localization" not in calm.log.meta["scenario"] and "wind" not in calm.log.meta["scenario"]
 
@@ -96,14 +96,14 @@ def test_without_noise_the_estimate_is_the_truth_but_for_the_steps_of_physics():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize(
     ("state", "field", "bit"), [(ESTIMATE, "x", 56), (ESTIMATE, "y", 63), (ESTIMATE, "z", 62), ("sensor.imu", "fx", 54)]
 )
-def test_a_fault_in_what_the_vehicle_believes_changes_the_flight(state, field, bit, stack):
-    flight = fly(estimating(stack), fault(state, field, 5.0, bit))
+def test_a_fault_in_what_the_vehicle_believes_changes_the_flight(state, field, bit, autopilot):
+    flight = fly(estimating(autopilot), fault(state, field, 5.0, bit))
     assert flight.log.injections[0].activated
-    assert flight.log.digest() != flown(stack)[0].log.digest()
+    assert flight.log.digest() != flown(autopilot)[0].log.digest()
     assert ends_as_its_status_says(flight)
 
 
@@ -146,10 +146,10 @@ def test_a_struck_estimate_is_repaired_by_running_the_filter_again():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
-def test_recomputing_the_rest_of_perception_leaves_the_filter_alone(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_recomputing_the_rest_of_perception_leaves_the_filter_alone(autopilot):
     seen = Seen(ESTIMATE)
-    flight = fly(estimating(stack), detector=Scripted("perception.map_update", 5, "perception"), recorders=[seen])
+    flight = fly(estimating(autopilot), detector=Scripted("perception.map_update", 5, "perception"), recorders=[seen])
     assert [alarm.outcome for alarm in flight.log.alarms] == ["accepted"]
     assert flight.log.status is MissionStatus.SUCCESS
     assert errors(flight, seen.rows[ESTIMATE]).max() < 0.25

@@ -6,7 +6,7 @@ from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 
 
 def of_kind(scenario, kind, resolution=0.5):
@@ -14,25 +14,25 @@ def of_kind(scenario, kind, resolution=0.5):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(stack):
-    flight = fly(mission(stack, map="octree"), profile=True)
-    assert flight.log.digest() == golden(stack).log.digest()
-    assert flight.log.events == golden(stack).log.events
-    dense, octree = golden(stack).pipeline["octomap"].map, flight.pipeline["octomap"].map
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(autopilot):
+    flight = fly(mission(autopilot, map="octree"), profile=True)
+    assert flight.log.digest() == golden(autopilot).log.digest()
+    assert flight.log.events == golden(autopilot).log.events
+    dense, octree = golden(autopilot).pipeline["octomap"].map, flight.pipeline["octomap"].map
     assert type(dense) is not type(octree)
     assert dense.log_odds.tobytes() == octree.log_odds.tobytes()
     for name, lengths in flight.profile.counts.items():
-        np.testing.assert_array_equal(lengths, golden(stack).profile.counts[name])
+        np.testing.assert_array_equal(lengths, golden(autopilot).profile.counts[name])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_recomputed_perception_is_the_same_with_both_maps(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_recomputed_perception_is_the_same_with_both_maps(autopilot):
     logs = []
     for kind in ("dense", "octree"):
         detector = Scripted("perception.map_update", 5, "perception", times=3)
-        logs.append(fly(mission(stack, map=kind), detector=detector).log)
+        logs.append(fly(mission(autopilot, map=kind), detector=detector).log)
     assert logs[0].alarms == logs[1].alarms and logs[0].alarms[0].outcome == "accepted"
     assert logs[0].digest() == logs[1].digest()
 
@@ -45,18 +45,18 @@ def test_a_struck_cloud_ends_the_same_with_both_maps():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("environment", "stack"),
+    ("environment", "autopilot"),
     [
         pytest.param(
-            environment, stack, marks=() if (environment, stack) == ("dense", "published") else pytest.mark.long
+            environment, autopilot, marks=() if (environment, autopilot) == ("dense", "published") else pytest.mark.long
         )
         for environment in ("dense", "factory", "sparse", "farm")
-        for stack in STACKS
+        for autopilot in AUTOPILOTS
     ],
 )
-def test_whole_missions_have_the_same_digest_with_both_maps(environment, stack):
+def test_whole_missions_have_the_same_digest_with_both_maps(environment, autopilot):
     for seed, resolution in ((0, 0.5), (1, 0.5), (2, 0.4)):
-        scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
+        scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))
         logs = [fly(of_kind(scenario, kind, resolution)).log for kind in ("dense", "octree")]
         assert logs[0].digest() == logs[1].digest()
 

@@ -6,15 +6,15 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.states import ODOMETRY
-from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 
 OBSERVER = Recovery("observer")
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_detector_that_only_watches_changes_nothing(stack):
-    flight = fly(mission(stack), None, Scripted(), recovery=OBSERVER)
-    assert flight.log.digest() == golden(stack).log.digest()
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_detector_that_only_watches_changes_nothing(autopilot):
+    flight = fly(mission(autopilot), None, Scripted(), recovery=OBSERVER)
+    assert flight.log.digest() == golden(autopilot).log.digest()
     assert flight.log.alarms == []
 
 

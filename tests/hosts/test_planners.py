@@ -9,27 +9,27 @@ from mavfi.hosts.loop.compose import find_planner
 from mavfi.mission import MissionStatus
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.planners import PathSearch, make_search
-from tests.hosts.missions import STACKS, golden, mission
+from tests.hosts.missions import AUTOPILOTS, golden, mission
 
 NAME = "examples.planner_detour:Detour"
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_planner_of_ones_own_flies_the_mission(stack):
-    flight = fly(mission(stack, planner=NAME))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_planner_of_ones_own_flies_the_mission(autopilot):
+    flight = fly(mission(autopilot, planner=NAME))
     assert flight.log.status is MissionStatus.SUCCESS
-    assert flight.log.digest() != golden(stack).log.digest()
-    assert flight.log.digest() == fly(mission(stack, planner=NAME)).log.digest()
+    assert flight.log.digest() != golden(autopilot).log.digest()
+    assert flight.log.digest() == fly(mission(autopilot, planner=NAME)).log.digest()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("planner", ["rrt", "rrt_star"])
-def test_every_shipped_planner_flies_the_mission(stack, planner):
-    flight = fly(mission(stack, planner=planner))
+def test_every_shipped_planner_flies_the_mission(autopilot, planner):
+    flight = fly(mission(autopilot, planner=planner))
     assert flight.log.status is MissionStatus.SUCCESS
-    assert flight.log.digest() != golden(stack).log.digest()
-    assert flight.log.digest() == fly(mission(stack, planner=planner)).log.digest()
+    assert flight.log.digest() != golden(autopilot).log.digest()
+    assert flight.log.digest() == fly(mission(autopilot, planner=planner)).log.digest()
 
 
 def test_a_planner_is_chosen_by_name_by_file_and_by_class(tmp_path):

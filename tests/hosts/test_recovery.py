@@ -5,7 +5,7 @@ from mavfi.hosts.local import fly
 from mavfi.mission import MissionStatus
 from mavfi.platforms.compute import stage_latency
 from mavfi.states import STATES, Stage
-from tests.hosts.missions import STACKS, Scripted, ends_as_its_status_says, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission
 
 CASES = [
     ("perception.point_cloud", "x", 5, "perception"),
@@ -20,26 +20,26 @@ def stamped(observed):
     return lambda state, time_us: observed.append((time_us, state.spec.name, state))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_detector_that_never_alarms_leaves_the_golden_digest(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_detector_that_never_alarms_leaves_the_golden_digest(autopilot):
     detector = Scripted()
-    flight = fly(mission(stack), detector=detector)
-    assert flight.log.digest() == golden(stack).log.digest()
+    flight = fly(mission(autopilot), detector=detector)
+    assert flight.log.digest() == golden(autopilot).log.digest()
     assert flight.log.alarms == []
     assert len(detector.accepted) == sum(flight.log.meta["publications"].values())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize(("state", "field", "n", "stage"), CASES)
-def test_a_false_alarm_is_recomputed_to_the_same_value_and_accepted(state, field, n, stage, stack):
+def test_a_false_alarm_is_recomputed_to_the_same_value_and_accepted(state, field, n, stage, autopilot):
     del field
     observed = []
     detector = Scripted(state, n, stage)
-    flight = fly(mission(stack), detector=detector, recorders=[stamped(observed)])
+    flight = fly(mission(autopilot), detector=detector, recorders=[stamped(observed)])
     (alarm,) = flight.log.alarms
     ((when, rejected),) = detector.alarmed
-    platform = mission(stack).platform
+    platform = mission(autopilot).platform
     assert (alarm.action, alarm.outcome, alarm.state) == ("recompute", "accepted", state)
     assert flight.log.meta["recompute_us"][stage] == stage_latency(platform, Stage(stage))
     assert sum(flight.log.meta["recompute_us"].values()) == stage_latency(platform, Stage(stage))
@@ -55,23 +55,23 @@ def test_a_false_alarm_is_recomputed_to_the_same_value_and_accepted(state, field
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize(("state", "field", "n", "stage"), [case for case in CASES if not STATES[case[0]].acted_on])
-def test_a_fault_that_is_found_is_repaired_by_running_the_stage_again(state, field, n, stage, stack):
+def test_a_fault_that_is_found_is_repaired_by_running_the_stage_again(state, field, n, stage, autopilot):
     clean = Scripted(state, n, stage)
-    fly(mission(stack), detector=clean)
+    fly(mission(autopilot), detector=clean)
     ((when, expected),) = clean.alarmed
     bit = 30 if STATES[state].find(field).dtype == "f4" else 61
     observed = []
     detector = Scripted(state, n, stage)
     fault_here = fault(state, field, 1e-6 * when, bit, element=0)
-    flight = fly(mission(stack), fault_here, detector, recorders=[stamped(observed)])
+    flight = fly(mission(autopilot), fault_here, detector, recorders=[stamped(observed)])
     ((struck_at, struck),) = detector.alarmed
     assert struck_at == when and not struck.same_bits(expected)
     assert flight.log.alarms[0].outcome == "repaired"
     shown = next(value for time, name, value in observed if name == state and time > when)
     assert shown.same_bits(expected)
-    assert flight.log.digest() == fly(mission(stack), detector=Scripted(state, n, stage)).log.digest()
+    assert flight.log.digest() == fly(mission(autopilot), detector=Scripted(state, n, stage)).log.digest()
 
 
 def test_a_struck_collision_status_is_repaired():
@@ -110,11 +110,11 @@ def test_abandoning_takes_the_next_way_point():
     assert flight.log.meta["recompute_us"]["control"] == stage_latency(mission().platform, Stage.CONTROL)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_stopping_holds_and_plans_again(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_stopping_holds_and_plans_again(autopilot):
     observed = []
     detector = Scripted("control.command", 300, "control", stop=True)
-    flight = fly(mission(stack), detector=detector, recorders=[stamped(observed)])
+    flight = fly(mission(autopilot), detector=detector, recorders=[stamped(observed)])
     assert flight.log.alarms[0].action == "stop"
     when = detector.alarmed[0][0]
     after = next(v for time, name, v in observed if name == "planning.waypoint" and time > when)
@@ -145,12 +145,12 @@ def test_alarms_at_both_states_of_one_step_make_it_run_again_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_detector_that_always_alarms_breaks_nothing(stack):
-    flight = fly(mission(stack), detector=Everything(STATES, "perception"))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_detector_that_always_alarms_breaks_nothing(autopilot):
+    flight = fly(mission(autopilot), detector=Everything(STATES, "perception"))
     assert ends_as_its_status_says(flight)
     flight = fly(
-        mission(stack), detector=Everything(("planning.waypoint", "control.command", "control.tracking"), "control")
+        mission(autopilot), detector=Everything(("planning.waypoint", "control.command", "control.tracking"), "control")
     )
     assert ends_as_its_status_says(flight)
 

@@ -4,7 +4,7 @@ import pytest
 from mavfi.config import PlatformConfig, shipped
 from mavfi.hosts.local import fly
 from mavfi.states import STATES, states_with
-from tests.hosts.missions import STACKS, golden, mission
+from tests.hosts.missions import AUTOPILOTS, golden, mission
 
 CAUSES = {
     "perception.point_cloud": ("sensor.depth",),
@@ -21,9 +21,9 @@ def publications(scenario):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("platform", ["i9-9940x", "cortex-a57"])
-@pytest.mark.parametrize("stack", STACKS)
-def test_nothing_is_seen_before_its_latency_has_passed(stack, platform):
-    seen, _ = publications(mission(stack, platform=platform))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_nothing_is_seen_before_its_latency_has_passed(autopilot, platform):
+    seen, _ = publications(mission(autopilot, platform=platform))
     latency = shipped("platforms", PlatformConfig, platform).latency_us
     for name, causes in CAUSES.items():
         due = {time + latency[STATES[name].writer] for cause in causes for time in seen[cause]}
@@ -33,7 +33,7 @@ def test_nothing_is_seen_before_its_latency_has_passed(stack, platform):
     assert (np.array(seen["perception.map_update"]) - captured == whole).all()
     status = np.array(seen["perception.collision_status"])
     triggers = np.array(seen["perception.map_update"] + seen["planning.trajectory"])
-    assert np.isin(status - latency["collision_check"], triggers).all() or stack == "hardened"
+    assert np.isin(status - latency["collision_check"], triggers).all() or autopilot == "hardened"
     ticks = np.array(seen["control.command"]) - latency["pid"]
     assert (ticks % 20_000 == 0).all() and len(set(ticks)) == len(ticks)
 
@@ -48,12 +48,12 @@ def test_perception_runs_back_to_back_and_ten_times_a_second_at_most():
     assert (np.diff(seen["sensor.depth"]) == 100_000).all()
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_log_counts_what_was_published_and_what_it_cost(stack):
-    seen, flight = publications(mission(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_log_counts_what_was_published_and_what_it_cost(autopilot):
+    seen, flight = publications(mission(autopilot))
     meta = flight.log.meta
     assert meta["publications"] == {name: len(times) for name, times in seen.items()}
-    latency = mission(stack).platform.latency_us
+    latency = mission(autopilot).platform.latency_us
     assert meta["compute_us"]["planner"] == latency["planner"] * len(seen["planning.path"])
     steps = meta["compute_us"]["pid"] / latency["pid"]
     assert 0 <= steps - len(seen["control.command"]) <= 1  # the last one may not have been seen any more

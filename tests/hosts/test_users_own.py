@@ -5,19 +5,19 @@ from examples.map_forgetting import ForgettingMap
 
 from mavfi.hosts.local import fly
 from mavfi.mission import MissionStatus
-from tests.hosts.missions import STACKS, Scripted, golden, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, golden, mission
 
 MAP = "examples.map_forgetting:ForgettingMap"
 VEHICLE = "examples/vehicle/courier.yaml"
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_example_of_a_map_flies_the_mission(stack, monkeypatch):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_example_of_a_map_flies_the_mission(autopilot, monkeypatch):
     monkeypatch.setattr(ForgettingMap, "memory", 8)  # the mission is short
-    flight = fly(mission(stack, map=MAP))
+    flight = fly(mission(autopilot, map=MAP))
     assert flight.log.status is MissionStatus.SUCCESS
-    assert flight.log.digest() == fly(mission(stack, map=MAP)).log.digest()
-    known, all_known = ((f.pipeline["octomap"].map.log_odds != 0).sum() for f in (flight, golden(stack)))
+    assert flight.log.digest() == fly(mission(autopilot, map=MAP)).log.digest()
+    known, all_known = ((f.pipeline["octomap"].map.log_odds != 0).sum() for f in (flight, golden(autopilot)))
     assert known < 0.9 * all_known
 
 
@@ -33,17 +33,17 @@ def test_a_recomputed_scan_is_the_same_with_the_example():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_example_of_a_vehicle_flies_the_mission(stack, pytestconfig):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_example_of_a_vehicle_flies_the_mission(autopilot, pytestconfig):
     vehicle = str(pytestconfig.rootpath / VEHICLE)
-    flight = fly(mission(stack, vehicle=vehicle))
+    flight = fly(mission(autopilot, vehicle=vehicle))
     assert flight.log.status is MissionStatus.SUCCESS
-    assert flight.log.digest() != golden(stack).log.digest()
-    assert flight.log.digest() == fly(mission(stack, vehicle=vehicle)).log.digest()
+    assert flight.log.digest() != golden(autopilot).log.digest()
+    assert flight.log.digest() == fly(mission(autopilot, vehicle=vehicle)).log.digest()
     assert flight.log.count("warning") == 0
 
 
-def test_a_bigger_hull_keeps_more_distance(pytestconfig):
+def test_a_larger_collision_radius_keeps_more_distance(pytestconfig):
     from mavfi.hosts.loop.compose import pipeline_config
 
     vehicle = str(pytestconfig.rootpath / VEHICLE)

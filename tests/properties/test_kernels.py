@@ -8,7 +8,7 @@ from mavfi.kernels.planning import waypoint
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.waypoints import SetpointGenerator
 from tests.unit.kernels.cases import FRAME, GAINS, RULE
-from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, status, tracking, trajectory
+from tests.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, status, tracking, trajectory
 
 seeds = st.integers(0, 2**32)
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -45,9 +45,9 @@ updates = st.lists(
 
 
 @settings(max_examples=40)
-@given(st.sampled_from(STACKS), st.lists(updates, max_size=3), st.lists(updates, min_size=1, max_size=3))
-def test_rolling_the_clearance_map_back_is_exact(stack, kept, undone):
-    clearance = ClearanceMap(config(stack))
+@given(st.sampled_from(AUTOPILOTS), st.lists(updates, max_size=3), st.lists(updates, min_size=1, max_size=3))
+def test_rolling_the_clearance_map_back_is_exact(autopilot, kept, undone):
+    clearance = ClearanceMap(config(autopilot))
     for content in kept:
         clearance.apply(map_update([v for v, _ in content], [o for _, o in content]))
     clearance.mark()
@@ -98,9 +98,9 @@ events = st.lists(
 
 
 @settings(max_examples=80)
-@given(st.sampled_from(STACKS), events, events)
-def test_the_setpoint_generator_repeats_itself_from_the_same_memory(stack, before, between):
-    kernel = SetpointGenerator(config(stack))
+@given(st.sampled_from(AUTOPILOTS), events, events)
+def test_the_setpoint_generator_repeats_itself_from_the_same_memory(autopilot, before, between):
+    kernel = SetpointGenerator(config(autopilot))
     with np.errstate(all="ignore"):
         for k, state in enumerate(before):
             kernel.receive(state, k * 20_000)

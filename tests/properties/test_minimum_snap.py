@@ -17,9 +17,9 @@ CURVE_LIMITS = knots.CurveLimits(3.0, 4.5, 2.0, 3.5, 2.5, 4.0, 2.0, 1.5)
 WORK = knots.new_work()
 
 
-def generated(vertices, stack, entry=0.0):
+def generated(vertices, autopilot, entry=0.0):
     """Points of a trajectory, and the generator that made them."""
-    settings_ = config(stack, smoothing="minimum_snap")
+    settings_ = config(autopilot, smoothing="minimum_snap")
     generator = TrajectoryGenerator(settings_, ClearanceMap(settings_))
     path = new_state("planning.path", len(vertices))
     floats(path.elements, 3).reshape(-1, 3)[:] = vertices

@@ -9,7 +9,7 @@ from mavfi.flight_log import Profile
 from mavfi.states import STATES
 
 DRAWS = 3000
-STACK = "published"
+AUTOPILOT = "published"
 LENGTHS = {name: 3 + 2 * place for place, name in enumerate(STATES)}
 PROFILE = Profile(
     {name: np.arange(n, dtype=np.int64) * 10 for name, n in LENGTHS.items()},
@@ -19,7 +19,7 @@ PROFILE = Profile(
 
 @pytest.fixture(scope="module", params=["perception", "planning", "control"])
 def drawn(request):
-    target = stage_target(request.param, STACK)
+    target = stage_target(request.param, AUTOPILOT)
     return target, [draw(target, "sign_exponent", PROFILE, seed, 0) for seed in range(DRAWS)]
 
 
@@ -39,7 +39,7 @@ def test_fields_are_uniform_within_their_state_and_none_is_dead(drawn):
     for state, names in target.fields.items():
         own = [fault for fault in faults if fault.where.state == state]
         assert uniform(Counter(fault.where.field for fault in own), len(names))
-        assert not any(STATES[state].find(fault.where.field).dead_in(STACK) for fault in own)
+        assert not any(STATES[state].find(fault.where.field).dead_in(AUTOPILOT) for fault in own)
 
 
 def test_publications_elements_and_bits_are_uniform(drawn):
@@ -55,7 +55,7 @@ def test_publications_elements_and_bits_are_uniform(drawn):
 
 def test_the_two_strata_estimate_the_mean_over_whole_words():
     """A property of the bit alone, known exactly: the weighted estimate from both strata must find it."""
-    target = stage_target("control", STACK)
+    target = stage_target("control", AUTOPILOT)
     estimate = 0.0
     for stratum in ("sign_exponent", "mantissa"):
         faults = [draw(target, stratum, PROFILE, seed, 1) for seed in range(DRAWS)]

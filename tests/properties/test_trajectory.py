@@ -21,8 +21,8 @@ coordinate = st.tuples(st.floats(1.0, 19.0), st.floats(1.0, 9.0), st.floats(1.0,
 paths = st.lists(coordinate, min_size=2, max_size=8).map(np.array)
 
 
-def points_of(vertices, stack):
-    settings_ = config(stack)
+def points_of(vertices, autopilot):
+    settings_ = config(autopilot)
     generator = TrajectoryGenerator(settings_, ClearanceMap(settings_))
     path = new_state("planning.path", len(vertices))
     floats(path.elements, 3).reshape(-1, 3)[:] = vertices

@@ -37,8 +37,8 @@ COMMANDS = 2000
 _COMMAND_S = 120
 _GRACE_S = 20
 _NAMED = (
-    "environment ", "generator ", "planner ", "platform ", "stack ", "parameter ", "detector ", "host ", "campaign ",
-    "model ",
+    "environment ", "generator ", "planner ", "platform ", "autopilot ", "parameter ", "detector ", "host ",
+    "campaign ", "model ",
 )  # fmt: skip
 """What a line names instead of the file: names of files in a file, and things that have a name in their file."""
 ACCEPTED, REFUSED = "accepted", "refused"

@@ -39,7 +39,7 @@ from mavfi.campaign.training import KeptRecordings
 from mavfi.cli.campaign import _what
 from mavfi.cli.export import _write
 from mavfi.cli.ros_attach import trained_on_file
-from mavfi.config import PlatformConfig, StackConfig, load
+from mavfi.config import AutopilotConfig, PlatformConfig, load
 from mavfi.config import shipped as find_shipped
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import WATCHED, Recorder
@@ -237,13 +237,17 @@ def read_model(path):
     Model.load(path)
     text = path.read_bytes()
     for kind, profile in itertools.product(("gaussian", "autoencoder"), ("paper", "tuned")):
-        for stack in ("published", "hardened"):
-            wanted = path.with_name(f"{stack}-i9-9940x-{kind}-{profile}.json")
-            if f'"{kind}"'.encode() not in text or f'"{profile}"'.encode() not in text or stack.encode() not in text:
+        for autopilot in ("published", "hardened"):
+            wanted = path.with_name(f"{autopilot}-i9-9940x-{kind}-{profile}.json")
+            if (
+                f'"{kind}"'.encode() not in text
+                or f'"{profile}"'.encode() not in text
+                or autopilot.encode() not in text
+            ):
                 continue
             with contextlib.suppress(FileExistsError):
                 os.link(path, wanted)
-            fits = {"stack": stack, "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
+            fits = {"stack": autopilot, "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
             detector, _ = load_detector(kind, profile, path.parent, fits)
             detector.start()
             for name, value in itertools.product(STATES, (0.5, 0.75, 1e3, -2.0)):
@@ -645,7 +649,7 @@ READERS = {
         of_option("environment", "environment", 110, find_world, (_scan(),)),
         of_yaml("vehicle", read_vehicle, 110, ("fly", "--vehicle", "{}")),
         of_option("planner", "planner", 70, find_planner),
-        of_option("stack", "autopilot", 100, partial(find_shipped, "stacks", StackConfig)),
+        of_option("autopilot", "autopilot", 100, partial(find_shipped, "autopilots", AutopilotConfig)),
         of_option("platform", "platform", 80, partial(find_shipped, "platforms", PlatformConfig)),
         of_yaml("campaign", read_campaign, 45, ("campaign", "run", "{}", "--dry-run")),
         of_yaml("study", read_study, 30, ("reproduce", "--study", "{}")),

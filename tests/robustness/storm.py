@@ -66,13 +66,13 @@ def storm(trials, only=""):
                         label = item
                         continue
                     used = passes()
-                    most[name] = max(most[name], (used, f"{tape.stack}, {label}"))
+                    most[name] = max(most[name], (used, f"{tape.autopilot}, {label}"))
                     if used > BUDGETS[name]:
-                        wrong.append(f"{name} ({tape.stack}), {label}: {used} passes")
+                        wrong.append(f"{name} ({tape.autopilot}), {label}: {used} passes")
         except Exception as error:  # noqa: BLE001 - whatever a kernel raises is a finding
-            wrong.append(f"{name} ({tape.stack}), {label}: {type(error).__name__}: {error}")
+            wrong.append(f"{name} ({tape.autopilot}), {label}: {type(error).__name__}: {error}")
         count[name] += 1
-        slowest[name] = max(slowest[name], (time.process_time() - began, f"{tape.stack}, {label}"))
+        slowest[name] = max(slowest[name], (time.process_time() - began, f"{tape.autopilot}, {label}"))
         if (trial + 1) % 5000 == 0:
             sys.stdout.write(f"{trial + 1} in {time.perf_counter() - start:.0f} s, {len(wrong)} findings\n")
             sys.stdout.flush()

@@ -20,10 +20,10 @@ from mavfi.states import State
 LENGTH = 3
 """Steps on a tape."""
 PER_KERNEL = 6
-"""Tapes of each kernel and stack."""
-STACKS = ("published", "hardened")
+"""Tapes of each kernel and autopilot profile."""
+AUTOPILOTS = ("published", "hardened")
 ESTIMATOR = "state_estimation"
-FLIGHTS = (*((stack, "truth") for stack in STACKS), ("hardened", "estimator"))
+FLIGHTS = (*((autopilot, "truth") for autopilot in AUTOPILOTS), ("hardened", "estimator"))
 """Of the last one, only the kernel that the others do not have is taped."""
 _WORD = {float: 64, int: 32, bool: 1}
 
@@ -46,7 +46,7 @@ class Tape:
     """A kernel and what happened to it: ("receive", state, time) and ("step", None, time)."""
 
     name: str
-    stack: str
+    autopilot: str
     kernel: object
     events: list
 
@@ -54,8 +54,8 @@ class Tape:
 class Taping:
     """Stands in a kernel's place and tapes what happens to it at some of its steps."""
 
-    def __init__(self, kernel, stack, begin_at):
-        self._kernel, self._stack, self._begin_at = kernel, stack, set(begin_at)
+    def __init__(self, kernel, autopilot, begin_at):
+        self._kernel, self._autopilot, self._begin_at = kernel, autopilot, set(begin_at)
         self._steps, self._open, self.tapes = 0, [], []
 
     def __getattr__(self, name):
@@ -75,7 +75,7 @@ class Taping:
         self._open = [tape for tape in self._open if tape not in done]
         result = self._kernel.step(time_us)
         if self._steps in self._begin_at:
-            tape = Tape(self._kernel.name, self._stack, copy.deepcopy(self._kernel, constants(self._kernel)), [])
+            tape = Tape(self._kernel.name, self._autopilot, copy.deepcopy(self._kernel, constants(self._kernel)), [])
             self.tapes.append(tape)
             self._open.append(tape)
         self._steps += 1
@@ -88,19 +88,19 @@ def constants(thing):
 
 
 def record(seed=3, recorders=()):
-    """Tapes of every kernel of both stacks, and of the state estimator, from take-off on."""
+    """Tapes of every kernel in both autopilot profiles, and of the state estimator, from take-off on."""
     tapes = []
-    for stack, localization in FLIGHTS:
+    for autopilot, localization in FLIGHTS:
         world = EnvironmentConfig(name="yard", generator="tests.robustness.tapes:yard")
-        scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=stack, localization=localization))
+        scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=autopilot, localization=localization))
         scenario = scenario.model_copy(update={"environment": world})
         takers = []
 
-        def build_taping(config, takers=takers, stack=stack):
+        def build_taping(config, takers=takers, autopilot=autopilot):
             kernels = build_pipeline(config)
             often = {"waypoint": 60, "pid": 60, "planner": 1, "trajectory": 1, ESTIMATOR: 149}
             for name, kernel in kernels.items() if ESTIMATOR not in kernels else [(ESTIMATOR, kernels[ESTIMATOR])]:
-                kernels[name] = Taping(kernel, stack, range(0, 1000, often.get(name, 4)))
+                kernels[name] = Taping(kernel, autopilot, range(0, 1000, often.get(name, 4)))
                 takers.append(kernels[name])
             return kernels
 

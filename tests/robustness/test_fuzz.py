@@ -23,7 +23,7 @@ from tests.robustness import fuzz
 from tests.robustness.mutations import RAW
 from tests.robustness.readers import CORPUS, READERS, bomb, ledger_of, ledgers, shipped, tricks
 
-QUICK = ("vehicle", "stack", "platform", "planner", "study", "detector", "fault", "recording", "damaged")
+QUICK = ("vehicle", "autopilot", "platform", "planner", "study", "detector", "fault", "recording", "damaged")
 """Readers of the sample; the others compile, or fly nowhere for long."""
 FILES = [reader for reader in READERS.values() if reader.name != "fault"]
 
@@ -221,7 +221,7 @@ def test_seeds_are_read(outcomes, tmp_path):
 
 
 def test_mutations_repeat_with_their_seed():
-    for reader in (READERS["stack"], READERS["flight"]):
+    for reader in (READERS["autopilot"], READERS["flight"]):
         seeds = reader.seeds()
         first, again = (fuzz.content_of(reader, seeds, 3, 5) for _ in range(2))
         assert first == again != fuzz.content_of(reader, seeds, 3, 6)

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.kernels.planning.trajectory import POINT_LIMIT
 from mavfi.states import STATES
-from tests.robustness.tapes import ESTIMATOR, STACKS, flip_array, play, record
+from tests.robustness.tapes import AUTOPILOTS, ESTIMATOR, flip_array, play, record
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 TRIALS = 25
@@ -20,10 +20,11 @@ def tapes():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "stack"), [*((name, stack) for name in KERNELS for stack in STACKS), (ESTIMATOR, "hardened")]
+    ("name", "autopilot"),
+    [*((name, autopilot) for name in KERNELS for autopilot in AUTOPILOTS), (ESTIMATOR, "hardened")],
 )
-def test_a_flipped_bit_never_stops_a_kernel(name, stack):
-    chosen = [tape for tape in tapes() if tape.name == name and tape.stack == stack]
+def test_a_flipped_bit_never_stops_a_kernel(name, autopilot):
+    chosen = [tape for tape in tapes() if tape.name == name and tape.autopilot == autopilot]
     assert chosen
     random = np.random.default_rng([*KERNELS, ESTIMATOR].index(name))
     labels = set()

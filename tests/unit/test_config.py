@@ -4,10 +4,10 @@ import pytest
 from pydantic import Field, model_validator
 
 from mavfi.config import (
+    AutopilotConfig,
     Config,
     EnvironmentConfig,
     PlatformConfig,
-    StackConfig,
     VehicleConfig,
     load,
     names,
@@ -135,7 +135,8 @@ def test_an_absent_file_is_refused(tmp_path):
 
 
 KINDS = {
-    "environments": EnvironmentConfig, "stacks": StackConfig, "platforms": PlatformConfig, "vehicles": VehicleConfig,
+    "environments": EnvironmentConfig, "autopilots": AutopilotConfig, "platforms": PlatformConfig,
+    "vehicles": VehicleConfig,
 }  # fmt: skip
 
 
@@ -145,8 +146,10 @@ def test_every_shipped_file_is_sound_and_carries_its_name(kind, name):
 
 
 def test_an_unknown_name_is_refused_with_what_is_allowed():
-    with pytest.raises(BadInputError, match=r"stack 'soft': not known; allowed: hardened, published, or a path to a"):
-        shipped("stacks", StackConfig, "soft")
+    with pytest.raises(
+        BadInputError, match=r"autopilot 'soft': not known; allowed: hardened, published, or a path to a"
+    ):
+        shipped("autopilots", AutopilotConfig, "soft")
 
 
 def test_a_file_of_ones_own_is_read_by_path(tmp_path):

@@ -27,6 +27,16 @@ def test_a_scenario_survives_json_with_the_same_key():
     assert again == scenario and again.key() == scenario.key()
 
 
+def test_renamed_fields_are_stored_by_their_older_names_and_read_by_both():
+    scenario = resolve(MissionSpec(environment="dense", seed=7))
+    data = scenario.to_json()
+    assert list(data)[:4] == ["environment", "seed", "stack", "vehicle"] and list(data["vehicle"])[4] == "hull_radius"
+    newer = {**data, "vehicle": {**data["vehicle"]}}
+    newer["autopilot"] = newer.pop("stack")
+    newer["vehicle"]["collision_radius"] = newer["vehicle"].pop("hull_radius")
+    assert Scenario.model_validate(newer) == Scenario.model_validate(data) == scenario
+
+
 def test_options_that_are_off_are_not_in_the_key():
     plain = resolve(MissionSpec(environment="dense", seed=7)).to_json()
     assert not {"wind", "localization", "dead_node"} & set(plain) and "alarm" not in plain["stack"]
@@ -50,5 +60,5 @@ def test_whatever_decides_the_flight_changes_the_key():
 def test_a_mission_changes_rules_of_its_profile():
     plain = resolve(MissionSpec(autopilot="hardened"))
     assert resolve(MissionSpec(autopilot="hardened", alarm="one_shot", epoch_liveness=3.0)) == plain
-    own = resolve(MissionSpec(autopilot="hardened", alarm="repeated", epoch_liveness=0.0)).stack
-    assert own == plain.stack.model_copy(update={"alarm": "repeated", "epoch_liveness": 0.0})
+    own = resolve(MissionSpec(autopilot="hardened", alarm="repeated", epoch_liveness=0.0)).autopilot
+    assert own == plain.autopilot.model_copy(update={"alarm": "repeated", "epoch_liveness": 0.0})

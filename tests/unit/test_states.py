@@ -3,10 +3,10 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.states import (
+    AUTOPILOTS,
     MONITORED_SETS,
     ODOMETRY,
     PPC_STAGES,
-    STACKS,
     STATES,
     Stage,
     bytes_of,
@@ -66,7 +66,7 @@ def test_rows_of_the_table_fit_together(name):
     assert not spec.acted_on or spec.find(spec.acted_on).dtype == "i4"
     for fields in (spec.header, spec.elements):
         assert len({field.name for field in fields}) == len(fields)
-        assert all(field.unit and set(field.read_in) <= set(STACKS) for field in fields)
+        assert all(field.unit and set(field.read_in) <= set(AUTOPILOTS) for field in fields)
 
 
 def test_every_stage_of_the_paper_writes_states():
@@ -100,7 +100,7 @@ def test_a_name_in_both_parts_means_the_element():
     assert not STATES["planning.trajectory"].in_elements("trajectory_seq")
 
 
-def test_dead_fields_are_listed_by_stack():
+def test_dead_fields_are_listed_by_autopilot():
     field = STATES["planning.waypoint"].find("ax")
     assert field.dead_in("published") and not field.dead_in("hardened")
 

@@ -6,10 +6,10 @@ import pytest
 
 from benchmarks import tune_pid
 from benchmarks.tune_pid import CANDIDATES, Score, candidates, check_seeds, present, score, search, variant, verdict
-from mavfi.config import StackConfig, shipped
+from mavfi.config import AutopilotConfig, shipped
 from mavfi.errors import BadInputError
 
-STACK = shipped("stacks", StackConfig, "hardened")
+AUTOPILOT = shipped("autopilots", AutopilotConfig, "hardened")
 
 
 def of(tracking, arrived=1.0, speed=1.0):
@@ -29,11 +29,11 @@ def test_design_seeds_are_taken():
 
 @pytest.mark.parametrize("key", CANDIDATES)
 def test_a_variant_changes_one_value_and_the_present_one_is_among_those_tried(key):
-    assert present(STACK, key) in candidates(key, STACK)
-    assert variant(STACK, key, present(STACK, key)) == STACK
-    other = variant(STACK, key, 0.123)
-    assert present(other, key) == 0.123 and getattr(other, key) != getattr(STACK, key)
-    assert STACK.model_dump(exclude={key}) == other.model_dump(exclude={key})
+    assert present(AUTOPILOT, key) in candidates(key, AUTOPILOT)
+    assert variant(AUTOPILOT, key, present(AUTOPILOT, key)) == AUTOPILOT
+    other = variant(AUTOPILOT, key, 0.123)
+    assert present(other, key) == 0.123 and getattr(other, key) != getattr(AUTOPILOT, key)
+    assert AUTOPILOT.model_dump(exclude={key}) == other.model_dump(exclude={key})
 
 
 def test_what_misses_its_goal_or_is_too_fast_costs_more_than_what_tracks_badly():
@@ -47,38 +47,38 @@ def test_what_misses_its_goal_or_is_too_fast_costs_more_than_what_tracks_badly()
 )
 def test_a_value_is_confirmed_within_the_tolerance(best, words):
     rows = [(1.5, of(best)), (2.0, of(0.2)), (3.0, of(0.3))]
-    assert re.search(words, verdict("gain_p", STACK, rows))
-    assert " <- yaml" in tune_pid.table("gain_p", STACK, rows).splitlines()[2]
+    assert re.search(words, verdict("gain_p", AUTOPILOT, rows))
+    assert " <- yaml" in tune_pid.table("gain_p", AUTOPILOT, rows).splitlines()[2]
 
 
 def test_a_value_that_loses_by_chance_is_confirmed_and_one_that_fails_is_not():
     best = Score(1.0, (0.01, 0.01, 0.02, 0.01), 0.3, 1.0, 40.0)
     uneven = Score(1.0, (0.005, 0.01, 0.08, 0.01), 0.6, 1.0, 40.0)
-    assert verdict("gain_p", STACK, [(1.5, best), (2.0, uneven)]).endswith("which may be chance")
+    assert verdict("gain_p", AUTOPILOT, [(1.5, best), (2.0, uneven)]).endswith("which may be chance")
     steadily = Score(1.0, (0.03, 0.031, 0.04, 0.03), 0.6, 1.0, 40.0)
-    assert "NOT confirmed" in verdict("gain_p", STACK, [(1.5, best), (2.0, steadily)])
+    assert "NOT confirmed" in verdict("gain_p", AUTOPILOT, [(1.5, best), (2.0, steadily)])
     lost = Score(0.75, uneven.squares, 0.6, 1.0, 40.0)
-    assert "NOT confirmed" in verdict("gain_p", STACK, [(1.5, best), (2.0, lost)])
+    assert "NOT confirmed" in verdict("gain_p", AUTOPILOT, [(1.5, best), (2.0, lost)])
 
 
 def test_what_was_flown_is_not_flown_again(monkeypatch):
     flown = []
-    monkeypatch.setattr(tune_pid, "score", lambda stack, seeds: flown.append(stack) or of(0.2))
-    rows = dict(search(STACK, list(CANDIDATES), range(3), {}))
+    monkeypatch.setattr(tune_pid, "score", lambda autopilot, seeds: flown.append(autopilot) or of(0.2))
+    rows = dict(search(AUTOPILOT, list(CANDIDATES), range(3), {}))
     assert rows.keys() == CANDIDATES.keys()
     assert (
         len(flown)
-        == len({stack.model_dump_json() for stack in flown})
+        == len({autopilot.model_dump_json() for autopilot in flown})
         == 1 + sum(len(found) - 1 for found in rows.values())
     )
 
 
 @pytest.mark.slow
-def test_a_score_is_a_function_of_stack_and_seeds(monkeypatch):
+def test_a_score_is_a_function_of_autopilot_and_seeds(monkeypatch):
     monkeypatch.setattr(tune_pid, "SETTINGS", (("sparse", 3.0),))
-    first = score(STACK, range(7, 8))
-    assert first == score(STACK, range(7, 8)) and first.arrived == 1.0
-    assert first != score(variant(STACK, "gain_p", 1.0), range(7, 8))
+    first = score(AUTOPILOT, range(7, 8))
+    assert first == score(AUTOPILOT, range(7, 8)) and first.arrived == 1.0
+    assert first != score(variant(AUTOPILOT, "gain_p", 1.0), range(7, 8))
 
 
 def test_the_program_refuses_in_one_line(monkeypatch):

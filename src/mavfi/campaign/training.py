@@ -130,7 +130,7 @@ def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environmen
 
 def record_flight(task: _Task) -> Recording | None:
     """Fly one error-free mission; returns None if it misses its goal."""
-    recorder, everything = Recorder(), CodeRecorder(task.scenario.stack.name) if task.codes else None
+    recorder, everything = Recorder(), CodeRecorder(task.scenario.autopilot.name) if task.codes else None
     accept = [recorder.accept] if everything is None else [recorder.accept, everything.accept]
     if fly(task.scenario, recorders=accept).log.status is not MissionStatus.SUCCESS:
         return None
@@ -247,7 +247,7 @@ def record(
     ]
     scenario = scenarios[0]
     provenance = {
-        "stack": scenario.stack.name,
+        "stack": scenario.autopilot.name,
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,

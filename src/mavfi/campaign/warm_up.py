@@ -118,7 +118,7 @@ def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
         for _, scenario in _scenarios(campaign):
             for stage in STAGES:
                 planner = scenario.planner.name if stage == "plan_path" else ""
-                found.setdefault((stage, scenario.stack.name, scenario.map.kind, planner), _Stage(stage, scenario))
+                found.setdefault((stage, scenario.autopilot.name, scenario.map.kind, planner), _Stage(stage, scenario))
     yield from sorted(found.values(), key=lambda task: list(STAGES).index(task.name))
 
 
@@ -136,7 +136,7 @@ def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
 def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
     """Detectors of all arms, without duplicates."""
     found = {
-        (arm.detector, arm.profile, scenario.stack.name): _Detector(scenario, arm.detector, arm.profile)
+        (arm.detector, arm.profile, scenario.autopilot.name): _Detector(scenario, arm.detector, arm.profile)
         for campaign in campaigns
         for arm, scenario in _scenarios(campaign)
         if arm.detector

@@ -33,7 +33,7 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
         command: The command that repeats it.
     """
     mission = result.scenario
-    context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.stack.name}"
+    context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.autopilot.name}"
     commands = [("fly it again", command)]
     if result.golden is None or result.effect is None:
         story: Lines = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]

@@ -39,7 +39,7 @@ def panel(result: FlightResult) -> Panel:
     colour = "green" if success else "red"
     watched = f" · detector {result.detector}" if result.detector else ""
     seed = f" · seed {scenario.seed} · autopilot "
-    title = Text.assemble((scenario.environment.name, "bold"), seed, (scenario.stack.name, "bold"), watched)
+    title = Text.assemble((scenario.environment.name, "bold"), seed, (scenario.autopilot.name, "bold"), watched)
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
     parts: list[RenderableType] = [
         title, Text(below, style="dim"), Text(),

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from mavfi.cli import options
 from mavfi.cli.console import check_name, console, write_json
-from mavfi.states import MONITORED_SETS, ODOMETRY, STACKS, Field, StateSpec, states_with
+from mavfi.states import AUTOPILOTS, MONITORED_SETS, ODOMETRY, Field, StateSpec, states_with
 
 _DEFAULT_SET = "paper-13"
 _VEHICLE = "flight controller"
@@ -32,7 +32,7 @@ def states(
 
     Example: [bold]mavfi states --autopilot hardened[/bold]
     """
-    check_name("--autopilot", autopilot, STACKS)
+    check_name("--autopilot", autopilot, AUTOPILOTS)
     check_name("--monitored", monitored, MONITORED_SETS)
     check_name("--localization", localization, ODOMETRY)
     readers = _readers(autopilot, localization)

@@ -99,7 +99,7 @@ def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path
     origin = models[0].provenance
     seeds = origin["seeds"]
     shown = titled_table(
-        f"Trained on {origin['flights']} error-free flights · stack {origin['stack']} · {origin['platform']} · "
+        f"Trained on {origin['flights']} error-free flights · autopilot {origin['stack']} · {origin['platform']} · "
         f"{origin['planner']} · {origin['v_max']:g} m/s",
         caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; false alarms: per flight hour, "
         f"on {_exposure(alarms[0])} of error-free flight with other seeds; files: {folder}",

@@ -13,7 +13,7 @@ from mavfi.detectors import residuals
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.samples import Sample
-from mavfi.states import ODOMETRY, STACKS, STATES, State, floats
+from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, floats
 
 MONITORED = "all"
 """Name of the set, in models."""
@@ -81,7 +81,7 @@ class Everything:
     Fields that no consumer reads under an autopilot profile are not watched: their code is 0.
 
     Args:
-        stack: The autopilot profile.
+        autopilot: The autopilot profile.
 
     Attributes:
         fields: Names of the residuals, "state.field"; lists have residuals over all elements.
@@ -91,12 +91,12 @@ class Everything:
         known: Memory between publications, see `residuals`.
     """
 
-    def __init__(self, stack: str) -> None:
+    def __init__(self, autopilot: str) -> None:
         self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
         self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
         self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
         self.quanta = np.array(
-            [_quantum(state, residual, stack) for state, own in _WATCHED.items() for residual in own.names]
+            [_quantum(state, residual, autopilot) for state, own in _WATCHED.items() for residual in own.names]
         )
         ends = np.cumsum([len(own.names) for own in _WATCHED.values()])
         self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
@@ -160,21 +160,21 @@ _POSITIONS = tuple(ODOMETRY.values())
 _SIZES = np.array([len(own.names) for own in _WATCHED.values()])
 
 
-def _quantum(state: str, residual: tuple[str, str, str], stack: str) -> float:
+def _quantum(state: str, residual: tuple[str, str, str], autopilot: str) -> float:
     _, field, unit = residual
     found = STATES[state].find(field)
-    return 0.0 if stack in STACKS and found.dead_in(stack) else QUANTA[unit or found.unit]
+    return 0.0 if autopilot in AUTOPILOTS and found.dead_in(autopilot) else QUANTA[unit or found.unit]
 
 
 class CodeRecorder:
     """A recorder of all codes of a flight, for training.
 
     Args:
-        stack: The autopilot profile.
+        autopilot: The autopilot profile.
     """
 
-    def __init__(self, stack: str) -> None:
-        self._everything = Everything(stack)
+    def __init__(self, autopilot: str) -> None:
+        self._everything = Everything(autopilot)
         self._codes = np.zeros(len(self._everything.fields), np.int16)
         self._own: list[bytes] = []
         self._slots: list[int] = []

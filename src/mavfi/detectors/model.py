@@ -129,13 +129,13 @@ class Model:
             raise BadInputError(f"{path}: not a model ({error})") from None
 
 
-def model_name(stack: str, platform: str, kind: str, profile: str) -> str:
+def model_name(autopilot: str, platform: str, kind: str, profile: str) -> str:
     """File name of a model, without ".json"."""
-    return f"{stack}-{platform}-{kind}-{profile}"
+    return f"{autopilot}-{platform}-{kind}-{profile}"
 
 
 def check_fits(model: Model, stack: str, platform: str, v_max: float, planner: str) -> None:
-    """Reject a model that was trained for another stack, platform, speed limit (m/s) or planner.
+    """Reject a model that was trained for another autopilot profile (`stack`), platform, speed limit (m/s) or planner.
 
     Raises:
         SpecMismatchError: One line that names what differs.

@@ -136,9 +136,9 @@ def load_detector(
         name: One of `detector_names()`, or "package:Class".
         profile: "paper" or "tuned".
         models_dir: Folder of trained models; None = the shipped ones.
-        fits: What the model must have been trained for: stack, platform, v_max (m/s), planner.  Optional: `limits`, the
-            `MissionLimits` for rules, whose arena is also used by the physics gate; `seed` of the mission, for random
-            draws.
+        fits: What the model must have been trained for: `stack` (the autopilot profile), platform, v_max (m/s),
+            planner.  Optional: `limits`, the `MissionLimits` for rules, whose arena is also used by the physics gate;
+            `seed` of the mission, for random draws.
         policy: Recovery policy, overrides the profile's.
         gate: Whether the physics gate checks first; None = as the profile says.
         sigmas: Overrides the paper's n of the model.

@@ -29,7 +29,8 @@ def fit(
 
     Args:
         recordings: Error-free flights, 100 or more for stable thresholds; with or without codes of all fields.
-        provenance: Origin of the flights: stack, platform, v_max, planner, and further keys (seeds, flights).
+        provenance: Origin of the flights: `stack` (the autopilot profile), platform, v_max, planner, and further keys
+            (seeds, flights).
         monitored: Name of the set of monitored fields.
         extras: Include detectors that need packages of these extras: "bench".
         only: Detectors to fit, as (name, profile); None = all.  A model does not depend on the others.

@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.strata import bits_of, word_share
 from mavfi.flight_log import Profile
-from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, StateSpec, find_state, states_with
+from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, StateSpec, find_state, states_with
 
 FAULT_PURPOSE = 3
 """First part of the spawn key of every fault stream."""
@@ -43,24 +43,26 @@ class Target:
         return 1 / len(self.fields) / len(self.fields[state])
 
 
-def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
-    """Unique names of the fields that some consumer reads; for a user's own stack, those read in any shipped stack."""
-    stacks = (stack,) if stack in STACKS else STACKS
-    live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in stacks))
+def live_fields(spec: StateSpec, autopilot: str) -> tuple[str, ...]:
+    """Unique names of the fields that some consumer reads; for a user's own autopilot profile, in any shipped one."""
+    autopilots = (autopilot,) if autopilot in AUTOPILOTS else AUTOPILOTS
+    live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in autopilots))
     return tuple(dict.fromkeys(live))
 
 
 def stage_target(
-    stage: str, stack: str, monitored_set: str | None = None, localization: str = "truth"
+    stage: str, autopilot: str, monitored_set: str | None = None, localization: str = "truth"
 ) -> Target:  # fmt: skip
     """All live fields of the states of a stage.
 
-    The autopilot profile (`stack`) determines dead fields, the localization the existing states; a monitored set
+    The autopilot profile determines dead fields, the localization the existing states; a monitored set
     restricts them to its own fields. Raises a BadInputError for an unknown stage or set.
     """
     if stage not in PPC_STAGES:
         raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
-    fields = {spec.name: live_fields(spec, stack) for spec in states_with(localization).values() if spec.stage == stage}
+    fields = {
+        spec.name: live_fields(spec, autopilot) for spec in states_with(localization).values() if spec.stage == stage
+    }
     if monitored_set is not None:
         if monitored_set not in MONITORED_SETS:
             raise BadInputError(f"monitored set {monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")

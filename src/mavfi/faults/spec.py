@@ -60,16 +60,16 @@ class StateRequest:
         some_element = bool(self.state.elements) and self.element is None
         return self.time_us is None or some_element
 
-    def resolve(self, seed: int, stack: str, profile: Profile | None = None) -> StateFault:
+    def resolve(self, seed: int, autopilot: str, profile: Profile | None = None) -> StateFault:
         """Draw what was not given; bits uniformly from the whole word.
 
         Args:
             seed: Seed of the fault.
-            stack: Name of the autopilot profile; a field without consumers is injected only if requested.
+            autopilot: Name of the autopilot profile; a field without consumers is injected only if requested.
             profile: Publications of the golden run, if `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
-        field, width = self._field(random, stack), self.lifetime.get("width", 1)
+        field, width = self._field(random, autopilot), self.lifetime.get("width", 1)
         where = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
@@ -80,10 +80,10 @@ class StateRequest:
         bit = None if self.null else drawn_bit
         return StateFault(where, time_us, bit, seed=seed, **self.lifetime)
 
-    def _field(self, random: np.random.Generator, stack: str) -> Field:
+    def _field(self, random: np.random.Generator, autopilot: str) -> Field:
         if self.field is not None:
             return self.state.find(self.field)
-        fields = [self.state.find(name) for name in live_fields(self.state, stack)]
+        fields = [self.state.find(name) for name in live_fields(self.state, autopilot)]
         if self.element is not None:
             fields = [field for field in fields if self.state.in_elements(field.name)]
         bits = (self.bit or 0) + self.lifetime.get("width", 1)

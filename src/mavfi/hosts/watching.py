@@ -37,7 +37,7 @@ def detector_for(
     """
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     fits = {
-        "stack": scenario.stack.name,
+        "stack": scenario.autopilot.name,
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
@@ -56,18 +56,19 @@ def with_keys_of(spec: MissionSpec, name: str) -> MissionSpec:
 
 def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     """Limits of a mission's publications, as rule-based detectors check them."""
-    stack, platform = scenario.stack, scenario.platform
+    autopilot, platform = scenario.autopilot, scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
-    p, i, d = (max(map(abs, gains)) for gains in (stack.gain_p, stack.gain_i, stack.gain_d))
+    p, i, d = (max(map(abs, gains)) for gains in (autopilot.gain_p, autopilot.gain_i, autopilot.gain_d))
     return MissionLimits(
         v_max=scenario.v_max, a_max=scenario.a_max, arena=(_corner(world.arena_lower), _corner(world.arena_upper)),
         flight=(_corner(world.flight_lower), _corner(world.flight_upper)), goal=_corner(world.goal),
-        held=stack.sampling == "held", every_map=stack.replanning == "every_map", point_period=stack.point_period,
-        control_period=period, look_ahead=stack.look_ahead, planner_latency=1e-6 * latency(platform, "planner"),
+        held=autopilot.sampling == "held", every_map=autopilot.replanning == "every_map",
+        point_period=autopilot.point_period, control_period=period, look_ahead=autopilot.look_ahead,
+        planner_latency=1e-6 * latency(platform, "planner"),
         plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING), velocity_lag=1.0 / scenario.vehicle.velocity_gain,
-        command_limit=stack.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
-        slowdown_cap=stack.slowdown_cap, tracker_slowdown=platform.tracker_slowdown, camera_range=scenario.camera.range,
-        repeated=stack.alarm == "repeated",
+        command_limit=autopilot.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
+        slowdown_cap=autopilot.slowdown_cap, tracker_slowdown=platform.tracker_slowdown,
+        camera_range=scenario.camera.range, repeated=autopilot.alarm == "repeated",
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ class ClearanceMap:
         self.cells = np.zeros(self.grid.size, np.uint8)
         self.wide = np.zeros(self.grid.size, np.int16)
         self.narrow = np.zeros(self.grid.size, np.int16)
-        boxes = config.stack.distance == "boxes"
+        boxes = config.autopilot.distance == "boxes"
         self._wide_offsets = offsets_within(config.plan_radius, self.grid.resolution, boxes)
         self._narrow_offsets = offsets_within(config.check_radius, self.grid.resolution, boxes)
         self._rewindable = config.rewindable

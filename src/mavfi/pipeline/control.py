@@ -39,15 +39,16 @@ class Tracker(Remembers):
 
     def __init__(self, config: PipelineConfig) -> None:
         self.reads = ("planning.waypoint", config.odometry)
-        stack = config.stack
+        autopilot = config.autopilot
         self._track = config.functions.track
         self._dt = 1e-6 * config.control_period_us
         self._slowdown = config.tracker_slowdown
-        held = stack.sampling == "held"
+        held = autopilot.sampling == "held"
         self._gains = pid.Gains(
-            np.array(stack.gain_p), np.array(stack.gain_i), np.array(stack.gain_d), stack.integral_limit,
-            stack.velocity_feed_forward / (config.tracker_slowdown if held else 1.0), stack.acceleration_feed_forward,
-            stack.command_limit * config.v_max, stack.slowdown_cap, MAX_YAW_RATE,
+            np.array(autopilot.gain_p), np.array(autopilot.gain_i), np.array(autopilot.gain_d),
+            autopilot.integral_limit, autopilot.velocity_feed_forward / (config.tracker_slowdown if held else 1.0),
+            autopilot.acceleration_feed_forward, autopilot.command_limit * config.v_max, autopilot.slowdown_cap,
+            MAX_YAW_RATE,
         )  # fmt: skip
         self.memory = _TrackerMemory()
 

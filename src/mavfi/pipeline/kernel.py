@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mavfi.config import CameraConfig, MapConfig, PlannerConfig, StackConfig
+from mavfi.config import AutopilotConfig, CameraConfig, MapConfig, PlannerConfig
 from mavfi.errors import BadInputError
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.numerics.voxels import Grid
@@ -77,7 +77,7 @@ class PipelineConfig:
     """The pipeline's configuration for a mission.
 
     Attributes:
-        stack: Autopilot profile.
+        autopilot: Autopilot profile.
         planner: Path search.
         map: Map kind, resolution and update rule.
         camera: Camera geometry.
@@ -102,7 +102,7 @@ class PipelineConfig:
         functions: Compiled functions of the kernels; a host may supply instrumented ones.
     """
 
-    stack: StackConfig
+    autopilot: AutopilotConfig
     planner: PlannerConfig
     map: MapConfig
     camera: CameraConfig

@@ -189,7 +189,7 @@ class CollisionCheck(Remembers):
             "perception.map_update", "planning.trajectory", "planning.waypoint", config.odometry,
             "perception.collision_status", "control.tracking",
         )  # fmt: skip
-        self._every_map = config.stack.replanning == "every_map"
+        self._every_map = config.autopilot.replanning == "every_map"
         # at most the planner's clearance, or a path along a wall would always encounter the unknown space inside it
         self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
         self.clearance_map = ClearanceMap(config, config.functions.apply_updates)
@@ -265,12 +265,12 @@ class CollisionCheck(Remembers):
             return [status]
         config = self._config
         unanswered = alarm_seq < seq and not self._every_map
-        if unanswered and config.stack.alarm == "one_shot":
+        if unanswered and config.autopilot.alarm == "one_shot":
             return [status]
         points = floats(trajectory.elements, 11).reshape(-1, 11)
         time = config.functions.time_to_collision(
             self.clearance_map.narrow, self.clearance_map.grid, position, points, index, remaining,
-            config.stack.geofence,
+            config.autopilot.geofence,
         )  # fmt: skip
         header = status.header[0]
         if self._every_map:

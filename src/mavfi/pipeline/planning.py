@@ -78,7 +78,7 @@ class MotionPlanner(Remembers):
             "perception.map_update", "perception.collision_status", config.odometry, "planning.waypoint",
             "planning.trajectory",
         )  # fmt: skip
-        self._every_map = config.stack.replanning == "every_map"
+        self._every_map = config.autopilot.replanning == "every_map"
         self.routes = Routes(config)
         self.clearance_map = self.routes.clearance_map
         self.keepers = (self.clearance_map, self.routes)
@@ -181,7 +181,7 @@ class MotionPlanner(Remembers):
         if bool(self.memory.status.header["collision"][0]) and self._same_trajectory(self.memory.status):
             return True
         stuck = time_us - memory.progress_us > _STUCK_US
-        patience = config.stack.progress_timeout
+        patience = config.autopilot.progress_timeout
         lost = patience > 0.0 and time_us - memory.best_us > 1e6 * patience
         if stuck or lost:
             memory.progress_us = memory.best_us = time_us
@@ -224,10 +224,10 @@ class MotionPlanner(Remembers):
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Plan a replacement without stopping, if the predicted collision is late enough."""
-        stack = self._config.stack
+        autopilot = self._config.autopilot
         velocity = self.memory.odometry[3:6]
         speed = length(velocity)
-        if not alarm > stack.grace + _EMERGENCY_STOP_TIME or self._idle() or not speed < 2.0 * self._config.v_max:
+        if not alarm > autopilot.grace + _EMERGENCY_STOP_TIME or self._idle() or not speed < 2.0 * self._config.v_max:
             return None
         start = self.memory.odometry[:3] + velocity * self._config.plan_latency
         lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))

@@ -109,7 +109,7 @@ class Routes:
 
     def _core(self) -> np.ndarray:
         """Voxels (> 0) that an escape from a blocked place must avoid; the published code has none. Shape (size,)."""
-        if self._config.stack.replanning == "every_map":
+        if self._config.autopilot.replanning == "every_map":
             np.equal(self.clearance_map.cells, OCCUPIED, out=self._occupied, casting="unsafe")
         return self._occupied
 
@@ -130,7 +130,7 @@ class Routes:
         enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
         best, least = None, np.inf
         for counter, tight in ((self.clearance_map.wide, False), (self.clearance_map.narrow, True)):
-            for _ in range(self._config.stack.searches):
+            for _ in range(self._config.autopilot.searches):
                 found = self.between(start, counter)
                 if found is None:
                     break

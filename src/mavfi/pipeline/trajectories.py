@@ -73,7 +73,7 @@ class TrajectoryGenerator(Remembers):
 
     def __init__(self, config: PipelineConfig, clearance: ClearanceMap) -> None:
         self._config = config
-        self._splices = config.stack.replanning == "every_map"
+        self._splices = config.autopilot.replanning == "every_map"
         self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
         self._clearance_map = clearance
         self.memory = _GeneratorMemory(new_state("planning.path"))
@@ -119,13 +119,13 @@ class TrajectoryGenerator(Remembers):
         vertices = _without_repeats(vertices)
         if len(vertices) < 2 or len(vertices) > timing.CURVE_LIMIT // 40:
             return np.zeros((0, timing.POINT_WIDTH))
-        n = self._polynomials(vertices, motion) if config.stack.smoothing == "minimum_snap" else 0
+        n = self._polynomials(vertices, motion) if config.autopilot.smoothing == "minimum_snap" else 0
         n = n or self._blends(vertices, motion.speed)
         step = 1e-6 * config.control_period_us
-        if n == 0 or config.stack.sampling == "interpolated":
+        if n == 0 or config.autopilot.sampling == "interpolated":
             return self._dense[:n]
-        per_point = max(1, round(config.stack.point_period / step))
-        n = timing.hold_points(self._dense, n, per_point, step, round(config.stack.look_ahead / step), self._held)
+        per_point = max(1, round(config.autopilot.point_period / step))
+        n = timing.hold_points(self._dense, n, per_point, step, round(config.autopilot.look_ahead / step), self._held)
         return self._held[:n]
 
     def _limits(self) -> timing.Limits:

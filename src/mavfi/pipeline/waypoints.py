@@ -70,7 +70,7 @@ class SetpointGenerator(Remembers):
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = ("planning.trajectory", "perception.collision_status", config.odometry, "control.tracking")
-        self._governed = config.stack.sampling == "interpolated"
+        self._governed = config.autopilot.sampling == "interpolated"
         self.memory = _SetpointMemory()
         self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
@@ -175,11 +175,11 @@ class SetpointGenerator(Remembers):
         alarm_seq = int(state.header["future_collision_seq"][0])
         if seq < memory.last_seq or alarm_seq < memory.epoch:
             since = memory.rejected_since if memory.rejected_since >= 0 else time_us
-            patience = self._config.stack.epoch_liveness
+            patience = self._config.autopilot.epoch_liveness
             if not (patience > 0.0 and time_us - since > 1e6 * patience):
                 self._set(rejected_since=since)
                 return
-        if self._config.stack.consumer_check and not self._sane(state):
+        if self._config.autopilot.consumer_check and not self._sane(state):
             self._set(stop_us=time_us)
             return
         self._set(
@@ -199,14 +199,14 @@ class SetpointGenerator(Remembers):
         memory = self.memory.now
         if not bool(header["collision"]) or seq <= memory.seen_seq:
             return
-        grace = self._config.stack.grace
+        grace = self._config.autopilot.grace
         enough = float(header["time_to_collision"]) > grace + _EMERGENCY_STOP_TIME
         due = time_us + (int(1e6 * grace) if enough else 0)
         self._set(seen_seq=seq, stop_us=due if memory.stop_us < 0 else min(due, memory.stop_us))
 
     def _watch(self, time_us: int) -> None:
         """Deviation monitor: stop and replan if too far from the reference."""
-        limit = self._config.stack.deviation_limit
+        limit = self._config.autopilot.deviation_limit
         if limit <= 0.0 or self.memory.now.trajectory is None or self.memory.published is None:
             return
         reference = floats(self.memory.published.header, POINT_WIDTH)[:3]
@@ -294,7 +294,7 @@ class SetpointGenerator(Remembers):
         clock = np.array(self.memory.now.clock)
         blocked, unknown, seq = self.memory.limits
         trajectory = self.memory.now.trajectory
-        if not self._config.stack.known_space_limit or (
+        if not self._config.autopilot.known_space_limit or (
             trajectory is not None and seq != int(trajectory.header["trajectory_seq"][0])
         ):
             blocked = unknown = np.inf
@@ -324,5 +324,5 @@ class SetpointGenerator(Remembers):
         lag = self._config.velocity_lag if not self._governed else 0.0
         waypoint[:3] = self.memory.odometry[:3] + lag * self.memory.odometry[3:6]
         waypoint[3] = yaw_of(self.memory.odometry[6:10]) + turn
-        waypoint[10] = self._config.stack.point_period
+        waypoint[10] = self._config.autopilot.point_period
         return self._publish(-1, waypoint)

@@ -100,7 +100,7 @@ class FlightResult:
             "injections": [injection.to_json() for injection in log.injections],
             "alarms": [alarm.to_json() for alarm in log.alarms],
             "replans": self.record.replans, "events": dict(self.record.events),
-            "environment": scenario.environment.name, "seed": scenario.seed, "autopilot": scenario.stack.name,
+            "environment": scenario.environment.name, "seed": scenario.seed, "autopilot": scenario.autopilot.name,
             "platform": scenario.platform.name, "planner": scenario.planner.name, "map": scenario.map.kind,
             "vehicle": scenario.vehicle.name, "v_max": scenario.v_max, "wind": scenario.wind.gust,
             "localization": scenario.localization.kind, "detector": self.detector,

@@ -90,7 +90,7 @@ class Grounded(Simulator):
         Raises:
             BadInputError: The world has no free ground below the start.
         """
-        self.world = on_the_ground(world, scenario.vehicle.hull_radius) if on_ground else world
+        self.world = on_the_ground(world, scenario.vehicle.collision_radius) if on_ground else world
         super().__init__(self.world, scenario)
         self._rays: dict[CameraConfig, np.ndarray] = {}
         self.armed, self.resting = not on_ground, False
@@ -131,7 +131,7 @@ class Grounded(Simulator):
             self.touched = Contact(self.time_us, here, here, np.zeros(3), 0.0, SCAN)
         for place in range(self._data.ncon):
             contact = self._data.contact[place]
-            other = int(min(contact.geom1, contact.geom2))  # the hull is the last geom
+            other = int(min(contact.geom1, contact.geom2))  # the collision sphere is the last geom
             sign = 1.0 if contact.geom1 == other else -1.0
             found = Contact(
                 self.time_us, self.odometry[:3].copy(), np.array(contact.pos), sign * np.array(contact.frame[:3]),
@@ -146,7 +146,7 @@ class Grounded(Simulator):
 
     def _rest(self) -> None:
         """Stand on the ground: level, at rest."""
-        height, yaw = self._airframe.hull_radius, float(yaw_of(self.odometry[6:10]))
+        height, yaw = self._airframe.collision_radius, float(yaw_of(self.odometry[6:10]))
         self._set_state(np.array([*self.odometry[:2], height]), (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw)))
         self._data.sensordata[ACCELEROMETER] = (0.0, 0.0, GRAVITY)
         self.resting = True
@@ -173,7 +173,7 @@ class Grounded(Simulator):
     @property
     def height(self) -> float:
         """Height of the collision sphere above the ground plane (m)."""
-        return float(self.odometry[2]) - self._airframe.hull_radius
+        return float(self.odometry[2]) - self._airframe.collision_radius
 
     @property
     def max_thrust(self) -> float:

@@ -84,10 +84,10 @@ def _check(source: str, vehicle: VehicleConfig, body: RigidBody) -> None:
                 f"{source}: key {key!r}: {given:g}: the model {vehicle.mjcf} has {found:.4g}; allowed: within "
                 f"{100 * _TOLERANCE:g} % of it, or no such key"
             )
-    if not vehicle.hull_radius >= body.reach:
+    if not vehicle.collision_radius >= body.reach:
         raise BadInputError(
-            f"{source}: key 'hull_radius': {vehicle.hull_radius:g}: the model {vehicle.mjcf} reaches {body.reach:.3f} "
-            "m from its centre of mass; allowed: at least that"
+            f"{source}: key 'collision_radius': {vehicle.collision_radius:g}: the model {vehicle.mjcf} reaches "
+            f"{body.reach:.3f} m from its centre of mass; allowed: at least that"
         )
 
 

@@ -13,6 +13,7 @@ STEP_US = 4_000
 
 ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
 """Sensor addresses in MjData.sensordata."""
+_SPHERE = "collision_sphere"
 
 
 def build_model(world: World, vehicle: VehicleConfig, period_us: int = STEP_US) -> mujoco.MjModel:
@@ -38,12 +39,13 @@ def build_model(world: World, vehicle: VehicleConfig, period_us: int = STEP_US) 
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half)
     body = spec.worldbody.add_body(pos=world.start)
     body.add_freejoint()
-    hull = body.add_geom(name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=np.array([vehicle.hull_radius, 0.0, 0.0]))
+    size = np.array([vehicle.collision_radius, 0.0, 0.0])
+    sphere = body.add_geom(name=_SPHERE, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=size)
     if vehicle.mjcf is None:
         body.mass, body.inertia, body.ipos = vehicle.mass, np.array(vehicle.inertia), np.zeros(3)
         body.explicitinertial = True
     else:
-        hull.mass = 0.0
+        sphere.mass = 0.0
         mjcf.attach(vehicle, spec, body)
     body.add_site(name="imu")
     _add_sensors(spec)
@@ -58,6 +60,6 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
     spec.add_sensor(
         type=mujoco.mjtSensor.mjSENS_CONTACT,
         objtype=mujoco.mjtObj.mjOBJ_GEOM,
-        objname="hull",
+        objname=_SPHERE,
         intprm=[found, 0, 1],
     )

@@ -27,7 +27,7 @@ class Airframe(NamedTuple):
     inertia_y: float
     inertia_z: float
     lever: float
-    hull_radius: float
+    collision_radius: float
     max_thrust: float
     torque_ratio: float
     rotor_step: float
@@ -56,7 +56,7 @@ def airframe_of(config: VehicleConfig, period_us: int = STEP_US) -> Airframe:
         config.mass,
         *config.inertia,
         config.arm_length / math.sqrt(2.0),
-        config.hull_radius,
+        config.collision_radius,
         config.max_rotor_thrust,
         config.rotor_torque_ratio,
         1.0 - exp(-period_us * 1e-6 / lag) if lag > 0.0 else 1.0,
@@ -158,7 +158,7 @@ def step_body(
     touched: bool = body.sensors[CONTACTS] > 0.0
     if voxels.occupied.size > 0:
         touched = touched or sphere_touches_voxels(
-            body.qpos, airframe.hull_radius, voxels.occupied, voxels.origin, voxels.resolution
+            body.qpos, airframe.collision_radius, voxels.occupied, voxels.origin, voxels.resolution
         )
     return touched
 

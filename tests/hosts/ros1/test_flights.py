@@ -31,7 +31,7 @@ pytestmark = [*ros, pytest.mark.slow]
 
 
 def detector(name, scenario):
-    fits = {"stack": scenario.stack.name, "platform": scenario.platform.name, "v_max": scenario.v_max,
+    fits = {"stack": scenario.autopilot.name, "platform": scenario.platform.name, "v_max": scenario.v_max,
             "planner": scenario.planner.name}  # fmt: skip
     return load_detector(name, "paper", None, fits)[0]
 

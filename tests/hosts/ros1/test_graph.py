@@ -14,7 +14,7 @@ from mavfi.hosts.ros1.ports import peers, world_listens
 from mavfi.hosts.ros1.session import configure, isolation, launch_text
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
-from tests.hosts.missions import STACKS, fault, mission
+from tests.hosts.missions import AUTOPILOTS, fault, mission
 
 
 @cache
@@ -79,8 +79,8 @@ def test_a_gate_comes_after_the_injector():
     assert found["sensor.depth"].writer == WORLD and found["sensor.depth"].taps == (DETECTOR,)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_only_triggers_make_steps_due(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_only_triggers_make_steps_due(autopilot):
     seen = set()
 
     def watch_inputs(kernel):
@@ -94,7 +94,7 @@ def test_only_triggers_make_steps_due(stack):
 
         kernel.receive = watched
 
-    loop = new_loop(mission(stack))
+    loop = new_loop(mission(autopilot))
     for kernel in loop.kernels.values():
         watch_inputs(kernel)
     loop.fly()

@@ -6,7 +6,7 @@ import pytest
 from mavfi.detectors import residuals
 from mavfi.detectors.everything import QUANTA, CodeRecorder, Everything, sample_of
 from mavfi.hosts.local import fly
-from mavfi.states import STACKS, floats
+from mavfi.states import AUTOPILOTS, floats
 from tests.hosts.missions import mission
 
 
@@ -23,7 +23,7 @@ def apart(places, other):
     return np.abs(np.asarray(places) - other).max(axis=-1)
 
 
-@pytest.fixture(scope="module", params=STACKS)
+@pytest.fixture(scope="module", params=AUTOPILOTS)
 def flown(request):
     recorder, published = CodeRecorder(request.param), []
     fly(mission(request.param), recorders=[recorder.accept, lambda state, now: published.append(state)])

@@ -139,9 +139,9 @@ def test_taking_scans_back_leaves_the_tree_that_the_library_has_without_them(res
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("environment", "stack", "seed", "resolution"), WHOLE)
-def test_both_maps_equal_the_library_over_whole_missions(environment, stack, seed, resolution):
-    scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
+@pytest.mark.parametrize(("environment", "autopilot", "seed", "resolution"), WHOLE)
+def test_both_maps_equal_the_library_over_whole_missions(environment, autopilot, seed, resolution):
+    scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))
     flight, scans = recorded(scenario.model_copy(update={"map": MapConfig(resolution=resolution)}))
     assert len(scans) > 50
     frame = frame_of(scans, resolution)

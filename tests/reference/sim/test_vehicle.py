@@ -161,10 +161,10 @@ def test_coasting_decays_as_quadratic_drag_makes_it(axis):
 
 
 # ---- energy ---------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("stack", ["published", "hardened"])
-def test_a_mission_draws_what_published_logs_of_such_missions_draw(stack):
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+def test_a_mission_draws_what_published_logs_of_such_missions_draw(autopilot):
     """Mean power: 450 to 520 W in MAVBench's desktop runs, 482 to 669 W in its deliveries, 537 W in the paper."""
-    log = fly_mission(resolve(MissionSpec(environment="sparse", seed=7, autopilot=stack))).log
+    log = fly_mission(resolve(MissionSpec(environment="sparse", seed=7, autopilot=autopilot))).log
     quality = quality_of_flight(log)
     assert 450.0 < quality.energy_j / quality.flight_time_s < 550.0
     # the same regression in SI, summed plainly

@@ -193,7 +193,7 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
     directory = tmp_path / "out"
     for campaign, message in (
         (small(environments=["venus"]), "environment 'venus'"),
-        (small(mission={"autopilot": "soft"}), "stack 'soft'"),
+        (small(mission={"autopilot": "soft"}), "autopilot 'soft'"),
         (small(arms={"x": {"detector": "nonsense"}}), "detector 'nonsense'"),
         (small(arms={"x": {"detector": DETECTOR, "profile": "rough"}}), "profile 'rough'"),
         (small(arms={"x": {"planner": "absent.yaml"}}), "absent.yaml"),

@@ -41,7 +41,7 @@ def test_training_flies_its_own_worlds_as_the_mission_asks_for():
     asked = MissionSpec(environment="dense", seed=3, goal=(1.0, 2.0, 3.0), autopilot="hardened", v_max=2.0)
     scenario = training_mission(asked)
     assert (scenario.environment.name, scenario.seed, scenario.goal) == ("training", TRAINING_SEED, None)
-    assert (scenario.stack.name, scenario.v_max) == ("hardened", 2.0)
+    assert (scenario.autopilot.name, scenario.v_max) == ("hardened", 2.0)
 
 
 def _stop_at(wanted, shown):

@@ -36,39 +36,41 @@ def status(counter=1, flag=False, time=30.0, **fields):
     )  # fmt: skip
 
 
-def points(stack, count=6):
+def points(autopilot, count=6):
     """A straight line at 2 m/s from next to the vehicle on."""
-    period = LIMITS[stack].point_period
+    period = LIMITS[autopilot].point_period
     state = make(TRAJECTORY, count, trajectory_seq=1, future_collision_seq=1, y=0.0, z=3.0, vx=2.0, duration=period)
-    state.elements["x"] = START[stack][0] + 2.0 * period * np.arange(count)
+    state.elements["x"] = START[autopilot][0] + 2.0 * period * np.arange(count)
     state.elements["x"][-1], state.elements["vx"][-1] = state.elements["x"][-2], 0.0
     return state
 
 
-def line(stack, junction=-1, epoch=1, entry_speed=0.0):
+def line(autopilot, junction=-1, epoch=1, entry_speed=0.0):
     state = make(PATH, 3, future_collision_seq=epoch, entry_speed=entry_speed, junction=junction, z=3.0)
-    state.elements["x"] = START[stack][0], 20.0, 30.0
+    state.elements["x"] = START[autopilot][0], 20.0, 30.0
     return state
 
 
-def short(state, stack):
+def short(state, autopilot):
     """A path that ends where the trajectory of `points` does."""
-    state.elements["x"][-1] = points(stack).elements["x"][-1]
+    state.elements["x"][-1] = points(autopilot).elements["x"][-1]
     return state
 
 
-def step_of(stack, index, share=0.0, trajectory=1):
+def step_of(autopilot, index, share=0.0, trajectory=1):
     """The way-point that a trajectory's point becomes; interpolated, by a share of the way to the next."""
     state = make(WAYPOINT, trajectory_seq=trajectory, future_collision_seq=1, index=index)
-    own = floats(points(stack).elements, 11)
+    own = floats(points(autopilot).elements, 11)
     floats(state.header, 11)[:] = (
-        own[index] if stack == "published" else own[index] + share * (own[index + 1] - own[index]) * (np.arange(11) < 3)
+        own[index]
+        if autopilot == "published"
+        else own[index] + share * (own[index + 1] - own[index]) * (np.arange(11) < 3)
     )
     return state
 
 
-def held(stack):
-    period, lag = LIMITS[stack].point_period, 0.4 * (stack == "published")
+def held(autopilot):
+    period, lag = LIMITS[autopilot].point_period, 0.4 * (autopilot == "published")
     x, y, z = HERE + lag * SPEED
     return make(WAYPOINT, x=x, y=y, z=z, yaw=3.5, duration=period, index=-1, future_collision_seq=1)
 
@@ -77,58 +79,58 @@ def drive(vx=2.0, vy=0.0, yaw_rate=0.5, duration=0.02):
     return make(COMMAND, vx=vx, vy=vy, yaw_rate=yaw_rate, duration=duration)
 
 
-def flying(stack, *more, functions=PLAIN):
+def flying(autopilot, *more, functions=PLAIN):
     """In flight: alarm 1 was answered by trajectory 1, the way-point in force is its point 1."""
-    detector = AcceptanceTest(LIMITS[stack], functions)
+    detector = AcceptanceTest(LIMITS[autopilot], functions)
     detector.start()
     before = (
-        odometry(HERE, SPEED), status(1, True, 5.0), short(line(stack), stack), points(stack), step_of(stack, 0),
-        step_of(stack, 1), drive(), make(TRACKING, remaining=0.3),
+        odometry(HERE, SPEED), status(1, True, 5.0), short(line(autopilot), autopilot), points(autopilot),
+        step_of(autopilot, 0), step_of(autopilot, 1), drive(), make(TRACKING, remaining=0.3),
     )  # fmt: skip
     for state in (*before, *more):
         detector.accept(state, NOW - 500_000)
     return detector
 
 
-def good(stack):
+def good(autopilot):
     """What may come next, by what it shows."""
-    interpolated = stack == "hardened"
-    second = points(stack)
+    interpolated = autopilot == "hardened"
+    second = points(autopilot)
     second.header["trajectory_seq"] = 2
     common = {
         "no collision": (status(), ()),
         "a new collision": (status(2, True, 4.0), ()),
-        "path": (line(stack, 0 if interpolated else -1, entry_speed=2.5), ()),
-        "path to a new alarm": (line(stack, 0 if interpolated else -1, 2), (status(2, True, 4.0),)),
+        "path": (line(autopilot, 0 if interpolated else -1, entry_speed=2.5), ()),
+        "path to a new alarm": (line(autopilot, 0 if interpolated else -1, 2), (status(2, True, 4.0),)),
         "no path": (make(PATH, future_collision_seq=1), ()),
         "trajectory": (second, ()),
         "no trajectory": (make(TRAJECTORY, trajectory_seq=2, future_collision_seq=1), ()),
-        "next point": (step_of(stack, 2), ()),
-        "hold": (held(stack), ()),
-        "first point": (step_of(stack, 0, trajectory=2), (second,)),
+        "next point": (step_of(autopilot, 2), ()),
+        "hold": (held(autopilot), ()),
+        "first point": (step_of(autopilot, 0, trajectory=2), (second,)),
         "command": (drive(2.2), ()),
-        "command at a new way-point": (drive(-2.2), (step_of(stack, 2),)),
+        "command at a new way-point": (drive(-2.2), (step_of(autopilot, 2),)),
         "tracking": (make(TRACKING, remaining=0.28), ()),
         "tracking of a step computed again": (make(TRACKING, remaining=0.3), ()),
-        "tracking of a new way-point": (make(TRACKING, remaining=0.47), (step_of(stack, 2),)),
+        "tracking of a new way-point": (make(TRACKING, remaining=0.47), (step_of(autopilot, 2),)),
     }
     back = make(PATH, 3, future_collision_seq=1, junction=-1, z=3.0)
     back.elements["x"] = 10.0, 8.0, 6.0
     own = {
-        "between two points": (step_of(stack, 1, 0.5), ()),
+        "between two points": (step_of(autopilot, 1, 0.5), ()),
         "the way back": (back, ()),
         "known space of the trajectory": (status(trajectory_seq=1, distance_to_unknown=4.0), ()),
     }
     return common | (own if interpolated else {})
 
 
-GOOD = [(stack, case) for stack in LIMITS for case in good(stack)]
+GOOD = [(autopilot, case) for autopilot in LIMITS for case in good(autopilot)]
 
 
-@pytest.mark.parametrize(("stack", "case"), GOOD)
-def test_what_a_flight_publishes_passes(stack, case):
-    state, before = good(stack)[case]
-    assert flying(stack, *before).check(state, NOW) is None
+@pytest.mark.parametrize(("autopilot", "case"), GOOD)
+def test_what_a_flight_publishes_passes(autopilot, case):
+    state, before = good(autopilot)[case]
+    assert flying(autopilot, *before).check(state, NOW) is None
 
 
 BOTH = tuple(LIMITS)
@@ -210,8 +212,8 @@ BROKEN = [
 ]
 
 
-def broken(stack, case, field, value):
-    state, before = good(stack)[case]
+def broken(autopilot, case, field, value):
+    state, before = good(autopilot)[case]
     state = state.copy()
     if isinstance(field, tuple):
         field, element = field
@@ -221,13 +223,13 @@ def broken(stack, case, field, value):
     return state, before, field
 
 
-MUTANTS = [(stack, *rest) for stacks, *rest in BROKEN for stack in stacks]
+MUTANTS = [(autopilot, *rest) for autopilots, *rest in BROKEN for autopilot in autopilots]
 
 
-@pytest.mark.parametrize(("stack", "case", "field", "value"), MUTANTS)
-def test_one_value_that_breaks_a_rule_is_a_hard_alarm_that_names_it(stack, case, field, value):
-    state, before, name = broken(stack, case, field, value)
-    alarm = flying(stack, *before).check(state, NOW)
+@pytest.mark.parametrize(("autopilot", "case", "field", "value"), MUTANTS)
+def test_one_value_that_breaks_a_rule_is_a_hard_alarm_that_names_it(autopilot, case, field, value):
+    state, before, name = broken(autopilot, case, field, value)
+    alarm = flying(autopilot, *before).check(state, NOW)
     assert alarm is not None
     assert (alarm.source, alarm.stage, alarm.hard) == (SOURCE, STATES[state.spec.name].stage, True)
     assert alarm.score > 1.0 and alarm.fields == (f"{state.spec.name}.{name}",)
@@ -237,7 +239,7 @@ def test_every_consumed_state_but_map_and_cloud_has_a_rule_and_every_rule_a_muta
     assert set(RULES) == {
         name for name, spec in STATES.items() if spec.stage in ("planning", "control") or spec.acted_on
     }  # fmt: skip
-    assert {good(stack)[case][0].spec.name for stack, case, *_ in MUTANTS} == set(RULES)
+    assert {good(autopilot)[case][0].spec.name for autopilot, case, *_ in MUTANTS} == set(RULES)
 
 
 def test_repeated_alarms_are_recognized_by_the_epoch_of_the_last_trajectory():
@@ -267,16 +269,16 @@ def test_a_path_answers_the_counter_that_was_known_when_the_planner_began():
     ]  # fmt: skip
 
 
-def everything(stack):
+def everything(autopilot):
     """All good and all broken publications, each with what comes before."""
-    cases = [good(stack)[case] for case in good(stack)]
-    return cases + [broken(own, *rest)[:2] for own, *rest in MUTANTS if own == stack]
+    cases = [good(autopilot)[case] for case in good(autopilot)]
+    return cases + [broken(own, *rest)[:2] for own, *rest in MUTANTS if own == autopilot]
 
 
-@pytest.mark.parametrize("stack", LIMITS)
-def test_judging_changes_nothing_and_memory_is_restored(stack):
-    for state, before in everything(stack):
-        detector, other = flying(stack, *before), AcceptanceTest(LIMITS[stack])
+@pytest.mark.parametrize("autopilot", LIMITS)
+def test_judging_changes_nothing_and_memory_is_restored(autopilot):
+    for state, before in everything(autopilot):
+        detector, other = flying(autopilot, *before), AcceptanceTest(LIMITS[autopilot])
         memory = detector.memory()
         alarm = detector.check(state, NOW)
         assert detector.memory() == memory == detector.memory()
@@ -287,18 +289,18 @@ def test_judging_changes_nothing_and_memory_is_restored(stack):
         detector.accept(state, NOW)
         assert detector.memory() != memory or detector.check(state, NOW) == alarm
         detector.start()
-        assert detector.memory() == AcceptanceTest(LIMITS[stack]).memory()
+        assert detector.memory() == AcceptanceTest(LIMITS[autopilot]).memory()
 
 
-@pytest.mark.parametrize("stack", LIMITS)
-def test_compiled_rules_agree_with_plain_python(stack, monkeypatch):
-    compiled = [flying(stack, *before).check(state, NOW) for state, before in everything(stack)]
+@pytest.mark.parametrize("autopilot", LIMITS)
+def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
+    compiled = [flying(autopilot, *before).check(state, NOW) for state, before in everything(autopilot)]
     for module in (rules, following, known):
         for name, found in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(found, "py_func", found))
     plain = Functions(*(getattr(PLAIN, field.name).py_func for field in fields(Functions)))
     assert [
-        flying(stack, *before, functions=plain).check(state, NOW) for state, before in everything(stack)
+        flying(autopilot, *before, functions=plain).check(state, NOW) for state, before in everything(autopilot)
     ] == compiled
 
 
@@ -319,12 +321,12 @@ def test_a_trajectory_for_which_there_is_no_room_makes_more():
     assert detector.memory() == AcceptanceTest(LIMITS["published"]).memory()
 
 
-@pytest.mark.parametrize("stack", LIMITS)
-def test_states_that_it_does_not_ask_for_change_nothing(stack):
-    detector = flying(stack)
+@pytest.mark.parametrize("autopilot", LIMITS)
+def test_states_that_it_does_not_ask_for_change_nothing(autopilot):
+    detector = flying(autopilot)
     memory = detector.memory()
     unread = set(STATES) - detector.states
-    assert ("control.tracking" in unread) == (stack == "hardened")
+    assert ("control.tracking" in unread) == (autopilot == "hardened")
     for name in unread:
         state = new_state(name)
         assert detector.check(state, NOW) is None
@@ -346,8 +348,8 @@ def test_it_is_loaded_with_the_limits_of_the_mission():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", LIMITS)
-def test_a_golden_flight_raises_no_alarm(stack):
-    scenario = resolve(MissionSpec(environment="sparse", seed=11, autopilot=stack))
+@pytest.mark.parametrize("autopilot", LIMITS)
+def test_a_golden_flight_raises_no_alarm(autopilot):
+    scenario = resolve(MissionSpec(environment="sparse", seed=11, autopilot=autopilot))
     log = fly(scenario, detector=detector_for(scenario, SOURCE, "paper")[0]).log
     assert (log.status, log.alarms) == (MissionStatus.SUCCESS, [])

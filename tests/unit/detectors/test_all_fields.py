@@ -12,7 +12,7 @@ from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly as fly_mission
-from mavfi.states import STACKS, STATES, new_state
+from mavfi.states import AUTOPILOTS, STATES, new_state
 from tests.hosts.missions import golden, mission
 from tests.unit.detectors import streams
 from tests.unit.detectors.streams import PROVENANCE, fly, later, odometry, record, strike
@@ -126,13 +126,13 @@ def test_models_of_all_fields_have_one_profile(folder):
     assert load_detector("limits", "paper", folder, FITS)[1] == load_detector("limits", "tuned", folder, FITS)[1]
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_every_field_that_is_read_is_watched_and_no_other(stack):
-    everything = Everything(stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_every_field_that_is_read_is_watched_and_no_other(autopilot):
+    everything = Everything(autopilot)
     watched = {name for name, quantum in zip(everything.fields, everything.quanta, strict=True) if quantum > 0.0}
     for state in everything.slots:
         for field in STATES[state].header:
-            assert (f"{state}.{field.name}" in watched) == (not field.dead_in(stack)), field
+            assert (f"{state}.{field.name}" in watched) == (not field.dead_in(autopilot)), field
     assert {f"planning.path.{name}" for name in ("start", "end", "detour")} <= watched
     assert [everything.slot_of(k) for k in (0, 6, len(everything.fields) - 1)] == [0, 1, 5]
 
@@ -172,12 +172,12 @@ def test_recordings_that_cannot_serve_are_refused(recordings):
 
 # ---- shipped models -------------------------------------------------------------------------------------------------
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_models_raise_no_alarm_on_a_golden_flight(name, stack):
-    detector, _ = load_detector(name, "paper", None, {**FITS, "stack": stack})
-    log = fly_mission(mission(stack), detector=detector).log
-    assert log.alarms == [] and log.digest() == golden(stack).log.digest()
+def test_the_shipped_models_raise_no_alarm_on_a_golden_flight(name, autopilot):
+    detector, _ = load_detector(name, "paper", None, {**FITS, "stack": autopilot})
+    log = fly_mission(mission(autopilot), detector=detector).log
+    assert log.alarms == [] and log.digest() == golden(autopilot).log.digest()
 
 
 # ---- CUSUM ----------------------------------------------------------------------------------------------------------

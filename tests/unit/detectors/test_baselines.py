@@ -14,7 +14,7 @@ from mavfi.detectors.model import Model
 from mavfi.detectors.registry import settings_of
 from mavfi.detectors.samples import join
 from mavfi.errors import BadInputError
-from mavfi.states import STACKS
+from mavfi.states import AUTOPILOTS
 from tests.unit.detectors.streams import PROVENANCE, fly, later, strike
 from tests.unit.detectors.test_all_fields import flight, with_codes
 from tests.unit.detectors.test_registry import FITS
@@ -109,9 +109,9 @@ def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for
             load_detector(name, "paper", None, FITS)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_columns_of_states_are_all_watched_ones_once(stack):
-    everything = Everything(stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_columns_of_states_are_all_watched_ones_once(autopilot):
+    everything = Everything(autopilot)
     columns = np.concatenate(columns_of(everything))
     assert columns.tolist() == list(range((everything.quanta > 0).sum()))
 

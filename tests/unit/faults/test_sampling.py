@@ -94,11 +94,11 @@ def test_weights_count_the_fields_that_a_stratum_leaves_out():
     assert {fault.where.field: fault.weight for fault in drawn} == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("stack", ["published", "hardened"])
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
 @pytest.mark.parametrize("stage", ["perception", "planning", "control"])
 @pytest.mark.parametrize("strata", [("sign_exponent", "mantissa"), ("sign", "exponent", "mantissa")])
-def test_the_mean_weights_of_strata_that_make_up_words_add_up_to_one(stage, stack, strata):
-    target = stage_target(stage, stack)
+def test_the_mean_weights_of_strata_that_make_up_words_add_up_to_one(stage, autopilot, strata):
+    target = stage_target(stage, autopilot)
     total = 0.0
     for stratum in strata:
         part = target.within(stratum)

@@ -6,7 +6,7 @@ from mavfi.faults.fault import FaultSite
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.spec import InstructionRequest, MemoryRequest, SensorRequest, parse, parse_sensor
 from mavfi.flight_log import Profile
-from mavfi.states import STACKS
+from mavfi.states import AUTOPILOTS
 
 PROFILE = Profile(
     {
@@ -49,7 +49,10 @@ def test_instant_and_bit_are_drawn_from_the_seed():
 
 def test_the_field_is_drawn_from_those_that_are_read():
     request = parse("state:planning.waypoint")
-    drawn = {stack: {request.resolve(seed, stack, PROFILE).where.field for seed in range(300)} for stack in STACKS}
+    drawn = {
+        autopilot: {request.resolve(seed, autopilot, PROFILE).where.field for seed in range(300)}
+        for autopilot in AUTOPILOTS
+    }
     assert drawn["hardened"] - drawn["published"] == {"ax", "ay", "az"}
     assert {"x", "y", "z", "yaw", "vx", "vy", "vz", "duration"} <= drawn["published"]
 

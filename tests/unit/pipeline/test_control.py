@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from mavfi.pipeline.control import Tracker
-from tests.unit.pipeline.parts import STACKS, config, odometry, same, waypoint
+from tests.unit.pipeline.parts import AUTOPILOTS, config, odometry, same, waypoint
 
 
-def tracker(stack="published", **options):
-    kernel = Tracker(config(stack, **options))
+def tracker(autopilot="published", **options):
+    kernel = Tracker(config(autopilot, **options))
     kernel.receive(odometry(), 0)
     return kernel
 
@@ -49,10 +49,10 @@ def test_a_corrupted_point_is_still_handed_over_in_finite_time(axis, value):
     assert float(tracking.header["remaining"][0]) <= 0.0
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_step_from_the_same_memory_gives_the_same_bits(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_step_from_the_same_memory_gives_the_same_bits(autopilot):
     random = np.random.default_rng(1)
-    kernel = tracker(stack, gain_i=(0.1, 0.1, 0.1), gain_d=(0.1, 0.1, 0.1))
+    kernel = tracker(autopilot, gain_i=(0.1, 0.1, 0.1), gain_d=(0.1, 0.1, 0.1))
     for k in range(30):
         kernel.receive(odometry(random.normal(size=3), random.normal(size=3)), 0)
         if k % 7 == 0:
@@ -74,7 +74,7 @@ def test_a_way_point_that_comes_between_step_and_rollback_still_counts():
     assert float(kernel.step(0)[1].header["remaining"][0]) == pytest.approx(0.18)
 
 
-def test_the_gains_of_the_stack_reach_the_tracker_and_a_command_lasts_one_control_period():
+def test_the_gains_of_the_autopilot_reach_the_tracker_and_a_command_lasts_one_control_period():
     kernel = tracker(gain_p=(0.0, 0.0, 0.0), gain_i=(2.0, 0.0, 0.0), gain_d=(0.0, 0.5, 0.0), integral_limit=0.03)
     kernel.receive(waypoint(position=(3.0, 6.0, 3.0)), 0)
     first, *others = [kernel.step(0)[0].header[0] for _ in range(3)]

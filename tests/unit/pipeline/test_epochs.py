@@ -8,8 +8,8 @@ from tests.unit.pipeline.parts import config, odometry, status, tracking, trajec
 TICK = 20_000
 
 
-def setpoint_generator(stack="published", **rules):
-    kernel = SetpointGenerator(config(stack, **rules))
+def setpoint_generator(autopilot="published", **rules):
+    kernel = SetpointGenerator(config(autopilot, **rules))
     kernel.receive(odometry(), 0)
     kernel.step(0)
     return kernel
@@ -34,17 +34,17 @@ def test_without_a_trajectory_the_vehicle_holds_where_it_is():
     assert kernel.step(TICK) == []
 
 
-@pytest.mark.parametrize("stack", ["published", "hardened"])
-def test_an_older_trajectory_is_rejected(stack):
-    kernel = setpoint_generator(stack)
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+def test_an_older_trajectory_is_rejected(autopilot):
+    kernel = setpoint_generator(autopilot)
     assert seq_of(give(kernel, trajectory(seq=5, epoch=2)))[-1:] == [5]
     late = give(kernel, trajectory(seq=4, epoch=2, start=(2.0, 5.5, 3.0)), tracking(0.3), at=2 * TICK)
     assert set(seq_of(late)) <= {5}
 
 
-@pytest.mark.parametrize("stack", ["published", "hardened"])
-def test_a_trajectory_of_an_older_epoch_is_rejected(stack):
-    kernel = setpoint_generator(stack)
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+def test_a_trajectory_of_an_older_epoch_is_rejected(autopilot):
+    kernel = setpoint_generator(autopilot)
     give(kernel, trajectory(seq=1, epoch=2))
     late = give(kernel, trajectory(seq=2, epoch=1), tracking(0.3), at=2 * TICK)
     assert set(seq_of(late)) <= {1}
@@ -52,9 +52,9 @@ def test_a_trajectory_of_an_older_epoch_is_rejected(stack):
     assert seq_of(again) == [3]
 
 
-@pytest.mark.parametrize(("stack", "freed"), [("published", False), ("hardened", True)])
-def test_only_hardened_frees_itself_from_an_epoch_that_nobody_can_reach(stack, freed):
-    kernel = setpoint_generator(stack)
+@pytest.mark.parametrize(("autopilot", "freed"), [("published", False), ("hardened", True)])
+def test_only_hardened_frees_itself_from_an_epoch_that_nobody_can_reach(autopilot, freed):
+    kernel = setpoint_generator(autopilot)
     give(kernel, trajectory(seq=1, epoch=1 << 30))
     taken = []
     for k in range(300):
@@ -128,10 +128,10 @@ def test_hardened_stops_when_it_has_left_the_reference():
     assert int(stop.header["index"][0]) == -1
 
 
-@pytest.mark.parametrize("stack", ["published", "hardened"])
-def test_a_step_from_the_same_memory_gives_the_same_bits(stack):
-    kernel = setpoint_generator(stack)
-    give(kernel, trajectory(period=0.5 if stack == "published" else 0.02))
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+def test_a_step_from_the_same_memory_gives_the_same_bits(autopilot):
+    kernel = setpoint_generator(autopilot)
+    give(kernel, trajectory(period=0.5 if autopilot == "published" else 0.02))
     for k in range(3, 12):
         kernel.receive(tracking(0.0), k * TICK)
         if k == 6:
@@ -157,14 +157,14 @@ def test_what_is_said_of_a_trajectory_before_it_is_in_force_holds_from_its_first
     assert (speed([give(kernel, at=k * TICK)[-1] for k in range(2, 12)]) < 1.5) == slower
 
 
-@pytest.mark.parametrize("stack", ["published", "hardened"])
-def test_only_hardened_flies_on_when_a_plan_has_failed_and_stops_where_the_way_is_blocked(stack):
-    kernel = setpoint_generator(stack)
-    flown = trajectory(seq=1, period=0.5 if stack == "published" else 0.02, count=100)
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+def test_only_hardened_flies_on_when_a_plan_has_failed_and_stops_where_the_way_is_blocked(autopilot):
+    kernel = setpoint_generator(autopilot)
+    flown = trajectory(seq=1, period=0.5 if autopilot == "published" else 0.02, count=100)
     give(kernel, flown)
     after = give(kernel, trajectory(seq=2, count=0), tracking(0.3), at=2 * TICK)
-    assert int(after[-1].header["index"][0]) == (-1 if stack == "published" else 1)
-    if stack == "hardened":
+    assert int(after[-1].header["index"][0]) == (-1 if autopilot == "published" else 1)
+    if autopilot == "hardened":
         give(kernel, status(blocked=0.0, trajectory_seq=1), at=3 * TICK)
         for k in range(4, 60):
             give(kernel, at=k * TICK)

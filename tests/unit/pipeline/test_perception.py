@@ -10,7 +10,7 @@ from mavfi.pipeline.kernel import map_grid
 from mavfi.pipeline.maps import MAPS
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
 from mavfi.states import floats, new_state
-from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, same, trajectory, waypoint
+from tests.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, same, trajectory, waypoint
 
 
 def depth(ranges=(4.0, 5.0, np.inf), position=(2.0, 5.0, 3.0)):
@@ -78,9 +78,9 @@ def at(grid, *point):
     return voxel_of(grid, *point)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_updates_taken_back_leave_the_clearance_map_as_before(stack):
-    clearance = ClearanceMap(config(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_updates_taken_back_leave_the_clearance_map_as_before(autopilot):
+    clearance = ClearanceMap(config(autopilot))
     random = np.random.default_rng(0)
     clearance.apply(map_update(random.integers(0, clearance.grid.size, 400), random.normal(size=400)))
     clearance.mark()
@@ -97,9 +97,9 @@ def test_updates_taken_back_leave_the_clearance_map_as_before(stack):
     np.testing.assert_array_equal(clearance.cells, before[0])
 
 
-def checker(stack):
-    kernel = CollisionCheck(config(stack))
-    path = trajectory(count=20, period=0.5 if stack == "published" else 0.1)
+def checker(autopilot):
+    kernel = CollisionCheck(config(autopilot))
+    path = trajectory(count=20, period=0.5 if autopilot == "published" else 0.1)
     point = waypoint()
     point.header["trajectory_seq"] = 1
     for state in (odometry(), path, point):
@@ -107,10 +107,10 @@ def checker(stack):
     return kernel
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_an_obstacle_on_the_trajectory_is_predicted_once_for_each_epoch(stack):
-    kernel = checker(stack)
-    grid = map_grid(config(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_an_obstacle_on_the_trajectory_is_predicted_once_for_each_epoch(autopilot):
+    kernel = checker(autopilot)
+    grid = map_grid(config(autopilot))
     assert kernel.receive(map_update([at(grid, 4.0, 5.0, 3.0)], -1.0), 0)
     (free,) = kernel.step(0)
     assert not free.header["collision"][0] and free.header["time_to_collision"][0] == 30.0
@@ -122,7 +122,7 @@ def test_an_obstacle_on_the_trajectory_is_predicted_once_for_each_epoch(stack):
     kernel.receive(hit, 0)
     kernel.receive(map_update([]), 0)
     (next_,) = kernel.step(0)
-    assert bool(next_.header["collision"][0]) == (stack == "hardened")  # published waits for an answer
+    assert bool(next_.header["collision"][0]) == (autopilot == "hardened")  # published waits for an answer
 
 
 def test_counting_continues_from_whatever_was_published():
@@ -136,10 +136,10 @@ def test_counting_continues_from_whatever_was_published():
     assert int(kernel.step(0)[0].header["future_collision_seq"][0]) == -(2**31)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_check_that_is_repeated_works_on_the_inputs_of_the_first_time(stack):
-    kernel = checker(stack)
-    grid = map_grid(config(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_check_that_is_repeated_works_on_the_inputs_of_the_first_time(autopilot):
+    kernel = checker(autopilot)
+    grid = map_grid(config(autopilot))
     update = map_update([at(grid, 6.0, 5.0, 3.0)])
     kernel.mark()
     kernel.receive(update, 0)
@@ -150,10 +150,10 @@ def test_a_check_that_is_repeated_works_on_the_inputs_of_the_first_time(stack):
     assert same(first, kernel.step(0))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_check_that_had_not_run_yet_works_on_the_latest_inputs(stack):
-    fresh, other = checker(stack), checker(stack)
-    grid = map_grid(config(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_check_that_had_not_run_yet_works_on_the_latest_inputs(autopilot):
+    fresh, other = checker(autopilot), checker(autopilot)
+    grid = map_grid(config(autopilot))
     for kernel in (fresh, other):
         kernel.receive(map_update([]), 0)
         kernel.step(0)

@@ -8,12 +8,12 @@ from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.trajectories import TrajectoryGenerator
 from mavfi.states import STATES, floats, new_state
-from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, same, status, waypoint
+from tests.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, same, status, waypoint
 
 
-def planner(stack="published", **rules):
+def planner(autopilot="published", **rules):
     """A planner behind whose start a wall with a gap stands."""
-    kernel = MotionPlanner(config(stack, **rules))
+    kernel = MotionPlanner(config(autopilot, **rules))
     grid = kernel.clearance_map.grid
     wall = [
         (ix * grid.ny + iy) * grid.nz + iz
@@ -26,16 +26,16 @@ def planner(stack="published", **rules):
     return kernel
 
 
-def request(kernel, stack):
+def request(kernel, autopilot):
     held = waypoint(index=-1)
     kernel.receive(held, 0)
-    return kernel.receive(status() if stack == "hardened" else odometry(), 600_000)
+    return kernel.receive(status() if autopilot == "hardened" else odometry(), 600_000)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_plan_is_wanted_when_nothing_is_flown_and_leads_around_the_wall(stack):
-    kernel = planner(stack, distance="centres", plan_radius=0.6, check_radius=0.36)
-    assert request(kernel, stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_plan_is_wanted_when_nothing_is_flown_and_leads_around_the_wall(autopilot):
+    kernel = planner(autopilot, distance="centres", plan_radius=0.6, check_radius=0.36)
+    assert request(kernel, autopilot)
     (path,) = kernel.step(600_000)
     vertices = floats(path.elements, 3).reshape(-1, 3)
     np.testing.assert_allclose(vertices[0], [2.0, 5.0, 3.0])
@@ -51,13 +51,13 @@ def test_no_plan_is_wanted_before_the_first_map():
     assert not kernel.receive(odometry(), 600_000)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_closed_wall_gives_an_empty_path_and_an_empty_trajectory(stack):
-    kernel = planner(stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_closed_wall_gives_an_empty_path_and_an_empty_trajectory(autopilot):
+    kernel = planner(autopilot)
     grid = kernel.clearance_map.grid
     wall = [(30 * grid.ny + iy) * grid.nz + iz for iy in range(grid.ny) for iz in range(grid.nz)]
     kernel.receive(map_update(wall), 0)
-    assert request(kernel, stack)
+    assert request(kernel, autopilot)
     (path,) = kernel.step(600_000)
     assert len(path.elements) == 0
     generator = TrajectoryGenerator(kernel._config, kernel.clearance_map)
@@ -79,18 +79,18 @@ def test_a_new_collision_makes_a_step_due_once():
     assert not kernel.receive(odometry(), 700_000)
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_plan_from_the_same_memory_has_the_same_bits(stack):
-    kernel = planner(stack)
-    request(kernel, stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_plan_from_the_same_memory_has_the_same_bits(autopilot):
+    kernel = planner(autopilot)
+    request(kernel, autopilot)
     kernel.mark()
     first = kernel.step(600_000)
     kernel.rollback()
     assert same(first, kernel.step(600_000))
 
 
-def generator(stack="published"):
-    kernel = planner(stack)
+def generator(autopilot="published"):
+    kernel = planner(autopilot)
     kernel_config = kernel._config
     return TrajectoryGenerator(kernel_config, kernel.clearance_map)
 
@@ -105,9 +105,9 @@ def path(*vertices, entry=0.0):
 LEGS = ((2.0, 5.0, 3.0), (8.0, 5.0, 3.0), (12.0, 2.0, 3.0), (17.0, 5.0, 3.0))
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_repeated_trajectory_has_the_same_bits_and_number(stack):
-    kernel = generator(stack)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_repeated_trajectory_has_the_same_bits_and_number(autopilot):
+    kernel = generator(autopilot)
     for number in (1, 2):
         kernel.receive(path(*LEGS), 0)
         kernel.mark()
@@ -117,9 +117,9 @@ def test_a_repeated_trajectory_has_the_same_bits_and_number(stack):
         assert int(first[0].header["trajectory_seq"][0]) == number
 
 
-@pytest.mark.parametrize(("stack", "slower"), [("published", False), ("hardened", True)])
-def test_narrow_places_slow_hardened_flights_only(stack, slower):
-    kernel = generator(stack)
+@pytest.mark.parametrize(("autopilot", "slower"), [("published", False), ("hardened", True)])
+def test_narrow_places_slow_hardened_flights_only(autopilot, slower):
+    kernel = generator(autopilot)
     durations = []
     for narrow in (0, 1):
         kernel._clearance_map.wide[:] = narrow
@@ -128,14 +128,14 @@ def test_narrow_places_slow_hardened_flights_only(stack, slower):
     assert (durations[1] > 1.2 * durations[0]) == slower
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, 1e300, -1e300])
-def test_corrupted_paths_give_a_trajectory_without_an_error(stack, value):
+def test_corrupted_paths_give_a_trajectory_without_an_error(autopilot, value):
     with np.errstate(all="ignore"):
         for row in range(4):
             bad = path(*LEGS)
             floats(bad.elements, 3)[row, 1] = value
-            kernel = generator(stack)
+            kernel = generator(autopilot)
             kernel.receive(bad, 0)
             assert len(kernel.step(0)) == 1
         kernel.receive(path(*LEGS, entry=value), 0)

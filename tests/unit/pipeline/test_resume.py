@@ -11,7 +11,7 @@ from mavfi.pipeline.trajectories import TrajectoryGenerator
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.states import floats
 from tests.unit.pipeline.parts import (
-    STACKS,
+    AUTOPILOTS,
     config,
     map_update,
     odometry,
@@ -29,21 +29,23 @@ def last(*states):
     return {state.spec.name: state for state in states}
 
 
-def period(stack):
-    return 0.5 if stack == "published" else 0.02
+def period(autopilot):
+    return 0.5 if autopilot == "published" else 0.02
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_a_kernel_that_published_nothing_starts_as_at_take_off(stack):
-    for new, plain in zip(build_pipeline(config(stack)).values(), build_pipeline(config(stack)).values(), strict=True):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_kernel_that_published_nothing_starts_as_at_take_off(autopilot):
+    for new, plain in zip(
+        build_pipeline(config(autopilot)).values(), build_pipeline(config(autopilot)).values(), strict=True
+    ):
         assert new.resume({}, TICK) == ()
         assert new.same(plain.save())
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_planner_knows_the_trajectory_and_which_alarms_it_has_answered(stack):
-    flown = trajectory(seq=4, epoch=2, period=period(stack))
-    undisturbed, back = MotionPlanner(config(stack)), MotionPlanner(config(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_planner_knows_the_trajectory_and_which_alarms_it_has_answered(autopilot):
+    flown = trajectory(seq=4, epoch=2, period=period(autopilot))
+    undisturbed, back = MotionPlanner(config(autopilot)), MotionPlanner(config(autopilot))
     undisturbed.receive(status(seq=2, time=4.0, collision=True), 0)
     undisturbed.receive(flown, TICK)
     assert back.resume(last(flown), TICK) == ()
@@ -140,8 +142,8 @@ def test_the_tracker_continues_with_the_way_point_in_force():
     assert Tracker(config()).resume(last(in_force), TICK) == (), "it has tracked nothing yet"
 
 
-def setpoint_generator(stack, *given):
-    kernel = SetpointGenerator(config(stack))
+def setpoint_generator(autopilot, *given):
+    kernel = SetpointGenerator(config(autopilot))
     kernel.receive(odometry(), 0)
     published = kernel.step(0)
     for place, states in enumerate(given, 1):
@@ -151,11 +153,11 @@ def setpoint_generator(stack, *given):
     return kernel, published[-1]
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_the_setpoint_generator_continues_along_its_trajectory(stack):
-    flown = trajectory(seq=3, epoch=2, period=period(stack), count=100)
-    undisturbed, in_force = setpoint_generator(stack, [flown], [tracking(0.0)], [tracking(0.0)])
-    back = SetpointGenerator(config(stack))
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_setpoint_generator_continues_along_its_trajectory(autopilot):
+    flown = trajectory(seq=3, epoch=2, period=period(autopilot), count=100)
+    undisturbed, in_force = setpoint_generator(autopilot, [flown], [tracking(0.0)], [tracking(0.0)])
+    back = SetpointGenerator(config(autopilot))
     assert back.resume(last(flown, in_force), 4 * TICK) == ("planning.trajectory",)
     for name in ("trajectory", "index", "last_seq", "epoch", "seen_seq", "stopping"):
         assert getattr(back.memory.now, name) == getattr(undisturbed.memory.now, name), name
@@ -165,18 +167,18 @@ def test_the_setpoint_generator_continues_along_its_trajectory(stack):
     (first,), (second,) = undisturbed.step(4 * TICK), back.step(4 * TICK)
     assert first.header["index"] == second.header["index"]
     np.testing.assert_allclose(floats(first.header, 3), floats(second.header, 3), atol=0.1)
-    back.receive(trajectory(seq=2, epoch=2, period=period(stack)), 5 * TICK)
+    back.receive(trajectory(seq=2, epoch=2, period=period(autopilot)), 5 * TICK)
     assert int(back.memory.now.last_seq) == 3
 
 
-@pytest.mark.parametrize("stack", STACKS)
-def test_what_was_published_meanwhile_is_offered(stack):
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_what_was_published_meanwhile_is_offered(autopilot):
     flown, newer = (
-        trajectory(seq=3, epoch=2, period=period(stack)),
-        trajectory(seq=4, epoch=3, period=period(stack)),
+        trajectory(seq=3, epoch=2, period=period(autopilot)),
+        trajectory(seq=4, epoch=3, period=period(autopilot)),
     )
-    _, in_force = setpoint_generator(stack, [flown])
-    assert SetpointGenerator(config(stack)).resume(last(newer, in_force), 2 * TICK) == ()
+    _, in_force = setpoint_generator(autopilot, [flown])
+    assert SetpointGenerator(config(autopilot)).resume(last(newer, in_force), 2 * TICK) == ()
 
 
 def test_a_trajectory_that_was_given_up_is_not_flown_again():

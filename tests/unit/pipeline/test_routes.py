@@ -61,8 +61,8 @@ def test_no_way_is_no_path():
 
 
 def test_only_hardened_finds_its_way_out_of_a_blocked_place_without_crossing_an_obstacle():
-    for stack, crosses in (("published", True), ("hardened", False)):
-        finder = Routes(config(stack, distance="boxes", plan_radius=0.6, check_radius=0.36))
+    for autopilot, crosses in (("published", True), ("hardened", False)):
+        finder = Routes(config(autopilot, distance="boxes", plan_radius=0.6, check_radius=0.36))
         grid = finder.clearance_map.grid
         finder.clearance_map.apply(map_update(np.arange(grid.size), -1.0))
         # a thin wall just ahead of the vehicle, and nothing but blocked voxels on this side of it
@@ -73,7 +73,7 @@ def test_only_hardened_finds_its_way_out_of_a_blocked_place_without_crossing_an_
         away = segment_free(core, grid, point, point + [1.5, 0.0, 0.0])
         assert away == crosses
         found = finder.between(point, finder.clearance_map.wide)
-        if stack == "hardened" and found is not None:
+        if autopilot == "hardened" and found is not None:
             assert segment_free(core, grid, point, found[0])
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mavfi.config import CameraConfig, EnvironmentConfig, PlatformConfig, StackConfig, VehicleConfig, shipped
+from mavfi.config import AutopilotConfig, CameraConfig, EnvironmentConfig, PlatformConfig, VehicleConfig, shipped
 from mavfi.mission import Scenario
 from mavfi.sim.environments.world import World
 from mavfi.sim.simulator import Simulator
@@ -40,7 +40,7 @@ def scenario(vehicle="airsim_quad", seed=7, v_max=3.0, noise=0.0, **airframe):
     return Scenario(
         environment=shipped("environments", EnvironmentConfig, "sparse"),
         seed=seed,
-        stack=shipped("stacks", StackConfig, "hardened"),
+        autopilot=shipped("autopilots", AutopilotConfig, "hardened"),
         vehicle=shipped("vehicles", VehicleConfig, vehicle).model_copy(update=airframe),
         platform=shipped("platforms", PlatformConfig, "i9-9940x"),
         camera=CameraConfig(noise=noise),

@@ -20,7 +20,7 @@ YAML = """
 name: mine
 mjcf: body.xml
 arm_length: 0.2
-hull_radius: 0.5
+collision_radius: 0.5
 max_rotor_thrust: 10.0
 rotor_torque_ratio: 0.01
 rotor_time_constant: 0.01
@@ -64,9 +64,9 @@ def test_parts_are_added_about_the_common_centre_of_mass_in_the_axes_of_the_body
     np.testing.assert_allclose(body.inertia, (own, own + 0.12, own + 0.12), rtol=1e-9)
 
 
-def test_the_model_that_flies_has_the_centre_of_mass_at_its_origin_and_only_the_hull_collides(tmp_path):
+def test_the_model_that_flies_has_the_centre_of_mass_at_its_origin_and_only_the_sphere_collides(tmp_path):
     odd = xml(
-        free(ROD + '<site name="imu"/><geom name="hull" size="0.05" mass="0.1" pos="0 0.2 0"/>'),
+        free(ROD + '<site name="imu"/><geom name="collision_sphere" size="0.05" mass="0.1" pos="0 0.2 0"/>'),
         '<actuator><motor site="imu" gear="0 0 1 0 0 0"/></actuator><sensor><gyro site="imu"/></sensor>'
         '<keyframe><key qpos="0 0 0 1 0 0 0"/></keyframe>',
         '<option timestep="0.1" gravity="0 0 -1" integrator="RK4"/>',
@@ -150,7 +150,10 @@ def test_a_model_that_does_not_fit_is_one_line_with_file_and_key(tmp_path, model
         ({"mass": 2.5}, "key 'mass': 2.5: the model .*body.xml has 2; allowed: within 1 % of it, or no such key"),
         ({"inertia": "[0.0083, 0.0283, 0.035]"}, "key 'inertia': 0.035: the model .* has 0.03333; allowed"),
         ({"mass": -1}, "key 'mass': -1: "),
-        ({"hull_radius": 0.1}, "key 'hull_radius': 0.1: the model .* reaches 0.229 m .*; allowed: at least that"),
+        (
+            {"collision_radius": 0.1},
+            "key 'collision_radius': 0.1: the model .* reaches 0.229 m .*; allowed: at least that",
+        ),
         ({"wings": 2}, "unknown key 'wings'; allowed: name"),
         ({"mjcf": 3}, "key 'mjcf': 3: Input should be a valid string|key 'mass': is required"),
     ],

@@ -28,7 +28,7 @@ def test_the_command_flies_the_mission_again():
     words = setting.command(10_003).split()
     options = dict(zip(words[2::2], words[3::2], strict=True))
     assert options == {
-        "--environment": "dense", "--seed": "10003", "--stack": "hardened", "--planner": "rrt_connect",
+        "--environment": "dense", "--seed": "10003", "--autopilot": "hardened", "--planner": "rrt_connect",
         "--platform": "cortex-a57", "--v-max": "5", "--depth-noise": "0.02", "--picture": "flight.png",
     }  # fmt: skip
     scenario = resolve(setting.spec(10_003))

@@ -50,7 +50,7 @@ def draw_request(
 def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[StateFault, Flight | None]:
     """Draw a fault in a state; also returns the golden flight if one was flown for the draw."""
     golden = fly(scenario, profile=True) if request.needs_profile else None
-    return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
+    return request.resolve(seed, scenario.autopilot.name, None if golden is None else golden.profile), golden
 
 
 def draw_sensor(scenario: Scenario, request: SensorRequest, seed: int) -> tuple[SensorFault, Flight | None]:

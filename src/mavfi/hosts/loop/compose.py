@@ -23,7 +23,7 @@ from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
 _DEFAULT_V_MAX = 3.0
-_NOMINAL_HULL = 0.35
+_NOMINAL_RADIUS = 0.35
 """Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
 _LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
 _RULES = ("alarm", "epoch_liveness")
@@ -70,7 +70,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     find_search(planner.name)
     find_generator(world.generator)
     return Scenario(
-        environment=world, seed=spec.seed, stack=_stack(spec),
+        environment=world, seed=spec.seed, autopilot=_autopilot(spec),
         vehicle=find_vehicle(world.vehicle), platform=_platform(spec, protection),
         planner=planner, camera=camera, map=_map_config(spec.map, resolution),
         v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
@@ -109,10 +109,10 @@ def _controller(name: str) -> str:
     return name
 
 
-def _stack(spec: MissionSpec) -> configs.StackConfig:
+def _autopilot(spec: MissionSpec) -> configs.AutopilotConfig:
     """The autopilot profile with the mission's overrides."""
     own = {name: value for name in _RULES if (value := getattr(spec, name)) is not None}
-    return shipped("stacks", configs.StackConfig, spec.autopilot).model_copy(update=own)
+    return shipped("autopilots", configs.AutopilotConfig, spec.autopilot).model_copy(update=own)
 
 
 def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:
@@ -134,15 +134,15 @@ def pipeline_config(
         rewindable: Whether the flight can be restored to earlier instants.
         functions: Functions that the kernels call.
     """
-    stack = scenario.stack
-    hull = scenario.vehicle.hull_radius / _NOMINAL_HULL
+    autopilot = scenario.autopilot
+    growth = scenario.vehicle.collision_radius / _NOMINAL_RADIUS
     # copies: kernels would be compiled a second time for the world's read-only arrays
     limits = {name: getattr(world, name).copy() for name in _LIMITS}
     return PipelineConfig(
-        stack=stack, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
-        **limits, seed=scenario.seed, v_max=scenario.v_max, a_max=scenario.a_max, plan_radius=stack.plan_radius * hull,
-        check_radius=stack.check_radius * hull, control_period_us=CONTROL_PERIOD_US,
-        tracker_slowdown=scenario.platform.tracker_slowdown,
+        autopilot=autopilot, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
+        **limits, seed=scenario.seed, v_max=scenario.v_max, a_max=scenario.a_max,
+        plan_radius=autopilot.plan_radius * growth, check_radius=autopilot.check_radius * growth,
+        control_period_us=CONTROL_PERIOD_US, tracker_slowdown=scenario.platform.tracker_slowdown,
         map_latency=1e-6 * stage_latency(scenario.platform, Stage.PERCEPTION),
         plan_latency=1e-6 * stage_latency(scenario.platform, Stage.PLANNING),
         velocity_lag=1.0 / scenario.vehicle.velocity_gain, noise=_noise(scenario.localization), rewindable=rewindable,

@@ -13,7 +13,7 @@ class Judge:
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._goal = world.goal.tolist()
         self._lower, self._upper = world.arena_lower.tolist(), world.arena_upper.tolist()
-        self._max_failed_plans = scenario.stack.max_failed_plans
+        self._max_failed_plans = scenario.autopilot.max_failed_plans
         self.limit_us = int(1e6 * time_limit(world.course, scenario.v_max, scenario.platform))
 
     def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:

@@ -63,7 +63,7 @@ def build_world(
         )
     if start is not None or goal is not None:
         world = _with_ends(world, start, goal)
-    radius = _hull_radius(environment.vehicle)
+    radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
     if world.course < ARRIVAL_RADIUS:
@@ -121,8 +121,8 @@ def _with_ends(world: World, start: Vector | None, goal: Vector | None) -> World
 
 
 @cache
-def _hull_radius(vehicle: str) -> float:
-    return find_vehicle(vehicle).hull_radius
+def _collision_radius(vehicle: str) -> float:
+    return find_vehicle(vehicle).collision_radius
 
 
 def _text(point: np.ndarray) -> str:

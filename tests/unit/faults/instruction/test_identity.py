@@ -127,9 +127,9 @@ def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
     assert PLAIN.instrumented((), lambda name, function: None) == PLAIN
 
 
-def short(planner="rrt_connect", stack="hardened", map_kind="dense"):
+def short(planner="rrt_connect", autopilot="hardened", map_kind="dense"):
     spec = MissionSpec(
-        environment="sparse", seed=7, autopilot=stack, planner=planner, map=map_kind, goal=(9.0, 0.0, 3.0),
+        environment="sparse", seed=7, autopilot=autopilot, planner=planner, map=map_kind, goal=(9.0, 0.0, 3.0),
         start=(2.0, 0.0, 3.0),
     )  # fmt: skip
     return scenario_of(spec)
@@ -144,7 +144,7 @@ def test_a_counted_flight_is_the_golden_one():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("planner", "stack", "map_kind"),
+    ("planner", "autopilot", "map_kind"),
     [
         ("rrt_connect", "published", "dense"),
         pytest.param("rrt_connect", "hardened", "octree", marks=pytest.mark.long),
@@ -152,8 +152,8 @@ def test_a_counted_flight_is_the_golden_one():
         pytest.param("rrt_star", "hardened", "dense", marks=pytest.mark.long),
     ],
 )
-def test_every_kernel_counted_in_a_flight_changes_nothing(planner, stack, map_kind):
-    scenario = short(planner, stack, map_kind)
+def test_every_kernel_counted_in_a_flight_changes_nothing(planner, autopilot, map_kind):
+    scenario = short(planner, autopilot, map_kind)
     others = {"rrt", "rrt_connect", "rrt_star"} - {planner}
     names = tuple({name for kernel, names in INJECTABLE.items() if kernel not in others for name in names})
     flight, counting = counted_flight(scenario, names)

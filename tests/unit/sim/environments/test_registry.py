@@ -47,7 +47,7 @@ def test_a_start_inside_of_an_obstacle_is_refused():
     assert "start" in text and "obstacle" in text and "dense" in text
 
 
-def test_a_goal_that_the_hull_would_not_fit_is_refused():
+def test_a_goal_that_the_collision_sphere_would_not_fit_is_refused():
     config = shipped("environments", EnvironmentConfig, "dense")
     world = build_world(config, 0)
     outside = np.array([world.lower[0, 0] - 0.2, *(0.5 * (world.lower[0] + world.upper[0]))[1:]])
