@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 import yaml
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Tag, TypeAdapter, ValidationError, field_validator
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, warn_of_older
 from mavfi.files import LARGEST_TEXT, read_file
 
 Vector = tuple[float, float, float]
@@ -276,16 +276,23 @@ def _first_line(error: Exception) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
-def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigType:
+def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored: bool = False) -> ConfigType:
     """Validate data from a source (named in messages) as a model.
+
+    Warns of older names of keys, unless mavfi itself has `stored` the data, in which some names stay.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
     """
     try:
-        return model.model_validate(data)
+        parsed = model.model_validate(data)
     except ValidationError as error:
         raise BadInputError(f"{source}: {_worded(model, {**error.errors()[0]})}") from None
+    for name, field in model.model_fields.items():
+        if isinstance(field.validation_alias, AliasChoices) and name not in data and not stored:
+            for old in data.keys() & set(field.validation_alias.choices):
+                warn_of_older(source, f"key {old!r}", repr(name))
+    return parsed
 
 
 def checked(kind: type[Checked], data: object, source: str) -> Checked:

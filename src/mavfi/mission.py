@@ -22,6 +22,7 @@ from mavfi.config import (
     WindConfig,
     names,
 )
+from mavfi.errors import warn_of_older
 from mavfi.hardening.plan import Plan
 
 ARRIVAL_RADIUS = 2.0
@@ -134,7 +135,10 @@ class MissionSpec(Config):
     @field_validator("dead_node", mode="before")
     @classmethod
     def _older_name(cls, value: object) -> object:
-        return "fresh" if value == "restart" else value
+        if value != "restart":
+            return value
+        warn_of_older("mission", "key 'dead_node': 'restart'", "'fresh'")
+        return "fresh"
 
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")

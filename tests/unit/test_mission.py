@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from mavfi.config import PlatformConfig, shipped
+from mavfi.config import PlatformConfig, parse, shipped
+from mavfi.errors import OlderNameWarning
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, MissionStatus, Scenario, time_limit
 
@@ -55,6 +56,25 @@ def test_whatever_decides_the_flight_changes_the_key():
                {"localization": "estimator"}, {"dead_node": "end"}, {"alarm": "repeated"},
                {"epoch_liveness": 1.0}]  # fmt: skip
     assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
+
+
+@pytest.mark.parametrize(
+    ("data", "message", "found"),
+    [
+        ({"stack": "hardened"}, "own.yaml: key 'stack': deprecated, is now 'autopilot'", {"autopilot": "hardened"}),
+        ({"dead_node": "restart"}, "mission: key 'dead_node': 'restart': deprecated, is now 'fresh'", {}),
+    ],
+)
+def test_older_names_are_accepted_with_one_line_in_a_process(data, message, found):
+    with pytest.warns(OlderNameWarning) as warned:
+        assert parse(MissionSpec, data, "own.yaml") == parse(MissionSpec, data, "own.yaml") == MissionSpec(**found)
+    assert [str(one.message) for one in warned] == [message]
+    assert parse(MissionSpec, data, "own.yaml", stored=True) == MissionSpec(**found)
+
+
+def test_names_that_stay_in_stored_scenarios_are_no_older_ones_there():
+    scenario = resolve(MissionSpec(environment="dense", seed=7))
+    assert parse(Scenario, scenario.to_json(), "flight.npz", stored=True) == scenario
 
 
 def test_a_mission_changes_rules_of_its_profile():

@@ -11,7 +11,7 @@ from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.config import Config, config_root, load, parse
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
@@ -338,6 +338,7 @@ class Campaign(Config):
 
 def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
     """Convert the older spelling `kind: ros_node` to keys of `host: node`."""
+    warn_of_older("campaign", "key 'kind': 'ros_node'", "host: node, with its keys under node")
     given = {key: value for key, value in data.items() if key != "kind"}
     node = {"name": given.pop("node", "")}
     node |= {key: given.pop(key) for key in NodeConfig.model_fields if key != "name" and key in given}
@@ -360,6 +361,8 @@ def _program_keys(data: dict[str, Any]) -> dict[str, Any]:
 def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Validate keys and values of a mission; `stack` is renamed to `autopilot`."""
     data = {("autopilot" if key == "stack" else key): value for key, value in given.items()}
+    if "stack" in given:
+        warn_of_older(where, "key 'stack'", "'autopilot'")
     for key in ("environment", "seed"):
         if key in data:
             raise ValueError(f"{where}.{key}: belongs to the campaign (environments, first_seed)")

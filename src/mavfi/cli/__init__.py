@@ -4,6 +4,7 @@ Only the Ctrl-C handler is imported here, so that Ctrl-C during start-up never p
 """
 
 import sys
+import warnings
 from collections.abc import Sequence
 
 from mavfi.cli import stopping
@@ -16,8 +17,14 @@ def run(arguments: Sequence[str]) -> int:
     return commands.run(arguments)
 
 
+def _tell(message: Warning | str, *_: object) -> None:
+    """Show a warning in one line, without a line of code."""
+    sys.stderr.write(f"mavfi: {message}\n")
+
+
 def main() -> None:
     """Entry point of the program `mavfi`."""
+    warnings.showwarning = _tell  # type: ignore[assignment] # the other arguments are the place in the code
     try:
         stopping.leave_on_ctrl_c()
         code = run(sys.argv[1:])

@@ -187,4 +187,4 @@ def _write(log: FlightLog, to: Path, source: str, published: list[Publication] |
 def _scenario(log: FlightLog, source: str) -> Scenario:
     from mavfi.mission import Scenario
 
-    return parse(Scenario, log.meta.get("scenario", {}), f"{source}: scenario")
+    return parse(Scenario, log.meta.get("scenario", {}), f"{source}: scenario", stored=True)

@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.mission import plan_of
 from mavfi.campaign.plan import arms_of
 from mavfi.config import config_root, parse
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, OlderNameWarning
 from mavfi.mission import MissionSpec
 from mavfi.states import INJECTABLE, KERNEL_STAGES, PPC_STAGES
 from tests.unit.campaign.fakes import small
@@ -178,7 +178,10 @@ def test_unknown_names_say_what_is_known():
 def test_a_campaign_is_read_from_a_file_of_the_users_own(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump({**BASE, "mission": {"stack": "hardened"}, "arms": {"x": {"stack": "published"}}}))
-    campaign = load_campaign(path)
+    with pytest.warns(OlderNameWarning) as warned:
+        campaign = load_campaign(path)
+    said = "key 'stack': deprecated, is now 'autopilot'"
+    assert {str(one.message) for one in warned} == {f"mission: {said}", f"arms: {said}"}
     assert campaign.mission == {"autopilot": "hardened"}, "stack is another name for it"
     assert campaign.arms["x"].mission == {"autopilot": "published"}
     with pytest.raises(BadInputError, match="absent.yaml: cannot be read"):
@@ -187,7 +190,7 @@ def test_a_campaign_is_read_from_a_file_of_the_users_own(tmp_path):
 
 @pytest.mark.parametrize("inline", [True, False])
 def test_keys_of_a_mission_stand_in_an_arm_or_under_its_mission(inline):
-    keys = {"stack": "hardened", "wind": 2, "coupling": "observer"}
+    keys = {"autopilot": "hardened", "wind": 2, "coupling": "observer"}
     arm = {"detector": "gaussian", **(keys if inline else {"mission": keys})}
     campaign = Campaign.model_validate({**BASE, "mission": {"autopilot": "published"}, "arms": {"x": arm}})
     own = {"autopilot": "hardened", "wind": 2.0, "coupling": "observer"}
@@ -224,7 +227,9 @@ def test_null_runs_are_for_levels_that_have_them():
 def test_the_plain_data_of_a_campaign_depend_on_what_is_flown():
     changes = [{}, {"faults": 7}, {"mission": {"wind": 1}}, {"arms": {}}, groups(GROUP), {"first_seed": 5}]
     assert len({json.dumps(small(**change).to_json()) for change in changes}) == len(changes)
-    assert small(mission={"stack": "hardened"}).to_json() == small(mission={"autopilot": "hardened"}).to_json()
+    with pytest.warns(OlderNameWarning):
+        older = small(mission={"stack": "hardened"}).to_json()
+    assert older == small(mission={"autopilot": "hardened"}).to_json()
     assert [arm.name for arm in arms_of(small())] == ["", "gaussian"]
 
 

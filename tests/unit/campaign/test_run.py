@@ -479,7 +479,7 @@ def test_flights_that_a_host_does_not_give_are_unknown(tmp_path, monkeypatch):
 def test_arms_differ_in_any_key_of_the_mission(tmp_path):
     arms = {
         "slow": {"planner": "rrt"}, "windy": {"wind": 4.0}, "loose": {"coupling": "observer"},
-        "guarded": {"stack": "hardened", "detector": DETECTOR}, "same": {"mission": {"map": "octree"}},
+        "guarded": {"autopilot": "hardened", "detector": DETECTOR}, "same": {"mission": {"map": "octree"}},
     }  # fmt: skip
     campaign = small(environments=["sparse"], missions=2, faults=2, arms=arms, null_runs=12)
     assert flown_into(tmp_path, campaign).complete
@@ -510,7 +510,7 @@ def test_arms_differ_in_any_key_of_the_mission(tmp_path):
         ({"localization": "estimator"}, lambda s: s["localization"]["kind"] == "estimator"),
         ({"map": "octree"}, lambda s: s["map"]["kind"] == "octree"),
         ({"vehicle": "small_quad"}, lambda s: s["vehicle"]["name"] == "small_quad"),
-        ({"stack": "hardened"}, lambda s: s["stack"]["name"] == "hardened"),
+        ({"autopilot": "hardened"}, lambda s: s["stack"]["name"] == "hardened"),
         ({"depth_noise": 0.1, "v_max": 2.0}, lambda s: (s["camera"]["noise"], s["v_max"]) == (0.1, 2.0)),
     ],
 )

@@ -2,11 +2,12 @@ import json
 import signal
 import subprocess
 import sys
+import warnings
 
 import pytest
 import typer
 
-from mavfi.cli import run
+from mavfi.cli import main, run
 from mavfi.cli.commands import app
 from mavfi.cli.progress import Bar
 from mavfi.cli.stopping import leave_on_ctrl_c, stoppable
@@ -48,6 +49,18 @@ def test_older_names_of_options_are_accepted_with_a_warning(capsys, word):
     assert found.err == "mavfi: --stack: deprecated, is now --autopilot\n"
     assert run(["states", "--json", "--autopilot", "hardened"]) == 0
     assert capsys.readouterr().out == found.out
+
+
+def test_an_older_name_in_a_file_is_one_line_without_a_place_in_the_code(capsys, monkeypatch, tmp_path):
+    (path := tmp_path / "own.yaml").write_text(
+        "{name: own, environments: [sparse], missions: 1, faults: 1, mission: {stack: hardened}}", encoding="utf-8"
+    )
+    monkeypatch.setattr(sys, "argv", ["mavfi", "campaign", "run", str(path), "--out", str(tmp_path), "--dry-run"])
+    monkeypatch.setattr("mavfi.cli.stopping.leave_on_ctrl_c", lambda: None)
+    with warnings.catch_warnings(), pytest.raises(SystemExit, match="0"):
+        warnings.simplefilter("default")
+        main()
+    assert capsys.readouterr().err == "mavfi: mission: key 'stack': deprecated, is now 'autopilot'\n"
 
 
 def test_help_without_arguments_names_every_verb(capsys):

@@ -9,7 +9,7 @@ from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.store import Store
 from mavfi.cli import run as cli
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MavfiError, OlderNameWarning
 from mavfi.hosts.node import host
 from mavfi.hosts.node.trial import Trial
 from mavfi.outcomes import effect_of
@@ -128,7 +128,8 @@ def test_golden_trials_that_differ_or_fail_end_the_campaign(campaign, tmp_path, 
 def test_the_older_spelling_is_the_same_campaign(campaign, tmp_path):
     path = tmp_path / "old.yaml"
     path.write_text(yaml.safe_dump(OLD))
-    old = load_campaign(path)
+    with pytest.warns(OlderNameWarning, match="'kind': 'ros_node': deprecated, is now host: node"):
+        old = load_campaign(path)
     assert old.at_scale("paper").faults == 9
     assert old.model_copy(update={"scales": {}}) == campaign
 
