@@ -120,7 +120,7 @@ def test_runs_as_a_file(capsys, flown, tmp_path):
     ("arguments", "message"),
     [
         (["report", "DIR", "--csv"], "--csv: allowed: with --view NAME"),
-        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: success_as_in_the_paper"),
+        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, acted_on, "),
         (["report", "NONE"], "holds no campaign"),
         (["runs", "NONE"], "holds no campaign"),
         (["runs", "DIR", "--where", "x"], "--where: 'x': allowed: column=value"),

@@ -161,10 +161,11 @@ def table_asked_for(runs: Runs, name: str) -> Table:
     Raises:
         BadInputError: The view does not exist, or these runs do not have what it shows.
     """
-    found = table(runs, name) if name not in VIEWS or VIEWS[name].applies(runs) else None
+    found = table(runs, name) if name in VIEWS and VIEWS[name].applies(runs) else None
     if found is None or not found.rows:
+        wrong = "these runs have nothing to show in it" if name in VIEWS else "not known"
         names = [view.name for view in applicable(runs)]
-        raise BadInputError(f"view {name!r}: these runs have nothing to show in it; allowed: {allowed(names, name)}")
+        raise BadInputError(f"view {name!r}: {wrong}; allowed: {allowed(names, name)}")
     return found
 
 
