@@ -85,7 +85,7 @@ class Campaign:
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline and any(lives(pid, start) for pid, start in self.seen.items()):
             time.sleep(0.05)
-        left = [pid for pid, start in self.seen.items() if lives(pid, start)]
+        left = [f"{pid} ({words_of(pid)})" for pid, start in self.seen.items() if lives(pid, start)]
         self.seen = {}
         return left
 
@@ -104,6 +104,15 @@ def _stat(pid):
         return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     except OSError:
         return None
+
+
+def words_of(pid):
+    """Its command line and state, shortened."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+    except OSError:
+        return "gone"
+    return f"{words[:160]}, state {(_stat(pid) or ['gone'])[0]}"
 
 
 def begun(pid):
@@ -169,30 +178,33 @@ def disturbed(level, folder, reference, kills, draw, tell=lambda hit: None):
     """Strike a campaign up to so often, resume it until it is done; gives what went wrong, a line each."""
     campaign, wrong = Campaign(level, folder), []
     campaign.begin()
+    sent = []
     for _ in range(kills):
         ended = campaign.wait(draw.uniform(0.0, 0.5 * reference[2]))
         if not ended:
             role, name, hit = strike(campaign, draw)
             if hit:
                 tell((role, name))
+                sent.append(f"{role} {name}")
             deadly = hit and role == "command" and name != "SIGSTOP"
             ended = campaign.wait(60.0 if deadly else 0.0)
             if deadly and not ended:
                 return [*wrong, f"{role} {name}: it lives on"]
-        if ended and gone_on(campaign, wrong):
+        if ended and gone_on(campaign, wrong, sent):
             break
     for _ in range(5):
         if not campaign.wait(_LONGEST_S):
             return [*wrong, "it does not end"]
-        if gone_on(campaign, wrong):
+        if gone_on(campaign, wrong, sent):
             break
     return wrong + differences(campaign, reference)
 
 
-def gone_on(campaign, wrong):
+def gone_on(campaign, wrong, sent):
     """After its end: note what it left running, and resume it; True if it was done."""
-    wrong += [f"process {pid} is left" for pid in campaign.orphans()]
-    if campaign.process.returncode == 0:
+    code = campaign.process.returncode
+    wrong += [f"process {left} is left, exit code {code}, after {', '.join(sent)}" for left in campaign.orphans()]
+    if code == 0:
         return True
     campaign.begin()
     return False

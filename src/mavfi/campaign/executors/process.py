@@ -152,10 +152,12 @@ def _forked(
 
 def _started(handle: int, parent: int) -> None:
     """Main function of a started worker."""
+    if not _ends_with(parent):
+        return
     pipe = Connection(handle)
     with contextlib.suppress(EOFError, OSError):
         try:
-            function = pipe.recv()
+            function = pipe.recv()  # imports its module: seconds
         except (AttributeError, ImportError) as error:
             pipe.recv_bytes()
             pipe.send(Raised(MavfiError(f"workers cannot import what they should call: {error}")))
@@ -163,10 +165,15 @@ def _started(handle: int, parent: int) -> None:
         _work(pipe, function, parent)
 
 
+def _ends_with(parent: int) -> bool:
+    """Let this process be killed when its parent dies; False if that has happened."""
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    return os.getppid() == parent
+
+
 def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
     """Fly missions until the pipe is closed or the parent is dead."""
-    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
+    if not _ends_with(parent):
         return
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
