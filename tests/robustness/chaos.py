@@ -81,8 +81,11 @@ class Campaign:
         return self.process.poll() is not None
 
     def orphans(self):
-        """Processes that live on, `PATIENCE_S` after the command's end."""
-        deadline = time.monotonic() + PATIENCE_S
+        """Processes that live on, `PATIENCE_S` after the command's end; longer if others use the processors.
+
+        A Dask worker notices its parent's death when it has imported its packages.
+        """
+        deadline = time.monotonic() + PATIENCE_S * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
         while time.monotonic() < deadline and any(lives(pid, start) for pid, start in self.seen.items()):
             time.sleep(0.05)
         left = [f"{pid} ({words_of(pid)})" for pid, start in self.seen.items() if lives(pid, start)]
