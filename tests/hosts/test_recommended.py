@@ -47,6 +47,11 @@ def test_without_a_fault_there_is_no_alarm_and_no_other_flight(autopilot):
     assert (watched.rows == alone.rows).all()
 
 
+def test_an_alarm_that_the_check_withdraws_restarts_no_planner():
+    watched = mavfi.fly(environment="dense", seed=10_067, autopilot="hardened", detector="recommended").log
+    assert watched.alarms == [] and watched.status is MissionStatus.SUCCESS
+
+
 def test_the_tour_of_the_readme_tells_the_three_flights_apart(capsys, tmp_path):
     assert " ".join(TOUR) in (ROOT / "README.md").read_text(encoding="utf-8")
     picture = tmp_path / "flight.svg"

@@ -50,7 +50,7 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
         return
     loop.marks = True
     restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
-    tap = Watch(loop, detector, recovery, **restart)
+    tap = Watch(loop, detector, recovery, repeated=loop.scenario.autopilot.repeats_alarms, **restart)
     loop.taps.detector, loop.taps.watched = tap, tap.states
     loop.taps.seal = tap.seal if tap.seals else None
     duplicates = getattr(detector, "duplicates", ())

@@ -21,6 +21,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
+from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer
 from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.states import STAGE_KERNELS, STATES, Stage, State, StateSpec
 
@@ -31,7 +32,7 @@ Coupling = Literal["inline", "observer"]
 Grain = Literal["stage", "kernel", "message"]
 SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
-COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
+COMMAND = "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
 """Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
 by which the down time grows with each restart in a flight.  Their sum exceeds the duration of a fault of 1 s."""
@@ -43,7 +44,6 @@ MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
 """Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that are recomputed together, starting from the image."""
-WAYPOINT = "planning.waypoint"
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +188,7 @@ class Watch:
         detector: The detector.
         recovery: The recovery policy.
         restart: Restarts the node of a kernel; arguments: kernel, instant (us), down time (us).
+        repeated: Whether each scan judges the trajectory anew, see `waiting`.
 
     Attributes:
         restarts_left: Remaining number of node restarts.
@@ -200,7 +201,7 @@ class Watch:
 
     def __init__(
         self, loop: "Loop", detector: Detector, recovery: Recovery = INLINE,
-        restart: Callable[[str, int, int], None] = _never,
+        restart: Callable[[str, int, int], None] = _never, *, repeated: bool = False,
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
@@ -210,7 +211,7 @@ class Watch:
         self.degraded = False
         self._hard_us = (0, -GAP_US)  # first and last instant of a contiguous series of hard alarms
         states = getattr(detector, "states", None)
-        always = {WAYPOINT} | ({COLLISION, PATH} if recovery.answer_s else set())  # required even without a model
+        always = {WAYPOINT}.union(Answer.states if recovery.answer_s else ())  # required even without a model
         always |= set() if recovery.degraded == "none" else {COMMAND}
         self.states = None if states is None else always.union(states)
         self._sent: State | None = None
@@ -218,7 +219,7 @@ class Watch:
         self.seals = self._seal is not None or recovery.grain == "message"
         self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants of the latest hard alarms (us)
         self._silenced = False
-        self._asked: tuple[int, int] | None = None  # instant (us) and sequence number of an unanswered collision alarm
+        self._answer = Answer(recovery.answer_s, repeated=repeated) if recovery.answer_s else None
 
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
@@ -253,7 +254,7 @@ class Watch:
         action = decide(alarm, state.spec, recovery, after=after, uncured=uncured)
         self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
-        self._answer(action, state, now)
+        self._execute(action, state, now)
         withheld = action.withholds or (action.kind == "hover" and state.spec.name == COMMAND)
         return None if withheld else state
 
@@ -289,7 +290,7 @@ class Watch:
             if outcome == "repaired" and self._hard:
                 self._hard.pop()  # a repaired value confirms the alarm
 
-    def _answer(self, action: Action, state: State, now: int) -> None:
+    def _execute(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
         if action.kind == "hover":
             self.degraded = True
@@ -320,25 +321,13 @@ class Watch:
 
     def _keep_waiting(self, state: State, now: int) -> None:
         """Monitor the deadline of the path that answers a collision alarm; restart the planner's node on a miss."""
-        recovery, limit = self._recovery, self._recovery.answer_s
-        if not limit or state.spec.name not in (COLLISION, PATH):
+        recovery, answer = self._recovery, self._answer
+        if answer is None or state.spec.name not in answer.states:
             return
-        number = int(state.header["future_collision_seq"][0])
-        if self._asked is None:
-            if state.spec.name == COLLISION and state.header["collision"][0]:
-                self._asked = now, number
-            return
-        since, asked = self._asked
-        if state.spec.name == PATH:
-            if number >= asked:
-                self._asked = None
-        elif recovery.degraded != "none" and STATES[PATH].writer in self._loop.down:
-            self._asked = now, asked  # the deadline of a planner that is restarting begins when it is back
-        elif now - since > 1e6 * limit:
-            self._asked = None
-            if self.restarts_left or self._recovery.degraded != "none":
-                alarm = Alarm("deadline", Stage.PLANNING, score=1e-6 * (now - since) / limit, hard=True)
-                uncured = self.restarts_left == 0
-                action = decide(alarm, STATES[PATH], self._recovery, after="recompute", uncured=uncured)
-                self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
-                self._answer(action, state, now)
+        away = recovery.degraded != "none" and STATES[PATH].writer in self._loop.down
+        waited = answer.overdue(state, now, away=away)
+        if waited is not None and (self.restarts_left or recovery.degraded != "none"):
+            alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
+            action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=self.restarts_left == 0)
+            self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
+            self._execute(action, state, now)

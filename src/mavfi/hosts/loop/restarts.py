@@ -13,9 +13,9 @@ from weakref import proxy
 
 from mavfi.detectors.detector import Detector
 from mavfi.faults.state import ActedOn
-from mavfi.hosts.loop.recovery import WAYPOINT
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Tap
+from mavfi.hosts.loop.waiting import WAYPOINT
 from mavfi.mission import DeadNode, MissionStatus
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PERIODIC, STATES, State, in_node

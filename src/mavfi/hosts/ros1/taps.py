@@ -96,7 +96,10 @@ class Watcher:
         assert plan.detector is not None
         plan.detector.start()
         self._shadow = Shadow()
-        self._watch = Watch(cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget)
+        self._watch = Watch(
+            cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget,
+            repeated=plan.scenario.autopilot.repeats_alarms,
+        )  # fmt: skip
         self._gated, self._free = plan.gated, plan.free_running
         self._lock = threading.Lock()
         self._ports = ports = Ports(DETECTOR, plan)

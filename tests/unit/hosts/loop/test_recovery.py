@@ -1,10 +1,12 @@
 """What is done about an alarm: one table for every host and both couplings."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
 
 from mavfi.detectors import Alarm
+from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.recovery import (
     ALARMS_WITHIN_US,
@@ -158,9 +160,9 @@ class Never(Always):
         return None
 
 
-def shown(detector, recovery, values, flight, restarts_left=MOST_RESTARTS):
+def shown(detector, recovery, values, flight, restarts_left=MOST_RESTARTS, *, repeated=False):
     """Which of the values pass."""
-    watch = Watch(flight, detector, recovery, flight.restart)
+    watch = Watch(flight, detector, recovery, flight.restart, repeated=repeated)
     watch.restarts_left = restarts_left
     return [watch(state, now) is not None for now, state in values]
 
@@ -220,6 +222,49 @@ def test_an_alarm_that_no_path_answers_in_time_restarts_the_planner(answer, afte
     assert all(shown(Never(hard=True), ESCALATES, values, flight))
     assert flight.restarted == ([("planner", late, RESTART_US)] if restarted else [])
     assert [alarm.source for alarm in flight.record.alarms] == ["deadline"] * restarted
+
+
+def free(number, time=NO_COLLISION, blocked=math.inf):
+    """Status of a free trajectory."""
+    state = status(number)
+    state.header["time_to_collision"], state.header["distance_to_blocked"] = time, blocked
+    return state
+
+
+def waypoint(index=3):
+    state = new_state("planning.waypoint")
+    state.header["index"] = index
+    return state
+
+
+@pytest.mark.parametrize(
+    ("withdrawal", "ends"),
+    [
+        (free(3), True),
+        (free(3, time=1.5), False),  # the flag is lost, the time is not
+        (free(3, blocked=4.0), False),
+        (free(2), False),
+        (status(3, flag=True), False),
+    ],
+)
+def test_an_alarm_that_is_withdrawn_needs_no_answer(withdrawal, ends):
+    late = [(700_000, free(3)), (900_000, status(3, flag=True)), (1_400_000, status(3, flag=True))]
+    for repeated, index, restarted in ((True, 3, not ends), (False, 3, True), (True, -1, True)):
+        flight = Flight()
+        values = [(0, waypoint(index)), (1, status(3, flag=True)), (200_000, withdrawal)]
+        values += late if ends else [(700_000, status(3, flag=True))]
+        shown(Never(hard=True), ESCALATES, values, flight, repeated=repeated)
+        assert [kernel for kernel, *_ in flight.restarted] == ["planner"] * restarted
+
+
+def test_an_alarm_that_returns_is_waited_for_anew():
+    flight = Flight()
+    values = [
+        (0, waypoint()), (1, status(3, flag=True)), (200_000, status(4, flag=True)), (400_000, free(4)),
+        (800_000, status(5, flag=True)), (1_300_000, status(5, flag=True)), (1_500_000, status(5, flag=True)),
+    ]  # fmt: skip
+    shown(Never(hard=True), ESCALATES, values, flight, repeated=True)
+    assert flight.restarted == [("planner", 1_500_000, RESTART_US)]
 
 
 def test_a_flight_has_a_few_restarts_at_most():

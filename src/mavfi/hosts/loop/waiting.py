@@ -1,0 +1,76 @@
+"""Deadline of the path that answers a collision alarm.
+
+The wait begins with an alarm, and ends with a path that carries the alarm's sequence number or a later one.  Where the
+check judges the trajectory anew at each scan, an accepted status that withdraws the alarm ends the wait, too: the
+trajectory is free, and the planner need not answer.  A lost flag is no withdrawal: the times and distances of such a
+status still tell of a collision.  Neither is the status of a vehicle without a trajectory, which the check cannot
+judge: there the planner is needed.
+"""
+
+import math
+
+from mavfi.detectors.rules import NO_COLLISION
+from mavfi.states import State
+
+COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "planning.waypoint"
+
+
+class Answer:
+    """The wait for the path that answers a collision alarm.
+
+    Args:
+        limit_s: Deadline (s).
+        repeated: Whether each scan judges the trajectory anew (`AutopilotConfig.repeats_alarms`).
+    """
+
+    states = frozenset((COLLISION, PATH, WAYPOINT))
+
+    def __init__(self, limit_s: float, *, repeated: bool = False) -> None:
+        self._limit_us, self._repeated = 1e6 * limit_s, repeated
+        self._since: int | None = None  # instant of the unanswered alarm (us); None = none
+        self._asked = self._raised = 0  # sequence numbers of the unanswered alarm, and of the last one since
+        self._waypoint: State | None = None
+
+    def overdue(self, state: State, now: int, *, away: bool = False) -> float | None:
+        """Take note of an accepted publication; returns the duration of a wait beyond the deadline (s), and ends it.
+
+        Args:
+            state: Collision status, path or way-point.
+            now: Instant of the publication (us).
+            away: Whether the planner is restarting; the deadline begins anew when it is back.
+        """
+        if state.spec.name == WAYPOINT:
+            self._waypoint = state
+            return None
+        number = int(state.header["future_collision_seq"][0])
+        if state.spec.name == PATH:
+            if self._since is not None and number >= self._asked:
+                self._since = None
+            return None
+        raised = bool(state.header["collision"][0])
+        if raised:
+            self._raised = number
+        if self._since is None:
+            if raised:
+                self._since, self._asked = now, number
+        elif self._withdrawn(state, number):
+            self._since = None
+        elif away:
+            self._since = now
+        elif now - self._since > self._limit_us:
+            waited, self._since = now - self._since, None
+            return 1e-6 * waited
+        return None
+
+    def _withdrawn(self, status: State, number: int) -> bool:
+        """Whether a status says that the trajectory in force is free, under the number of the last alarm."""
+        header, waypoint = status.header[0], self._waypoint
+        return (
+            self._repeated
+            and not header["collision"]
+            and number == self._raised
+            and header["time_to_collision"] == NO_COLLISION
+            and header["distance_to_blocked"] == math.inf
+            and waypoint is not None
+            and int(waypoint.header["index"][0]) >= 0
+        )
