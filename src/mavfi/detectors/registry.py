@@ -77,6 +77,15 @@ def detector_names() -> list[str]:
     return sorted(known(GROUP, _SHIPPED))
 
 
+def is_named(name: str, source: str) -> bool:
+    """Whether a detector is the one that raises alarms as `source`, or a named configuration of it.
+
+    Example: `recommended` is a configuration of `acceptance`.
+    """
+    places = known(GROUP, _SHIPPED)
+    return name == source or (name in places and places[name] == places.get(source))
+
+
 def trainable() -> dict[str, Any]:
     """Detectors with training, by name: those of mavfi, then those of other packages."""
     every = {name: load_object("detector", name, GROUP, _SHIPPED) for name in _SHIPPED | known(GROUP, _SHIPPED)}

@@ -58,6 +58,13 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
     return found
 
 
+def uncounted(runs: Runs) -> list[str]:
+    """Settings with instruction faults that `exposed` omits, since their golden runs have no instruction counts."""
+    counted = {setting for _, setting in exposed(runs)}
+    every = dict.fromkeys(row["setting"] for row in runs.injected.where(level=INSTRUCTION))
+    return [setting for setting in every if setting not in counted]
+
+
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum."""
     upset = upsets_per_instruction(upsets).value
@@ -102,11 +109,17 @@ def _estimate(key: str, heading: str) -> Measure:
     return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
 
 
-def failure_notes(upsets: UpsetConfig) -> list[str]:
-    """Notes on the definitions, assumptions and sources of the table."""
+def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
+    """Notes on omitted settings, definitions, assumptions and sources of the table."""
     rate = upsets_per_instruction(upsets)
     fit, altitude = upsets.fit_per_mbit, upsets.altitude
+    left_out = [
+        f"{setting}: not in the table, the golden runs of its arm were not counted; needed: its detector (for "
+        "recommended: acceptance) in sampling.kernels"
+        for setting in uncounted(runs)
+    ]
     return [
+        *left_out,
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, not the "
         "failures without a fault",
@@ -134,7 +147,7 @@ _VIEW = View(
         Measure("coverage", "coverage", PERCENT, lambda own: 1 - own.first("harm")),
         _estimate("ended", "failures, dead node ends mission"),
     ),
-    where=lambda runs: _computed(runs, find_upsets()), notes=lambda _: failure_notes(find_upsets()),
+    where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),
     applies=lambda runs: has(runs.injected, level=INSTRUCTION) and all(w == 1.0 for w in runs.injected["weight"]),
 )  # fmt: skip
 register(_VIEW)
@@ -142,7 +155,7 @@ register(_VIEW)
 
 def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
     """The view as a table, computed with the given upset rates."""
-    made = replace(_VIEW, where=lambda own: _computed(own, upsets), notes=lambda _: failure_notes(upsets))
+    made = replace(_VIEW, where=lambda own: _computed(own, upsets), notes=lambda own: failure_notes(upsets, own))
     return made.table(runs)
 
 

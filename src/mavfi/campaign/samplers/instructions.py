@@ -12,6 +12,7 @@ from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
+from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
@@ -101,8 +102,8 @@ class InstructionSampler:
 
 
 def _arm_with(campaign: Campaign, detector: str) -> str:
-    """The arm whose detector is injected."""
-    found = [name for name, arm in campaign.arms.items() if arm.detector == detector]
+    """The arm whose detector is injected, under its own name or as a named configuration (`recommended`)."""
+    found = [name for name, arm in campaign.arms.items() if is_named(arm.detector, detector)]
     if len(found) != 1:
         raise BadInputError(
             f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm"

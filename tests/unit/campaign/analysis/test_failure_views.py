@@ -57,6 +57,12 @@ def test_settings_whose_golden_runs_were_not_counted_are_left_out():
     own = runs(golden(1, counted("pid")), golden(1, arm="gaussian"), injected(1, flown(), INSTRUCTION),
                injected(1, flown(), INSTRUCTION, arm="gaussian"))  # fmt: skip
     assert list(exposed(own)) == [("sparse", "fi")]
+    notes = table(own, "failures_per_hour").notes
+    assert [note for note in notes if "not counted" in note] == [notes[0]] and notes[0].startswith("dr_gaussian: ")
+
+
+def test_no_setting_is_said_to_be_left_out_where_all_are_counted():
+    assert not any("not in the table" in note for note in table(campaign(), "failures_per_hour").notes)
 
 
 def test_upset_rates_of_ones_own_scale_all_rows_alike():

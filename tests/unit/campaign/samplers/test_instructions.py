@@ -169,7 +169,8 @@ def with_detectors(monkeypatch, **changes):
     """Arms whose detector can be injected; the detector itself is made up."""
     monkeypatch.setattr("mavfi.campaign.mission.detector_for", lambda *_: (fakes.FakeDetector(), ""))
     arms = {"watched": {"detector": "gaussian"}, "other": {"detector": DETECTOR}}
-    return campaign("kernel", ("pid", "gaussian"), **{"arms": arms, "environments": ["sparse"], **changes})
+    kernels = changes.pop("kernels", ("pid", "gaussian"))
+    return campaign("kernel", kernels, **{"arms": arms, "environments": ["sparse"], **changes})
 
 
 def test_a_fault_in_a_detector_is_flown_in_its_arm_alone(monkeypatch, requests):
@@ -208,3 +209,19 @@ def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
             ValueError, match=f"'gaussian': is the detector of {number} arms; allowed: detectors of one arm"
         ):
             campaign("kernel", ("pid", "gaussian"), arms=arms)
+
+
+def test_a_named_configuration_is_injected_as_the_detector_that_it_configures(monkeypatch, requests):
+    arms = {"recommended": {"detector": "recommended"}}
+    runs, golden = flown(with_detectors(monkeypatch, kernels=("pid", "acceptance"), arms=arms))
+    assert Counter((run.target, run.setting) for run in runs) == {
+        ("pid", "fi"): 9, ("pid", "dr_recommended"): 9, ("acceptance", "dr_recommended"): 9
+    }  # fmt: skip
+    counted = {spec.arm: set(record.counts) for spec, record in golden.items()}
+    assert counted == {"": {"pid"}, "recommended": {"pid", "acceptance"}}
+
+
+def test_a_detector_and_its_named_configuration_are_two_arms_of_one():
+    arms = {"plain": {"detector": "acceptance"}, "recommended": {"detector": "recommended"}}
+    with pytest.raises(ValueError, match="'acceptance': is the detector of 2 arms"):
+        campaign("kernel", ("pid", "acceptance"), arms=arms)
