@@ -113,7 +113,7 @@ def _overhead_notes(runs: Runs) -> list[str]:
         f"measured: one process on {measured['processor']}, medians of {measured['missions']} golden flights per "
         "environment; time of detector / of kernels, and of repeated steps and of keeping memory for them / of kernels"
         if measured
-        else "columns measured are empty: no measurement of these flights is stored; mavfi bench overheads DIR makes one"
+        else "columns measured are empty: no measurement of these flights stored; mavfi bench overheads DIR makes one"
     )
     return [
         "modelled: recomputations with the latencies of the platform / compute time of the pipeline, all flights with "

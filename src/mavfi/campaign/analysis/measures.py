@@ -206,7 +206,8 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 def against_fi(runs: Runs) -> Runs:
     """Join runs in `fi` with the runs of the same faults in every other setting; unpaired runs are excluded.
 
-    Columns of the other setting have the prefix `dr_` (success, inflation, detected); success in `fi` is `fi_success`.
+    Columns of the other setting have the prefix `dr_`: success, inflation, detected, time_s, before.  The success in
+    `fi` is `fi_success`.
     """
     judged, pair = runs.injected.where("judged"), ["environment", "target", "index"]
     alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
@@ -219,6 +220,8 @@ def against_fi(runs: Runs) -> Runs:
         dr_success="success",
         dr_inflation="inflation",
         dr_detected="detected_at_site",
+        dr_time_s="time_s",
+        dr_before="before",
     )
     joined = alone.rename({"success": "fi_success"}).join(arms, on=pair, maintain_order="left_right")
     return Runs(joined, runs.records, runs.campaign)

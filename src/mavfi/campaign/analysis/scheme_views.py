@@ -20,6 +20,8 @@ LOST = (pl.col("kind") == PAIR) & pl.col("golden_success") & ~pl.col("success")
 """Pairs in which the fault loses the mission in `fi`."""
 LATE = (pl.col("kind") == PAIR) & (pl.col("inflation") > m.SLOWER).fill_null(value=False)
 DIED = pl.col("kernel_effect").is_in(KERNEL_DUE)
+_SAME_VALUE = pl.col("time_s").eq_missing(pl.col("dr_time_s")) & pl.col("before").eq_missing(pl.col("dr_before"))
+"""Pairs in which the flip meets the same value at the same instant."""
 _IN_TIME = pl.col("dr_success") & (pl.col("dr_inflation") <= m.SLOWER).fill_null(value=False)
 
 
@@ -42,6 +44,11 @@ def _only_the_scheme(own: Runs) -> int:
     return len(pairs) + len(own.golden.where("bare_success", ~pl.col("success")))
 
 
+def _only_it_by_same_value(own: Runs) -> int:
+    """As `_only_the_scheme`, without pairs in which the flip meets another value: its harm is not the scheme's."""
+    return _only_the_scheme(own.where((pl.col("kind") != PAIR) | _SAME_VALUE))
+
+
 def _golden(of: Callable[[Runs], object]) -> Callable[[Runs], object]:
     return lambda own: of(own.golden.where(end="flown"))
 
@@ -61,13 +68,15 @@ _COUNTED = (
     m.count("pairs", "faults", kind=PAIR), m.count("lost", "lost", LOST),
     _lost_by("dr_success", "back", "brought back"),
 )  # fmt: skip
-_HARM = (
-    Measure(
-        "lost_under", "lost under it", NUMBER,
-        lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
-    ),
-    Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme),
-    m.rate("late_in_time", "late, in time", _IN_TIME, LATE),
+_LOST_UNDER = Measure(
+    "lost_under", "lost under it", NUMBER,
+    lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
+)  # fmt: skip
+_IN_TIME_AGAIN = m.rate("late_in_time", "late, in time", _IN_TIME, LATE)
+_HARM = (_LOST_UNDER, Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme), _IN_TIME_AGAIN)
+_HARM_OF_CALLS = (
+    _LOST_UNDER, m.count("same_value", "same value struck", pl.col("kind") == PAIR, _SAME_VALUE),
+    Measure("newly_lost", "of these, only it lost", NUMBER, _only_it_by_same_value), _IN_TIME_AGAIN,
 )  # fmt: skip
 _DETECTED = _lost_by("dr_detected", "detected", "detected")
 _ALARMS = (
@@ -102,13 +111,15 @@ register(
         "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
         (
             *_COUNTED, _lost_by("dr_success", "died_back", "died, back", DIED),
-            _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM, *_ALARMS,
+            _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM_OF_CALLS, *_ALARMS,
         ),
         where=against_base, headings=("scheme",),
         notes=lambda _: (
             *_NOTES, "died / sdc: the kernel died of the fault, or continued with a wrong value",
             "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
-            "latencies, that call computes something else: compare lost with lost under it", ONE_FAULT,
+            "latencies (duplicate), that call computes something else. Same value struck: faults that meet the same "
+            "value at the same instant; only it lost counts these and golden flights. Else compare lost with lost "
+            "under it", ONE_FAULT,
         ),
         applies=lambda runs: _schemes_on(runs, INSTRUCTION), by_name=True,
     ),

@@ -58,6 +58,18 @@ def test_at_instruction_level_what_died_stands_apart():
     assert (entry["sdc_back"].successes, entry["sdc_back"].n) == (0, 1)
 
 
+def test_at_instruction_level_a_fault_that_meets_another_value_is_not_the_schemes_harm():
+    own = [golden(seed, arm=arm) for seed in (1, 2, 3) for arm in ("", "one")]
+    elsewhere = flown(success=False, time_s=0.4)
+    own += [
+        *pair(1, flown(), LOST, fault=INSTRUCTION), *pair(2, flown(), elsewhere, fault=INSTRUCTION),
+        *pair(3, LOST, elsewhere, fault=INSTRUCTION),
+    ]  # fmt: skip
+    entry = row(runs(*own), "schemes_instructions")
+    assert (entry["pairs"], entry["same_value"], entry["newly_lost"], entry["lost_under"]) == (3, 1, 1, 3)
+    assert row(runs(*own), "schemes")["newly_lost"] == 2
+
+
 def test_missions_that_are_lost_anyway_are_nobodys():
     own = [golden(1, flown(success=False)), golden(1, arm="one"), *pair(1, LOST, GOLDEN)]
     assert row(runs(*own))["lost"] == 0
