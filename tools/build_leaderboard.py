@@ -6,13 +6,14 @@ Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md. 
 leaves engineers.md and README.md as they are.
 """
 
+import csv
 import shutil
 import sys
 from pathlib import Path
 
 from mavfi.api import load, table
 from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.bench import FOLDER
+from mavfi.campaign.bench import FOLDER, ROWS, load_bench
 from mavfi.errors import BadInputError
 from mavfi.reports.text import rate
 from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, fill
@@ -85,6 +86,19 @@ def freeze(bench: Path, scale: str) -> None:
         shutil.copy(faults, kept)
 
 
+def publish(page: str, scale: str) -> None:
+    """Write the rows of a leaderboard whose faults are frozen to the shipped configurations, one file per part."""
+    titles = {part.title: name for name, part in load_bench(NAME).parts.items()}
+    for section in page.split("\n## ")[1:]:
+        title, *lines = section.splitlines()
+        grid = [line.strip("|").split("|") for line in lines if line.startswith("|")]
+        frozen = ROOT / "configs" / FOLDER / NAME / f"{titles.get(title)}-{scale}.csv"
+        if frozen.is_file() and grid and grid[0][0].strip() == "scheme":
+            with frozen.with_suffix(ROWS).open("w", encoding="utf-8", newline="") as file:
+                rows = ([cell.strip() for cell in row] for row in (grid[0], *grid[2:]))
+                csv.writer(file, lineterminator="\n").writerows(rows)
+
+
 def main(arguments: list[str]) -> int:
     """Write the pages; returns the exit code."""
     if len(arguments) not in (1, 2):
@@ -99,6 +113,7 @@ def main(arguments: list[str]) -> int:
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
         page = (bench / "leaderboard.md").read_text(encoding="utf-8")
         freeze(bench, scale)
+        publish(page, scale)
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2

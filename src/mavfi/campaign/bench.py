@@ -4,6 +4,7 @@ A part is a campaign whose arms are the schemes.  Its faults are frozen: a list 
 whether its drawn faults agree with it.
 """
 
+import csv
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +30,8 @@ Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$")]
 """Folder name."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
 """Columns of a fault list."""
+ROWS = ".rows.csv"
+"""Ending of files with published rows; those without it are fault lists."""
 
 
 class Part(Config):
@@ -186,6 +189,15 @@ def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
     """The shipped fault list of a part; None if there is none."""
     path = config_root() / FOLDER / bench.name / f"{part}-{scale}.csv"
     return path.read_text(encoding="utf-8") if path.is_file() else None
+
+
+def published_rows(bench: Bench, part: str, scale: str) -> list[dict[str, str]]:
+    """The shipped rows of a part's table, as text by heading; empty if there are none."""
+    path = config_root() / FOLDER / bench.name / f"{part}-{scale}{ROWS}"
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
 
 
 def checksum(faults: str) -> str:

@@ -1,6 +1,7 @@
 """`mavfi bench`: compare detectors and recovery schemes on the same flights and faults; measure their overhead."""
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.bench import Bench, Entry
     from mavfi.campaign.scores import Scores
 
+_BENCH = "mavfi-bench-1"
 app = typer.Typer(
     help="Compare schemes on the same flights and faults.\n\nExample: [bold]mavfi bench detectors --level state[/bold]",
     no_args_is_help=False,
@@ -31,9 +33,7 @@ def _bench() -> None:
 
 @app.command("detectors")
 def detectors(  # noqa: PLR0913 - one parameter per option
-    bench: Annotated[
-        str, typer.Argument(metavar="[BENCH.yaml]", help="A YAML file, or a shipped bench.")
-    ] = "mavfi-bench-1",
+    bench: Annotated[str, typer.Argument(metavar="[BENCH.yaml]", help="A YAML file, or a shipped bench.")] = _BENCH,
     level: Annotated[
         list[str] | None,
         typer.Option(help="Only faults of this level: state, memory, instruction; may be given several times."),
@@ -65,6 +65,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.campaign.bench import SCORES, entries, load_bench, with_only, with_schemes
     from mavfi.campaign.scores import table
+    from mavfi.reports.leaderboard import leaderboard
 
     chosen = load_bench(bench)
     if scheme and detector:
@@ -82,11 +83,35 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     tables = {name: _table(chosen, name, entry, out / name, scale) for name, entry in flown.items()}
     if scored:
         tables[SCORES] = table(scored)
-    _write(tables, scored, chosen, scale, out)
+    own = tables
+    if detector or scheme:
+        tables = {name: _beside(chosen, name, found, out / name, scale) for name, found in own.items()}
+    command = _command(bench, level or (), part or (), scale)
+    _write(scored, leaderboard(tables, chosen.name, scale, command), out)
     if as_json:
-        write_json({name: table.to_json() for name, table in tables.items()})
+        write_json({name: table.to_json() for name, table in own.items()})
         return
     _show(tables, out)
+
+
+def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str) -> str:
+    """The command that flies the same parts of the same bench with a custom detector."""
+    words = ["mavfi", "bench", "detectors", *([] if bench == _BENCH else [bench])]
+    words += [word for level in levels for word in ("--level", level)]
+    words += [word for part in parts for word in ("--part", part)]
+    words += ["--detector", "my_package:MyDetector", *([] if scale == "quick" else ["--scale", scale])]
+    return shlex.join(words)
+
+
+def _beside(bench: "Bench", name: str, own: "Table", ledger: Path, scale: str) -> "Table":
+    """The table with the published rows, if the faults are the published ones."""
+    from mavfi.campaign.bench import frozen_faults, published_rows
+    from mavfi.reports.leaderboard import beside_published
+
+    faults = ledger / "faults.csv"
+    if not faults.is_file() or faults.read_text(encoding="utf-8") != frozen_faults(bench, name, scale):
+        return own
+    return beside_published(own, published_rows(bench, name, scale), bench.name)
 
 
 def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | None) -> None:
@@ -131,13 +156,11 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
     return replace(found, name=name, title=entry.part.title, notes=(drawn, *left_out, *found.notes))
 
 
-def _write(
-    tables: "Mapping[str, Table]", scored: "Mapping[str, Scores]", bench: "Bench", scale: str, out: Path
-) -> None:
+def _write(scored: "Mapping[str, Scores]", page: str, out: Path) -> None:
     from mavfi.campaign.scores import curves_csv
-    from mavfi.reports.leaderboard import draw_curves, leaderboard
+    from mavfi.reports.leaderboard import draw_curves
 
-    texts = {"leaderboard.md": leaderboard(tables, bench.name, scale)}
+    texts = {"leaderboard.md": page}
     if scored:
         texts["curves.csv"] = curves_csv(scored)
         draw_curves(scored, out / "curves.png")

@@ -1,6 +1,7 @@
 """The leaderboard of a bench: a Markdown page and a figure."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -19,19 +20,42 @@ _MOST_ALARMS = 1e4
 """Right limit of the figure (alarms per hour): about three per second."""
 
 
-def leaderboard(tables: Mapping[str, Table], bench: str, scale: str) -> str:
+def leaderboard(tables: Mapping[str, Table], bench: str, scale: str, command: str) -> str:
     """All tables of a bench in Markdown, with date, scale and versions, and the command for a custom detector."""
     flown = " · ".join(f"{name} {version}" for name, version in versions().items())
     parts = [
         f"# Leaderboard of {bench}",
         "Detectors and recovery schemes, each flown on the same missions and the same faults.  The same table for a "
         "detector of your own:",
-        "    mavfi bench detectors --detector my_package:MyDetector"
-        + ("" if scale == "quick" else f" --scale {scale}"),
+        f"    {command}",
         f"Flown on {date.today().isoformat()} at scale {scale}: {flown}.",
         *map(markdown_table, tables.values()),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def beside_published(own: Table, published: Sequence[Mapping[str, str]], bench: str) -> Table:
+    """A table with the published rows of other schemes above its own.
+
+    Args:
+        own: Table with one row per scheme, named by its first column.
+        published: Rows as text, by heading.
+        bench: Name of the bench that published them.
+
+    Returns:
+        The table; published cells of columns that did not exist then are empty.
+    """
+    first = own.columns[0].heading
+    known = set(own.column(own.columns[0].key))
+    others = [row for row in published if first in row and row[first] not in known]
+    if not others or own.keys != 1:
+        return own
+    rows = [tuple(row.get(column.heading) for column in own.columns) for row in others]
+    behind = [*([()] * len(own.columns) for _ in rows), *own.behind] if own.behind else ()
+    note = (
+        f"flown here: {', '.join(map(str, known))}; the other rows are those published in {bench}, on the same faults"
+    )
+    return replace(own, rows=[*rows, *own.rows], notes=(note, *own.notes), behind=behind)
 
 
 def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:

@@ -6,7 +6,7 @@ from mavfi.campaign import overheads
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.cli.commands import run
-from tests.unit.campaign.fakes import small
+from tests.unit.campaign.fakes import DETECTOR, small
 
 
 @pytest.fixture
@@ -34,3 +34,38 @@ def test_bad_input_is_one_line(ledger, capsys):
     assert "--missions: 0: allowed: 1 to 1000" in capsys.readouterr().err
     (ledger / overheads.FILE).write_text("{")
     assert run(["report", str(ledger), "--view", "overheads_as_in_the_paper"]) == 2
+
+
+@pytest.fixture
+def own_bench(tmp_path, monkeypatch):
+    """A bench whose campaign takes microseconds, with a published list of its faults and one published row."""
+    from mavfi.campaign import bench as benches
+
+    made = small(missions=2, faults=3, arms={}).to_json()
+    monkeypatch.setattr(benches, "config_root", lambda: tmp_path)
+    (tmp_path / "c.yaml").write_text(json.dumps(made))
+    part = {"campaign": str(tmp_path / "c.yaml"), "title": "T"}
+    bench = {"name": "b", "parts": {"p": part}, "arms": {"a": {"detector": DETECTOR}}}
+    (tmp_path / "b.yaml").write_text(json.dumps(bench))
+    return tmp_path
+
+
+def fly_own(folder, capsys, *more):
+    command = ["bench", "detectors", str(folder / "b.yaml"), "--detector", DETECTOR, "--out", str(folder / "out")]
+    assert run([*command, *more]) == 0
+    capsys.readouterr()
+    return (folder / "out" / "leaderboard.md").read_text()
+
+
+def test_ones_own_detector_stands_beside_the_published_rows_if_its_faults_are_the_published_ones(own_bench, capsys):
+    page = fly_own(own_bench, capsys, "--part", "p")
+    assert "gaussian" not in page
+    assert f"mavfi bench detectors {own_bench / 'b.yaml'} --part p --detector my_package:MyDetector\n" in page
+    frozen = own_bench / "bench" / "b"
+    frozen.mkdir(parents=True)
+    (frozen / "p-quick.csv").write_text((own_bench / "out" / "p" / "faults.csv").read_text())
+    (frozen / "p-quick.rows.csv").write_text("scheme,lost\ngaussian,3\n")
+    page = fly_own(own_bench, capsys)
+    assert "| gaussian |" in page and "| FakeDetector |" in page and "as published in b" in page
+    (frozen / "p-quick.csv").write_text("others")
+    assert "| gaussian |" not in fly_own(own_bench, capsys)

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from mavfi.campaign.bench import load_bench
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, died, flown, golden, injected, runs
 from tools import build_leaderboard
-from tools.build_leaderboard import RULES, headline, main, rules
+from tools.build_leaderboard import NAME, RULES, headline, main, publish, rules
 
 
 @pytest.fixture
@@ -51,3 +52,15 @@ def test_bad_input_is_one_line(arguments, capsys):
     assert main(arguments) == 2
     stderr = capsys.readouterr().err
     assert stderr.startswith("bad input: ") and stderr.count("\n") == 1
+
+
+def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(build_leaderboard, "ROOT", tmp_path)
+    frozen = tmp_path / "configs" / "bench" / NAME
+    frozen.mkdir(parents=True)
+    (frozen / "sites-quick.csv").touch()
+    title = load_bench(NAME).parts["sites"].title
+    page = f"# Top\n\n## {title}\n\n| scheme | lost |\n| --- | ---: |\n| a b | 3 [1, 5] |\n\n- note | more\n"
+    publish(page + "\n## Other\n\n| scheme |\n| --- |\n| c |\n", "quick")
+    assert [path.name for path in frozen.glob("*.rows.csv")] == ["sites-quick.rows.csv"]
+    assert (frozen / "sites-quick.rows.csv").read_text() == 'scheme,lost\na b,"3 [1, 5]"\n'

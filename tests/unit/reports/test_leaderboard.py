@@ -1,0 +1,29 @@
+"""A detector of one's own beside the published rows."""
+
+from mavfi.campaign.analysis.table import NUMBER, Column, Table
+from mavfi.campaign.bench import load_bench, published_rows
+from mavfi.reports.leaderboard import beside_published, leaderboard
+
+OWN = Table("sites", "Sites", (Column("arm", "scheme"), Column("lost", "lost", NUMBER)), [("mine", 4)], notes=("n",))
+PUBLISHED = [{"scheme": "gaussian", "lost": "36"}, {"scheme": "mine", "lost": "7"}, {"scheme": "old"}]
+
+
+def test_published_rows_stand_above_ones_own():
+    found = beside_published(OWN, PUBLISHED, "b")
+    assert found.rows == [("gaussian", "36"), ("old", None), ("mine", 4)]
+    assert found.notes[0].startswith("flown here: mine;") and found.notes[1:] == ("n",)
+    assert "| gaussian | 36 |" in leaderboard({"sites": found}, "b", "quick", "mavfi bench detectors").replace(
+        "  ", " "
+    )
+
+
+def test_without_published_rows_it_stands_alone():
+    assert beside_published(OWN, [], "b") is OWN
+    assert beside_published(OWN, [{"environment": "dense"}], "b") is OWN
+
+
+def test_shipped_rows_have_a_list_of_their_faults():
+    bench = load_bench("mavfi-bench-1")
+    rows = published_rows(bench, "sites", "quick")
+    assert {"gaussian", "recommended"} <= {row["scheme"] for row in rows} <= set(bench.arms)
+    assert published_rows(bench, "state", "quick") == []
