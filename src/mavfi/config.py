@@ -225,11 +225,6 @@ class AutopilotConfig(Config):
     )
     max_failed_plans: int = Field(40, gt=0, le=1_000_000)
 
-    @property
-    def repeats_alarms(self) -> bool:
-        """Whether each scan tells anew whether the trajectory is free: an alarm can be withdrawn."""
-        return self.alarm == "repeated" or self.replanning == "every_map"
-
 
 class EnvironmentConfig(Config):
     """A family of worlds, or a scanned map."""

@@ -51,7 +51,8 @@ def beside_published(own: Table, published: Sequence[Mapping[str, str]], bench: 
     if not others or own.keys != 1:
         return own
     rows = [tuple(row.get(column.heading) for column in own.columns) for row in others]
-    behind = [*([()] * len(own.columns) for _ in rows), *own.behind] if own.behind else ()
+    nothing: tuple[tuple[str, ...], ...] = ((),) * len(own.columns)
+    behind = (*(nothing for _ in rows), *own.behind) if own.behind else ()
     note = (
         f"flown here: {', '.join(map(str, known))}; the other rows are those published in {bench}, on the same faults"
     )

@@ -9,10 +9,16 @@ judge: there the planner is needed.
 
 import math
 
+from mavfi.config import AutopilotConfig
 from mavfi.detectors.rules import NO_COLLISION
 from mavfi.states import State
 
 COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "planning.waypoint"
+
+
+def repeats(autopilot: AutopilotConfig) -> bool:
+    """Whether each scan judges the trajectory anew: an alarm can be withdrawn."""
+    return autopilot.alarm == "repeated" or autopilot.replanning == "every_map"
 
 
 class Answer:
@@ -20,7 +26,7 @@ class Answer:
 
     Args:
         limit_s: Deadline (s).
-        repeated: Whether each scan judges the trajectory anew (`AutopilotConfig.repeats_alarms`).
+        repeated: Whether each scan judges the trajectory anew (`repeats`).
     """
 
     states = frozenset((COLLISION, PATH, WAYPOINT))

@@ -12,6 +12,7 @@ from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.loop.recovery import Action, Watch
+from mavfi.hosts.loop.waiting import repeats
 from mavfi.hosts.ros1.convert import to_stamp
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type
@@ -98,7 +99,7 @@ class Watcher:
         self._shadow = Shadow()
         self._watch = Watch(
             cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget,
-            repeated=plan.scenario.autopilot.repeats_alarms,
+            repeated=repeats(plan.scenario.autopilot),
         )  # fmt: skip
         self._gated, self._free = plan.gated, plan.free_running
         self._lock = threading.Lock()
