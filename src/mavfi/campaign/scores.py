@@ -5,7 +5,7 @@ detector scores every publication, and at the site of a fault also its corrupted
 above the threshold count as alarms.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -79,6 +79,21 @@ class Scores:
         equal = np.searchsorted(ascending, own, "right") - np.searchsorted(ascending, own, "left") + silent * (own == 0)
         return float(np.mean((below + 0.5 * equal) / self.judged))
 
+    def precision(self) -> float | None:
+        """Average precision: area under the curve of precision over recall, harmful corrupted publications to find.
+
+        Precision depends on the share of corrupted publications, here one per harmful fault among the golden ones.
+        """
+        own = np.sort(self.corrupted[self.harmful])
+        if not len(own) or not self.judged:
+            return None
+        thresholds = np.unique(np.append(own, 0.0))[::-1]
+        found = len(own) - np.searchsorted(own, thresholds, "left")
+        alarms = len(self.golden) - np.searchsorted(self.golden[::-1], thresholds, "left")
+        alarms = np.where(thresholds > 0.0, alarms, self.judged)
+        gained = np.diff(found, prepend=0)
+        return float((gained * found / np.maximum(found + alarms, 1)).sum() / len(own))
+
     def curve(self) -> list[tuple[float, float, float]]:
         """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""
         own = self.corrupted[self.harmful]
@@ -142,6 +157,18 @@ class _Scorer:
 def scored_arms(campaign: Campaign) -> list[Arm]:
     """Arms with a detector on the campaign's own mission, independent of their recovery options."""
     return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(RECOVERY)]
+
+
+def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict[str, str]:
+    """Arms with a detector that have no scores, with the reason."""
+    reasons: dict[str, str] = {}
+    for campaign in campaigns:
+        for arm in arms_of(campaign):
+            if arm.detector and arm.name not in found:
+                other = sorted(set(arm.overrides) - set(RECOVERY))
+                flown = f"its mission differs ({', '.join(other)})"
+                reasons[arm.name] = flown if other else "it compares with a seal, or has no scores"
+    return reasons
 
 
 def _score(task: _Task) -> tuple[float, dict[str, _Kept]]:
@@ -213,13 +240,26 @@ def _joined(flown: Sequence[tuple[_Task, float, _Kept]]) -> Scores:
     return Scores(golden, sum(kept.judged for *_, kept in flown), hours, np.array(corrupted), np.array(harmful, bool))
 
 
-def table(found: Mapping[str, Scores]) -> Table:
-    """Detection of harmful faults at fixed false-alarm rates, and the area under the ROC curve."""
+def table(found: Mapping[str, Scores], left_out: Mapping[str, str] | None = None) -> Table:
+    """Detection of harmful faults at fixed false-alarm rates, and the areas under the ROC and PR curves.
+
+    Args:
+        found: Scores by scheme.
+        left_out: Schemes without scores, with the reason (`unscored`).
+    """
     columns = [Column("arm", "scheme"), Column("harmful", "harmful", NUMBER), Column("auc", "ROC area", "number .4f")]
+    columns.append(Column("precision", "PR area", "number .4f"))
     columns += [Column(f"at_{rate:g}", f"detected at {rate:g}/h", RATE) for rate in RATES_PER_HOUR]
     columns += [Column("hours", "exposure", "number .2f h")]
     rows = [
-        (name, int(own.harmful.sum()), own.area(), *(own.detected_at(rate) for rate in RATES_PER_HOUR), own.hours)
+        (
+            name,
+            int(own.harmful.sum()),
+            own.area(),
+            own.precision(),
+            *(own.detected_at(rate) for rate in RATES_PER_HOUR),
+            own.hours,
+        )
         for name, own in found.items()
     ]
     notes = (
@@ -227,14 +267,19 @@ def table(found: Mapping[str, Scores]) -> Table:
         "above it; — = the exposure is too short to show the rate",
         "one golden flight for each mission of the parts with faults in states; their faults together",
         "harmful: activated faults that lose the mission without a detector; [95 % interval: Wilson], n",
-        "ROC: corrupted publications of harmful faults against publications of golden flights",
+        "ROC: corrupted publications of harmful faults against publications of golden flights; PR: precision over "
+        "recall for the same publications (average precision), which falls with their share",
+        *(f"{name}: not scored: {reason}" for name, reason in (left_out or {}).items()),
     )
     return Table("scores", "Detection at fixed rates of false alarms", tuple(columns), rows, notes=notes)
 
 
 def curves_csv(found: Mapping[str, Scores]) -> str:
-    """The curves of all detectors: scheme, threshold, false alarms per hour, share of harmful faults detected."""
-    lines = ["scheme,threshold,false_alarms_per_hour,detected"]
+    """The curves of all detectors: scheme, threshold, false alarms per hour, recall of harmful faults, precision."""
+    lines = ["scheme,threshold,false_alarms_per_hour,detected,precision"]
     for name, own in found.items():
-        lines += [f"{name},{threshold!r},{alarms!r},{share!r}" for threshold, alarms, share in own.curve()]
+        for threshold, alarms, share in own.curve():
+            right, wrong = share * int(own.harmful.sum()), alarms * own.hours
+            precision = right / (right + wrong) if right + wrong > 0 else 1.0
+            lines.append(f"{name},{threshold!r},{alarms!r},{share!r},{precision!r}")
     return "\n".join(lines) + "\n"

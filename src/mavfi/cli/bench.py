@@ -64,7 +64,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
     from mavfi.campaign.bench import SCORES, entries, load_bench, with_only, with_schemes
-    from mavfi.campaign.scores import table
+    from mavfi.campaign.scores import table, unscored
     from mavfi.reports.leaderboard import leaderboard
 
     chosen = load_bench(bench)
@@ -82,7 +82,8 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         scored = _scores(flown, out, workers, models)
     tables = {name: _table(chosen, name, entry, out / name, scale) for name, entry in flown.items()}
     if scored:
-        tables[SCORES] = table(scored)
+        campaigns = (entry.campaign for entry in flown.values() if entry.part.scores)
+        tables[SCORES] = table(scored, unscored(campaigns, scored))
     own = tables
     if detector or scheme:
         tables = {name: _beside(chosen, name, found, out / name, scale) for name, found in own.items()}

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.metrics import roc_auc_score
+from sklearn.metrics import average_precision_score, roc_auc_score
 
-from mavfi.campaign.scores import Scores, curves_csv, table
+from mavfi.campaign.scores import Scores, curves_csv, table, unscored
+from tests.unit.campaign.fakes import small
 
 LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
 
@@ -62,5 +63,29 @@ def test_the_table_says_what_an_exposure_cannot_show():
     assert row["harmful"] == 2 and row["at_0.1"] is None
     assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h
     assert curves_csv({"one": found}).splitlines()[1:] == [
-        "one,9.0,0.0,0.0", "one,3.0,0.0,0.5", "one,2.5,0.6666666666666666,0.5", "one,2.0,0.6666666666666666,1.0",
+        "one,9.0,0.0,0.0,1.0", "one,3.0,0.0,0.5,1.0", "one,2.5,0.6666666666666666,0.5,0.5",
+        "one,2.0,0.6666666666666666,1.0,0.6666666666666666",
     ]  # fmt: skip
+
+
+@given(made())
+def test_the_average_precision_is_that_of_scikit_learn(own):
+    golden, found = own
+    harmful = found.corrupted[found.harmful]
+    if not len(harmful):
+        assert found.precision() is None
+        return
+    labels = [0] * len(golden) + [1] * len(harmful)
+    expected = average_precision_score(labels, [*golden, *harmful])
+    assert found.precision() == pytest.approx(expected, abs=1e-12)
+
+
+def test_schemes_without_scores_are_named_with_the_reason():
+    arms = {"rules": {"detector": "acceptance"}, "all": {"detector": "recommended"}, "crc": {"detector": "checksum"}}
+    reasons = unscored([small(arms={**arms, "bare": {"dead_node": "latched"}})], {"rules": None})
+    assert reasons == {
+        "all": "its mission differs (alarm, dead_node, epoch_liveness)",
+        "crc": "it compares with a seal, or has no scores",
+    }
+    found = Scores(np.array([3.0]), 100, 1.5, np.array([2.5]), np.array([True]))
+    assert f"all: not scored: {reasons['all']}" in table({"one": found}, reasons).notes
