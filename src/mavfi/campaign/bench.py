@@ -83,7 +83,13 @@ def load_bench(name: str) -> Bench:
 
 
 def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") -> Bench:
-    """A copy of a bench with these detectors in place of its schemes, each named after its detector."""
+    """A copy of a bench with these detectors in place of its schemes, each named after its detector.
+
+    Raises:
+        BadInputError: Two detectors have the same name, or one is `none`.
+    """
+    if "none" in detectors:
+        raise BadInputError("detector 'none': watches nothing; every fault is flown without a detector anyway")
     arms = {name.rpartition(":")[2]: ArmConfig(detector=name, profile=profile) for name in detectors}
     if len(arms) < len(detectors):
         raise BadInputError(f"detectors {', '.join(detectors)}: allowed: different names")
@@ -100,6 +106,12 @@ def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
         if name not in bench.arms:
             raise BadInputError(f"bench {bench.name}: scheme {name!r}: not known; allowed: {', '.join(bench.arms)}")
     return bench.model_copy(update={"arms": {name: bench.arms[name] for name in bench.arms if name in names}})
+
+
+def scales(bench: Bench) -> list[str]:
+    """Scales at which every part can be flown."""
+    own = [{*load_campaign(part.campaign).scales, *part.scales} for part in bench.parts.values()]
+    return ["quick", *sorted(set.intersection(*own) - {"quick"})]
 
 
 def entries(

@@ -63,11 +63,15 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.campaign.bench import SCORES, entries, load_bench, with_only, with_schemes
+    from mavfi.campaign.bench import SCORES, entries, load_bench, scales, with_only, with_schemes
     from mavfi.campaign.scores import table, unscored
     from mavfi.reports.leaderboard import leaderboard
 
     chosen = load_bench(bench)
+    if scale not in scales(chosen):
+        raise BadInputError(
+            f"--scale: {scale!r}: not known in bench {chosen.name}; allowed: {', '.join(scales(chosen))}"
+        )
     if scheme and detector:
         raise BadInputError("--scheme and --detector: allowed: one of them")
     if scheme:

@@ -52,10 +52,17 @@ def test_the_table_names_the_functions_of_each_detector(name, profile):
     assert len(calls) == 1
 
 
+def test_a_configuration_names_the_detector_whose_instructions_can_be_struck():
+    with pytest.raises(BadInputError, match="'recommended': is a configuration of 'acceptance', whose instructions"):
+        check_kernel("recommended", "rrt_connect", Chain(detector("acceptance")))
+
+
 def test_a_detector_can_be_hit_where_it_watches_alone():
     check_kernel("acceptance", "rrt_connect", Chain(detector("acceptance")))
     for other in (None, detector("gaussian")):
-        with pytest.raises(BadInputError, match="'acceptance': this detector does not watch the mission"):
+        with pytest.raises(
+            BadInputError, match="'acceptance': this detector does not watch.*with acceptance, recommended"
+        ):
             check_kernel("acceptance", "rrt_connect", other)
 
 

@@ -65,6 +65,11 @@ def test_a_bench_that_nobody_can_fly_is_refused():
         entries(with_only(BENCH, ["gaussian"]), "quick", parts=["cortex-a57"])
 
 
+def test_a_detector_that_watches_nothing_is_no_scheme():
+    with pytest.raises(BadInputError, match="detector 'none': watches nothing"):
+        with_only(BENCH, ["none"])
+
+
 @pytest.mark.parametrize(
     ("name", "more", "message"),
     [("../p", {}, "pattern"), ("scores", {}, "is the name of a table"),

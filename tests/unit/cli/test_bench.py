@@ -69,3 +69,10 @@ def test_ones_own_detector_stands_beside_the_published_rows_if_its_faults_are_th
     assert "| gaussian |" in page and "| FakeDetector |" in page and "as published in b" in page
     (frozen / "p-quick.csv").write_text("others")
     assert "| gaussian |" not in fly_own(own_bench, capsys)
+
+
+def test_an_unknown_scale_is_an_option_of_the_command(tmp_path, capsys):
+    assert run(["bench", "detectors", "--scale", "huge", "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.strip() == (
+        "mavfi: --scale: 'huge': not known in bench mavfi-bench-1; allowed: quick, paper"
+    )

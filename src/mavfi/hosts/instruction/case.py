@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from mavfi.detectors.detector import Detector, part_of
+from mavfi.detectors.registry import detector_names, is_named
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import injection_of
@@ -102,10 +103,13 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
     """
     if kernel in DETECTORS:
         if part_of(detector, kernel) is None:
-            raise BadInputError(f"kernel {kernel!r}: this detector does not watch the mission; allowed: with it alone")
+            names = ", ".join(name for name in detector_names() if is_named(name, kernel))
+            raise BadInputError(f"kernel {kernel!r}: this detector does not watch the mission; allowed: with {names}")
         return
     if kernel not in INJECTABLE:
-        raise BadInputError(f"kernel {kernel!r}: not known; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
+        configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
+        why = f"is a configuration of {configured!r}, whose instructions can be struck" if configured else "not known"
+        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
 
