@@ -75,7 +75,7 @@ _LOST_UNDER = Measure(
 _IN_TIME_AGAIN = m.rate("late_in_time", "late, in time", _IN_TIME, LATE)
 _HARM = (_LOST_UNDER, Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme), _IN_TIME_AGAIN)
 _HARM_OF_CALLS = (
-    _LOST_UNDER, m.count("same_value", "same value struck", pl.col("kind") == PAIR, _SAME_VALUE),
+    _LOST_UNDER, m.count("same_value", "same value injected", pl.col("kind") == PAIR, _SAME_VALUE),
     Measure("newly_lost", "of these, only it lost", NUMBER, _only_it_by_same_value), _IN_TIME_AGAIN,
 )  # fmt: skip
 _DETECTED = _lost_by("dr_detected", "detected", "detected")
@@ -117,7 +117,7 @@ register(
         notes=lambda _: (
             *_NOTES, "died / sdc: the kernel died of the fault, or continued with a wrong value",
             "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
-            "latencies (duplicate), that call computes something else. Same value struck: faults that meet the same "
+            "latencies (duplicate), that call computes something else. Same value injected: faults that meet the same "
             "value at the same instant; only it lost counts these and golden flights. Else compare lost with lost "
             "under it", ONE_FAULT,
         ),

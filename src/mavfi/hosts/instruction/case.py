@@ -108,7 +108,7 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
         return
     if kernel not in INJECTABLE:
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
-        why = f"is a configuration of {configured!r}, whose instructions can be struck" if configured else "not known"
+        why = f"is a configuration of {configured!r}, whose instructions can be injected" if configured else "not known"
         raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
