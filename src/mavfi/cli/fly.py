@@ -144,6 +144,9 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
     if _is_chosen(mission, "flight_controller"):
         text = "that of the server flies; allowed: without --world"
         raise BadInputError(f"--flight-controller: {mission.flight_controller}: {text}")
+    if _is_chosen(mission, "depth_noise"):
+        text = "the server's camera has its own noise; allowed: without --world"
+        raise BadInputError(f"--depth-noise: {mission.depth_noise:g}: {text}")
     host, port = world_address(world)
     return LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
 

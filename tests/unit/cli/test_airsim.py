@@ -53,6 +53,10 @@ def test_json_has_digest_calls_and_errors(capsys):
             ["fly", "--world", "airsim://127.0.0.1:1", "--fault", "instruction:pid"],
             "allowed with --world: state:, memory:",
         ),
+        (
+            ["fly", "--world", "airsim://127.0.0.1:1", "--depth-noise", "0.2"],
+            "--depth-noise: 0.2: the server's camera has its own noise; allowed: without --world",
+        ),
     ],
 )
 def test_bad_input_is_one_line(arguments, text, capsys):

@@ -8,11 +8,13 @@ import math
 import socket
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from mavfi.bridges.airsim.frames import flipped, pose, pose_numbers, triple, turned
+from mavfi.bridges.airsim.identity import difference, identity, reported
 from mavfi.bridges.airsim.pictures import PERSPECTIVE
 from mavfi.bridges.airsim.server import msgpack
 from mavfi.errors import BadInputError, MavfiError
@@ -22,11 +24,16 @@ from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments.world import World
 
 _PATIENCE_S = 30.0
+_GOODBYE_S = 2.0
 _POLL_S = 0.002
 _AT_START_M = 0.5
 _NOT_REWOUND = "flights on a server of AirSim's API cannot be rewound"
 _TOLERANCE_US = 2_000
 """Largest delay of a server that advances in its own period (us)."""
+
+
+class RefusedError(MavfiError):
+    """A call that the server answers with an error."""
 
 
 class Rpc:
@@ -59,13 +66,14 @@ class Rpc:
         """The result of a call.
 
         Raises:
-            MavfiError: The server refuses it or a call that was posted, is gone, or does not answer.
+            RefusedError: The server refuses it, or a call that was posted.
+            MavfiError: The server is gone, or does not answer.
         """
         number = self.post(method, *arguments)
         while True:
             for answered, error, result in self._answers():
                 if error is not None:  # also of a call that was posted
-                    raise MavfiError(f"{self._where}: {method if answered == number else 'refused'}: {error}")
+                    raise RefusedError(f"{self._where}: {method if answered == number else 'refused'}: {error}")
                 if answered == number:
                     return result
             try:
@@ -84,6 +92,10 @@ class Rpc:
         except (TypeError, ValueError, self._malformed):
             raise MavfiError(f"{self._where}: the answer is not one of msgpack-rpc") from None
 
+    def hurry(self) -> None:
+        """Do not wait long for answers from now on."""
+        self._socket.settimeout(_GOODBYE_S)
+
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
@@ -99,7 +111,8 @@ class Remote:
         rpc: The connection.
 
     Raises:
-        BadInputError: The mission needs more than the API gives, or the server's images have another size.
+        BadInputError: The mission needs more than the API gives, or the server has another world or vehicle, or images
+            of another size; then nothing has changed on the server.
         MavfiError: The server refuses a call, or is gone.
     """
 
@@ -112,14 +125,37 @@ class Remote:
         self._directions = pixel_directions(scenario.camera)
         self._directions.flags.writeable = False
         self._origin = np.zeros(3)
+        self._found: tuple[bool, bool] | None = None
         try:
+            self._check(world)
             self._begin_at(world)
         except BaseException:
             self.close()
             raise
 
+    def _check(self, world: World) -> None:
+        """Check images, world and vehicle of the server, and change nothing.
+
+        A server that does not report its world and vehicle, as AirSim itself, is trusted.
+
+        Raises:
+            BadInputError: They are not those of the flight.
+        """
+        self.depth()
+        try:
+            there = reported(self.rpc.call("getSettingsString"))
+        except RefusedError:
+            there = {}
+        different = difference(there, identity(self._scenario, world))
+        if different:
+            raise BadInputError(f"server of --world: {different}; allowed: the same (mavfi airsim serve)")
+        wind = self._scenario.wind.gust
+        if not there and wind:
+            raise BadInputError(f"--wind: {wind:g}: the server has its own wind; allowed: 0, with this server")
+
     def _begin_at(self, world: World) -> None:
         """Take over the vehicle, at the mission's start."""
+        self._found = bool(self.rpc.call("simIsPaused")), bool(self.rpc.call("isApiControlEnabled", ""))
         self.rpc.call("reset")
         self.rpc.call("enableApiControl", True, "")
         self.rpc.call("simPause", True)
@@ -128,7 +164,6 @@ class Remote:
         if float(np.abs(self.odometry[:3] - world.start).max()) > _AT_START_M:
             self._go_to_start(world)
         self._begin = self._stamp
-        self.depth()  # a wrong image size is an error before the flight
 
     def _go_to_start(self, world: World) -> None:
         """Put a vehicle that stands elsewhere to the start; its own origin is the ground below that."""
@@ -193,9 +228,13 @@ class Remote:
             "camera_name": "0", "image_type": PERSPECTIVE, "pixels_as_float": True, "compress": False,
             "annotation_name": "",
         }  # fmt: skip
-        image = self.rpc.call("simGetImages", [request], "", False)[0]
-        size, wanted = (image["width"], image["height"]), (self._camera.width, self._camera.height)
-        if tuple(size) != wanted:
+        try:
+            image = self.rpc.call("simGetImages", [request], "", False)[0]
+            size = image["width"], image["height"]
+        except (KeyError, IndexError, TypeError) as error:
+            raise MavfiError(f"server of --world: simGetImages: not an ImageResponse ({error!r})") from None
+        wanted = self._camera.width, self._camera.height
+        if size != wanted:
             text = f"its images are {size[0]}x{size[1]}; allowed: {wanted[0]}x{wanted[1]} (mavfi airsim serve --image)"
             raise BadInputError(f"server of --world: {text}")
         ranges = np.array(image["image_data_float"], np.float32)
@@ -228,5 +267,11 @@ class Remote:
         raise MavfiError(_NOT_REWOUND)
 
     def close(self) -> None:
-        """See `Plant.close`."""
+        """See `Plant.close`; the server is paused or not, and under control of a program or not, as it was found."""
+        if self._found is not None:
+            (paused, controlled), self._found = self._found, None
+            self.rpc.hurry()
+            with suppress(MavfiError):
+                self.rpc.call("enableApiControl", controlled, "")
+                self.rpc.call("simPause", paused)
         self.rpc.close()

@@ -20,6 +20,7 @@ from mavfi.bridges.airsim.frames import (
     triple,
     vector,
 )
+from mavfi.bridges.airsim.identity import KEY, identity
 from mavfi.bridges.airsim.pictures import DUST, FOG
 from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, call
 from mavfi.bridges.airsim.vehicle import TICK_US
@@ -66,8 +67,11 @@ def _(api: Api) -> list[str]:
 
 @call("getSettingsString")
 def _(api: Api) -> str:
+    """AirSim's settings, and under a key of its own what the server flies."""
     vehicles: dict[str, Any] = {api.name: {}}
-    return json.dumps({"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles})
+    own = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
+    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: own}
+    return json.dumps(settings)
 
 
 @call("simPrintLogMessage")

@@ -3,7 +3,7 @@
 import asyncio
 import socket
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from mavfi.bridges.airsim.clock import Steps
 from mavfi.bridges.airsim.program import make_api, world_address
 from mavfi.bridges.airsim.remote import Remote
 from mavfi.bridges.airsim.server import Server
+from mavfi.bridges.airsim.table import CALLS, Call
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop
@@ -20,10 +21,17 @@ from mavfi.mission import MissionSpec
 
 
 @contextmanager
-def served(environment="sparse", *, single=False, image="", on_ground=False):
+def served(environment="sparse", *, single=False, image="", on_ground=False, **mission):
     """A server in a thread of its own; its port."""
-    spec = MissionSpec(environment=environment, seed=7)
-    server = Server(make_api(spec, image, on_ground=on_ground), Steps(), single=single)
+    api = make_api(MissionSpec(environment=environment, seed=7, **mission), image, on_ground=on_ground)
+    with serving(api, single=single) as port:
+        yield port
+
+
+@contextmanager
+def serving(api, *, single=False):
+    """A server of an API, in a thread of its own; its port."""
+    server = Server(api, Steps(), single=single)
     port, ready = [], threading.Event()
 
     def note(at):
@@ -34,10 +42,9 @@ def served(environment="sparse", *, single=False, image="", on_ground=False):
     thread.start()
     assert ready.wait(30.0)
     try:
-        yield port[0]
+        with socket.create_connection(("127.0.0.1", port[0])):  # until then it does not end
+            yield port[0]
     finally:
-        with suppress(OSError):  # it has ended already; else a client that leaves at once ends it
-            socket.create_connection(("127.0.0.1", port[0])).close()
         thread.join(30.0)
         assert not thread.is_alive()
 
@@ -50,8 +57,8 @@ def flown(environment, **options):
     return fly(scenario).log, there.log
 
 
-def first(port, **mission):
-    scenario = resolve(MissionSpec(environment="sparse", seed=7, **mission))
+def first(port, environment="sparse", seed=7, **mission):
+    scenario = resolve(MissionSpec(environment=environment, seed=seed, **mission))
     return new_loop(scenario, make_plant=lambda world, own: Remote(world, own, "127.0.0.1", port)).plant
 
 
@@ -100,6 +107,65 @@ def test_a_server_with_other_images_is_refused():
         first(port)
 
 
+def test_a_server_of_another_mission_is_refused():
+    with served() as port:
+        for mission, text in (
+            ({"environment": "farm", "seed": 3}, "it has environment sparse, seed 7,.* has environment farm, seed 3,"),
+            ({"seed": 8}, "it has seed 7"),
+            ({"vehicle": "small_quad"}, "it has vehicle airsim_quad; this flight has vehicle small_quad; allowed"),
+            ({"wind": 3.0}, "it has wind 0; this flight has wind 3; allowed: the same"),
+            ({"start": (1.0, 0.0, 3.0)}, "it has start .*; this flight has start 1 0, .*height 3"),
+            ({"v_max": 4.0}, "it has v_max 3; this flight has v_max 4"),
+        ):
+            with pytest.raises(BadInputError, match=text):
+                first(port, **mission)
+        first(port).close()
+    with served(wind=3.0) as port:
+        first(port, wind=3.0).close()
+
+
+def test_a_server_that_reports_nothing_is_trusted(monkeypatch):
+    monkeypatch.setattr("mavfi.bridges.airsim.scene.KEY", "AnotherKey")
+    with served() as port:
+        first(port, seed=8).close()
+        with pytest.raises(BadInputError, match="--wind: 3: the server has its own wind"):
+            first(port, wind=3.0)
+    monkeypatch.delitem(CALLS, "getSettingsString")
+    with served() as port:
+        first(port, seed=8).close()
+
+
+@pytest.mark.parametrize(("image", "seed"), [("32x24", 7), ("64x48", 8)])
+def test_a_refused_flight_changes_nothing_on_the_server(image, seed):
+    api = make_api(MissionSpec(environment="sparse", seed=7), image)
+    api.vehicle.api = True
+    with serving(api) as port, pytest.raises(BadInputError):
+        first(port, seed=seed)
+    assert api.vehicle.api and not api.paused and api.vehicle.landed and api.vehicle.position == (0.0, 0.0, 0.0)
+
+
+def test_a_server_that_refuses_later_on_is_not_left_paused(monkeypatch):
+    def refuse(api, *given):
+        raise BadInputError("no pose today")
+
+    monkeypatch.setitem(CALLS, "simSetVehiclePose", Call("simSetVehiclePose", refuse, False))
+    api = make_api(MissionSpec(environment="sparse", seed=7), "64x48")
+    with serving(api) as port:
+        with pytest.raises(MavfiError, match="no pose today"):
+            first(port)
+        assert not api.paused and not api.vehicle.api
+
+
+def test_after_a_flight_the_server_goes_on_as_before():
+    api = make_api(MissionSpec(environment="sparse", seed=7), "64x48")
+    with serving(api) as port:
+        plant = first(port)
+        assert api.paused and api.vehicle.api
+        plant.close()
+        plant.close()  # without a connection: no operation
+        assert not api.paused and not api.vehicle.api
+
+
 def test_a_server_that_is_not_there_or_goes_away_is_one_line():
     with served() as port:
         plant = first(port)
@@ -115,7 +181,8 @@ def test_a_server_that_is_not_there_or_goes_away_is_one_line():
     [
         (b"HTTP/1.0 400 Bad Request\r\n", "not one of msgpack-rpc"),
         (b"\xc1", "not one of msgpack-rpc"),  # a byte that msgpack does not use
-        (b"\x94\x01\x01\xa4full\xc0", "reset: full"),
+        (b"\x94\x01\x01\xa4full\xc0", "simGetImages: full"),
+        (b"\x94\x01\x01\xc0\x90", "not an ImageResponse"),
         (b"", "the server is gone"),
     ],
 )
