@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+import socket
 import subprocess
 import sys
 
@@ -23,12 +24,18 @@ for step in range(80):
 """
 
 
-def serve_once(*options):
-    """Serve the client, whose time passes in calls; what the server prints."""
+def start(*options):
+    """A server whose time passes in calls."""
     command = [sys.executable, "-m", "mavfi", "airsim", "serve", "--environment", "sparse", "--seed", "7"]
-    server = subprocess.Popen(
-        [*command, "--clock", "steps", "--port", "0", "--once", *options], stdout=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen(
+        [*command, "--clock", "steps", "--port", "0", *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+
+
+def serve_once(*options):
+    """Serve the client; what the server prints."""
+    server = start("--once", *options)
     try:
         ready = server.stdout.readline()
         port = re.search(r"127\.0\.0\.1:(\d+)", ready)[1]
@@ -38,6 +45,25 @@ def serve_once(*options):
     finally:
         server.send_signal(signal.SIGKILL)
         server.wait(30)
+
+
+def test_ctrl_c_prints_what_the_clients_did():
+    msgpack = pytest.importorskip("msgpack")
+    server = start("--fault", "simPause.is_paused:bit=0@100")
+    try:
+        port = re.search(r"127\.0\.0\.1:(\d+)", server.stdout.readline())[1]
+        with socket.create_connection(("127.0.0.1", int(port))) as client:
+            client.sendall(msgpack.packb([0, 1, "fly", []]))
+            assert client.recv(1000)
+            server.send_signal(signal.SIGINT)
+            printed, errors = server.communicate(timeout=60)
+    finally:
+        server.kill()
+        server.wait(30)
+    assert (server.returncode, errors) == (130, "Stopped.\n")
+    text = " ".join(printed.split())
+    assert re.search(r"\d\.\d{3} s simulated, no collision, digest [0-9a-f]{16} fault: not activated", text)
+    assert "refused 1 x: server could not find function 'fly'" in text
 
 
 def test_saved_calls_train_a_detector_that_finds_the_fault(tmp_path):

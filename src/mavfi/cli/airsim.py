@@ -13,6 +13,7 @@ import typer
 from mavfi.bridges.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.cli import options
 from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, write_json
+from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, writing
 from mavfi.mission import RECOVERY, MissionSpec
 
@@ -94,7 +95,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     train: Train = None,
     save: Save = None,
 ) -> None:
-    """Serve AirSim's API on loopback, until Ctrl-C.
+    """Serve AirSim's API on loopback, until Ctrl-C; then print time, collision, digest, fault, alarms, refused calls.
 
     Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
     """
@@ -160,20 +161,26 @@ def _recording(path: Path | None) -> Iterator[Recording | None]:
 
 def _serve(server: Server, port: int, once: bool) -> None:
     import asyncio
-    from contextlib import suppress
 
     out = console()
-    spec, name = server.api.vehicle.spec, server.api.name
+    spec, name, ports = server.api.vehicle.spec, server.api.name, list[int]()
 
     def ready(at: int) -> None:
+        ports.append(at)
         out.print(f"AirSim API on 127.0.0.1:{at}: {name} in {spec.environment}, seed {spec.seed}", markup=False)
 
-    vehicle = server.api.vehicle
-    try:
-        with suppress(KeyboardInterrupt):
+    with stoppable("Stopped."):
+        try:
             asyncio.run(server.run(port, ready, once=once))
-    finally:
-        vehicle.sim.close()
+        finally:
+            server.api.vehicle.sim.close()
+            if ports:
+                _summarize(server)
+
+
+def _summarize(server: Server) -> None:
+    """Print what the clients did: time, collision, digest, fault, alarms, refused calls."""
+    out, vehicle = console(), server.api.vehicle
     hit = "collision" if vehicle.has_ever_collided else "no collision"
     out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
     if server.boundary.faulty:
