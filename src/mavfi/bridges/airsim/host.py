@@ -82,7 +82,7 @@ class AirsimProgramHost:
         require_allowed("key 'program.script'", self._program.script)
         msgpack()
         self._program.check()
-        client_version(self._program.python)
+        client_version(self._program.python, self._program.script)
 
 
 class ProgramRuns:

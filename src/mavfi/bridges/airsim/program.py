@@ -118,7 +118,7 @@ class _Run:
 
     def __init__(self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> None:
         self._program, self._boundary = program, boundary
-        version = program.version or client_version(program.python)
+        version = program.version or client_version(program.python, program.script)
         self._api = make_api(spec, program.image, program.vehicle, version)
         clock = Steps(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
         self._server = Server(self._api, clock, boundary)
@@ -191,39 +191,48 @@ def _environment() -> dict[str, str]:
 
 
 _VERSION = """
+import sys
+sys.path[0] = sys.argv[1]
 try:
     import airsim
+    from airsim import VehicleClient
 except ImportError:
     import cosysairsim as airsim
 print(airsim.VehicleClient.getClientVersion(airsim.VehicleClient) if "cosys" not in airsim.__name__
       else airsim.VehicleClient.getClientVersion())
 """
-_VERSIONS: dict[str, int] = {}
+"""Modules are looked for where the runner looks: in the program's folder first, never in the working directory."""
+_VERSIONS: dict[tuple[str, str], int] = {}
 
 
-def client_version(python: str = "") -> int:
-    """Version of the API of a Python's AirSim client, which the server reports as its own.
+def client_version(python: str, script: str) -> int:
+    """Version of the API of the AirSim client that a program imports, which the server reports as its own.
+
+    Args:
+        python: Interpreter; "" = this one.
+        script: File of the program.
 
     Raises:
         BadInputError: It has no such client.
     """
-    if python not in _VERSIONS:
+    chosen = python, str(Path(script).absolute().parent)
+    if chosen not in _VERSIONS:
         program = python or sys.executable
         try:
             done = subprocess.run(
-                [program, "-c", _VERSION], capture_output=True, text=True, check=False, env=_environment(),
+                [program, "-c", _VERSION, chosen[1]], capture_output=True, text=True, check=False, env=_environment(),
                 stdin=subprocess.DEVNULL,
             )  # fmt: skip
         except OSError as error:
             raise BadInputError(f"--python: {program}: {error.strerror}; allowed: a Python interpreter") from None
         with suppress(ValueError):
-            _VERSIONS[python] = int(done.stdout)
-        if python not in _VERSIONS:
+            _VERSIONS[chosen] = int(done.stdout)
+        if chosen not in _VERSIONS:
             last = (done.stderr.strip().splitlines() or ["no version"])[-1]
             raise BadInputError(
                 f"--python: {program}: has no AirSim client ({last}); allowed: with the package airsim or cosysairsim"
             )
-    return _VERSIONS[python]
+    return _VERSIONS[chosen]
 
 
 def world_address(text: str) -> tuple[str, int]:

@@ -49,8 +49,9 @@ def test_a_program_goes_through_the_api():
     assert len(found.pop("seen")) == 64
     assert "API control is off" in found.pop("refused")
     assert found == {
-        "version": client_version(), "size": [256, 144], "takeoff": True, "state": 1, "position": True, "path": True,
-        "collided": False, "continued": 500_000_000, "paused": True, "cancelled": False, "api": False, "hit": "wall",
+        "version": client_version("", __file__), "size": [256, 144], "takeoff": True, "state": 1, "position": True,
+        "path": True, "collided": False, "continued": 500_000_000, "paused": True, "cancelled": False, "api": False,
+        "hit": "wall",
     }  # fmt: skip
     assert ended.collided  # also after a reset
 
@@ -82,6 +83,18 @@ def test_what_a_fault_does_to_a_program(box, fault, effect):
     injected = run(EXAMPLES / "box.py", fault=fault)
     assert effect_on(box, injected) == effect
     assert (injected.boundary.injected is not None) == (effect != "not activated")
+
+
+@pytest.mark.parametrize("module", ["airsim/notes.txt", "airsim/__init__.py", "airsim.py"])
+@pytest.mark.parametrize("place", ["beside", "working"])
+def test_a_folder_named_airsim_is_not_taken_for_the_library(tmp_path, monkeypatch, place, module):
+    script, other = tmp_path / "short.py", tmp_path / ("" if place == "beside" else "work") / module
+    other.parent.mkdir(parents=True, exist_ok=True)
+    other.write_text("")
+    script.write_text("import airsim\nprint(airsim.MultirotorClient().ping())\n")
+    monkeypatch.chdir(tmp_path if place == "beside" else tmp_path / "work")
+    ended = run(script)
+    assert (ended.how, ended.reason, ended.output) == ("ended", "", "True\n")
 
 
 def test_the_worst_that_a_fault_does_comes_first(box):
