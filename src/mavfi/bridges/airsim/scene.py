@@ -32,16 +32,9 @@ _DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}
 _KNOWN_WEATHER = {0: "Rain", 1: "Roadwetness", 2: "Snow", 3: "RoadSnow", 4: "MapleLeaf", 5: "RoadLeaf", **_DRAWN}
 _NOTHING = (
     "simFlushPersistentMarkers", "simPlotPoints", "simPlotLineStrip", "simPlotLineList", "simPlotArrows",
-    "simPlotStrings", "simPlotTransforms", "simPlotTransformsWithNames", "simSetTraceLine",
+    "simPlotStrings", "simPlotTransforms", "simPlotTransformsWithNames", "simSetTraceLine", "simSetTimeOfDay",
 )  # fmt: skip
-"""Calls that draw into AirSim's window, which does not exist here; no other call returns what they draw."""
-_REFUSED = {
-    "simAddVehicle": "one vehicle flies here",
-    "simSetTimeOfDay": "daylight is not drawn",
-    "startRecording": "images are not recorded; simGetImages returns them",
-    "simSetExtForce": "external forces are not applied; wind is (simSetWind)",
-    **dict.fromkeys(("setCarControls", "getCarState", "getCarControls"), "the vehicle is a multirotor"),
-}
+"""Calls that draw into AirSim's window, which does not exist here, or move its sun, which lights no picture here."""
 
 
 # ---- connection ------------------------------------------------------------------------------------------------------
@@ -280,35 +273,33 @@ def _(api: Api, enable: bool) -> None:
 
 @call("simSetWeatherParameter")
 def _(api: Api, param: int, val: float) -> None:
-    if param not in _DRAWN:
+    """A value of 0 is accepted for all weather: there is none."""
+    if param not in _DRAWN and not (param in _KNOWN_WEATHER and val == 0.0):
         known = _KNOWN_WEATHER.get(param, "unknown")
         allowed = ", ".join(f"{number} ({name})" for number, name in _DRAWN.items())
         raise BadInputError(f"simSetWeatherParameter: {param} ({known}): not drawn; allowed: {allowed}")
     api.weather[param] = min(1.0, max(0.0, float(val)))
 
 
+@call("startRecording")
+def _(api: Api) -> None:
+    """Nothing is written; the program flies as if it were."""
+    api.recording = True
+
+
 @call("stopRecording")
 def _(api: Api) -> None:
-    """Nothing is recorded."""
+    api.recording = False
 
 
 @call("isRecording")
 def _(api: Api) -> bool:
-    return False
+    return api.recording
 
 
 def _nothing(api: Api, *arguments: Any) -> None:
     """Draw nothing."""
 
 
-def _refuse(name: str, reason: str) -> None:
-    def refused(api: Api, *arguments: Any) -> None:
-        raise BadInputError(f"{name}: {reason}")
-
-    call(name)(refused)
-
-
 for _name in _NOTHING:
     call(_name)(_nothing)
-for _name, _reason in _REFUSED.items():
-    _refuse(_name, _reason)

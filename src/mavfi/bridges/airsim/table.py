@@ -41,6 +41,7 @@ class Api:
         weather: Parameters of the picture, by AirSim's number.
         weather_on: Whether they are drawn.
         sticks: Last data of moveByRC.
+        recording: Whether the program asked for a recording; nothing is written.
     """
 
     vehicle: ApiVehicle
@@ -55,6 +56,7 @@ class Api:
     weather: dict[int, float] = field(default_factory=dict)
     weather_on: bool = False
     sticks: dict[str, float] = field(default_factory=dict)
+    recording: bool = False
 
     def __post_init__(self) -> None:
         self.name_objects()
