@@ -3,7 +3,8 @@
 A fault is text, `CALL.PATH[:bit=B][@SECONDS]` or `CALL.PATH:bit=B#N`: a bit of one number in the first call of this
 name at or after an instant, or in its N-th.  PATH leads through the arguments by name (`moveByVelocity.vx`,
 `moveOnPath.path.0.x_val`) or, after `return`, through the returned value (`simGetVehiclePose.return.position.z_val`);
-`arguments#K` and `return#K` are the K-th number of all.
+`arguments#K` and `return#K` are the K-th number of all.  A bit is one of the type in AirSim's signature: an argument
+that the program gives as 2 is flipped as the double 2.0.
 
 A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, changes what calls measure and do.
 """
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 from mavfi.bridges.airsim.table import CALLS
-from mavfi.bridges.airsim.values import Path, count, flip, keys_of, leaves, path_of
+from mavfi.bridges.airsim.values import Path, count, flip, keys_of, leaves, make_double, path_of
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError
@@ -172,6 +173,8 @@ class Boundary:
         path = planned.path_in(value) if self._count >= fault.at else None
         if path is None:
             return value
+        if not in_return and CALLS[name].is_double(path):
+            make_double(value, path)
         try:
             value, before, after, bit = flip(value, path, fault.bit or 0)
             if fault.bit is None:

@@ -216,7 +216,9 @@ _ATTITUDES = {
 
 
 def _add_attitude_task(name: str, arguments: str) -> None:
-    parameters = [Parameter(one, Parameter.POSITIONAL_ONLY) for one in ("api", *arguments.split(), "duration")]
+    numbers = (*arguments.split(), "duration")
+    parameters = [Parameter("api", Parameter.POSITIONAL_ONLY)]
+    parameters += [Parameter(one, Parameter.POSITIONAL_ONLY, annotation=float) for one in numbers]
     parameters.append(Parameter("vehicle_name", Parameter.POSITIONAL_ONLY, default=""))
 
     def fly(api: Api, *given: Any) -> Task:

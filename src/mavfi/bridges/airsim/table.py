@@ -1,7 +1,7 @@
 """The table of calls of AirSim's API: every call is a function of an `Api` and its arguments, registered by name."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -13,6 +13,11 @@ GROUND = "Ground"
 """Name of the ground plane."""
 DESTROYED = -3
 """`Contact.obstacle` of an obstacle that was destroyed after the contact."""
+
+_DOUBLES = frozenset(
+    "w_val x_val y_val z_val yaw_or_rate rad latitude longitude altitude pitch roll yaw throttle left_z right_z".split()
+)
+"""Numbers in objects that are doubles or floats in AirSim."""
 
 
 @dataclass(slots=True)
@@ -97,6 +102,13 @@ class Call:
     def arguments(self) -> list[str]:
         """Names of its parameters."""
         return [parameter.name for parameter in self.parameters]
+
+    def is_double(self, path: Sequence[str | int]) -> bool:
+        """Whether AirSim's signature has a double or float at a path, which begins with the place of an argument."""
+        place, *inside = path
+        if inside:
+            return inside[-1] in _DOUBLES
+        return isinstance(place, int) and place < len(self.parameters) and self.parameters[place].annotation is float
 
     def check(self, api: Api, given: list[Any]) -> None:
         """Check the number of arguments and the name of the vehicle.

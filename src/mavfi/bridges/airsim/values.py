@@ -56,6 +56,18 @@ def keys_of(text: str) -> Path:
     return tuple(int(part) if part.isdecimal() else part for part in text.split(".") if part)
 
 
+def make_double(holder: Any, path: Path) -> None:
+    """Turn the integer at a path, if there is one, into a double of the same value; in place."""
+    *outer, last = path
+    try:
+        for key in outer:
+            holder = holder[key]
+        if type(holder[last]) is int:  # a boolean stays one
+            holder[last] = float(holder[last])
+    except (KeyError, IndexError, TypeError):
+        pass
+
+
 def bits_of(value: Any) -> int:
     """Number of bits of a number; 8 for one of bytes."""
     return 1 if isinstance(value, bool) else _WORD

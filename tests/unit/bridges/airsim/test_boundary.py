@@ -5,6 +5,7 @@ import pytest
 
 from mavfi.bridges.airsim import flying, scene, sensing  # noqa: F401 - register their calls
 from mavfi.bridges.airsim.boundary import Boundary, Recording, parse_fault
+from mavfi.bridges.airsim.table import CALLS
 from mavfi.errors import BadInputError
 
 VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
@@ -23,6 +24,33 @@ def test_an_argument_is_changed_once_from_its_instant_on():
     assert call(boundary, "moveByVelocity", list(VELOCITY), True, 4_000_000)[0] == VELOCITY
     found = boundary.injection
     assert (found.time_s, found.bit, found.before, found.after, found.activated) == (3.0, 63, 2.0, -2.0, True)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "given", "after"),
+    [
+        ("moveByVelocity.vx:bit=62", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 0.0),
+        ("moveByVelocity.arguments#0:bit=52", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 4.0),
+        ("moveByVelocity.drivetrain:bit=1", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 2),
+        ("moveByVelocity.yaw_mode.is_rate:bit=0", "moveByVelocity", [2, 0, 0, 1, 0, {"is_rate": True}, ""], False),
+        ("moveByVelocity.yaw_mode.yaw_or_rate:bit=63", "moveByVelocity", [2, 0, 0, 1, 0, {"yaw_or_rate": 9}, ""], -9.0),
+        ("moveOnPath.path.0.x_val:bit=63", "moveOnPath", [[{"x_val": 3}]], -3.0),
+        ("moveByAngleZ.roll:bit=63", "moveByAngleZ", [0, 1, -3, 0, 1, ""], -1.0),
+        ("simPlotPoints.arguments#0:bit=1", "simPlotPoints", [1], 3),
+    ],
+)
+def test_a_number_has_the_type_of_airsim_s_signature_however_the_program_writes_it(text, name, given, after):
+    boundary = Boundary(parse_fault(text))
+    boundary.arguments(name, given, 0)
+    assert boundary.injection.after == after and type(boundary.injection.after) is type(after)
+
+
+def test_every_number_of_a_task_has_its_type():
+    words = {"path", "yaw_mode", "vehicle_name"}
+    tasks = [one for one in CALLS.values() if one.is_task]
+    assert len(tasks) > 20 and {
+        parameter.annotation for one in tasks for parameter in one.parameters if parameter.name not in words
+    } == {int, float}
 
 
 @pytest.mark.parametrize(
