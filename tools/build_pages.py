@@ -27,6 +27,7 @@ from mavfi.pipeline.words import words_of
 from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
 from tools import build_reference
+from tools.fault_levels import level_table
 from tools.markers import DOCS, between
 
 _INSTANT_US = 10_000_000
@@ -171,6 +172,7 @@ def pages() -> dict[Path, str]:
     fault_model = DOCS / "fault-model.md"
     model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
     model = between(model, "sensors", sensor_table())
+    model = between(model, "levels", level_table())
     return {
         DOCS / "ros.md": ros_page(),
         fault_model: between(model, "memory", memory_table()),

@@ -31,6 +31,7 @@ from mavfi.mission import MissionSpec
 from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.text import markdown_grid
 from tools import firmware_patterns as patterns
+from tools.fault_levels import level_table
 from tools.markers import DOCS, GENERATED, banner, fill
 
 OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
@@ -240,7 +241,7 @@ def main() -> None:
         golden_missions(asked.name, asked.count)
     else:
         PAGE.write_text(page(asked.campaign), encoding="utf-8")
-        fill(DOCS / "fault-model.md", {"firmware": headline()})
+        fill(DOCS / "fault-model.md", {"firmware": headline(), "levels": level_table()})
         print(f"wrote {PAGE}")
 
 
