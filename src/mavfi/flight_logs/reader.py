@@ -70,7 +70,7 @@ class FlightLogReader(Protocol):
     """Reads one file.
 
     A reader may have `recommended`: fields worth monitoring, by topic, with names as in its messages; without it, all
-    numbers of all topics are.
+    numbers of all topics are.  It may have `is_cut()`: whether the file ends within a message.
     """
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:

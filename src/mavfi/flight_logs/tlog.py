@@ -14,8 +14,11 @@ from mavfi.flight_logs.record import Record
 _GROUND_STATION = 250
 """Systems from this number on are ground stations."""
 _KINDS = {code: kind for kind, code in FORMATS.items() if kind not in ("byte", "char", "bool")}
-_HEADERS = {0xFE: 6, 0xFD: 10}
+_MAVLINK_2 = 0xFD
+_HEADERS = {0xFE: 6, _MAVLINK_2: 10}
 """Size of the header by its first byte, for MAVLink 1 and 2."""
+_STAMP, _CHECKSUM, _SIGNATURE = 8, 2, 13
+"""Sizes of what comes before a packet, and behind it."""
 _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
 
 
@@ -47,6 +50,19 @@ class TlogReader:
             raise BadInputError(f"{path}: is not {kind} that can be read (no MAVLink message of a vehicle)")
         check_topics(path, topics, {message.topic for message in found})
         yield from (message for message in found if not topics or message.topic in topics)
+
+    def is_cut(self) -> bool:
+        """Whether the file ends within a message, as after a loss of power."""
+        data, place = self._path.read_bytes(), 0
+        while place < len(data):
+            magic = data[place + _STAMP : place + _STAMP + 3]
+            if len(magic) < 3:
+                return True
+            if magic[0] not in _HEADERS:
+                return False  # damaged elsewhere
+            signed = magic[0] == _MAVLINK_2 and magic[2] & 1
+            place += _STAMP + _HEADERS[magic[0]] + magic[1] + _CHECKSUM + (_SIGNATURE if signed else 0)
+        return place != len(data)
 
 
 def _all_of(link: Any) -> Iterator[LoggedMessage]:

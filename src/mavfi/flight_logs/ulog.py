@@ -1,5 +1,6 @@
 """PX4's ULog files, with the library pyulog (extra `logs`)."""
 
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
@@ -13,6 +14,9 @@ from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
 from mavfi.flight_logs.record import Record, numeric
 
 _LANDED = "vehicle_land_detected"
+_FILE_HEADER = 16
+_HEADER = struct.Struct("<HB")
+"""Of a message: size of what follows, type."""
 
 
 def _indexed(name: str, count: int) -> tuple[str, ...]:
@@ -64,6 +68,15 @@ class UlogReader:
                 for time_us, row in zip(times[flown].tolist(), rows[flown], strict=True)
             ]
         yield from sorted(messages, key=lambda message: message.time_us)
+
+    def is_cut(self) -> bool:
+        """Whether the file ends within a message, as after a loss of power."""
+        data = self._path.read_bytes()
+        place = _FILE_HEADER
+        while place + _HEADER.size <= len(data):
+            size, _ = _HEADER.unpack_from(data, place)
+            place += _HEADER.size + size
+        return place != len(data)
 
     def _data_sets(self) -> dict[str, dict[str, np.ndarray]]:
         """Columns by topic; a damaged file, of which the library reads only the rest, is a BadInputError."""

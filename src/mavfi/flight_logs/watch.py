@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, allowed
 from mavfi.faults.message.definition import AbsentError, Leaf, flip_bit
 from mavfi.faults.strata import bits_of
 from mavfi.flight_logs.probe import LONGEST_LIST, Probe
@@ -34,12 +34,14 @@ class Recording:
         messages: In order of time.
         onset_us: Start of a known fault (us, by the clock of the file); None = none known.
         recommended: Fields worth monitoring, by topic, as known by the reader; empty = all numbers.
+        cut: Whether the file ends within a message.
     """
 
     name: str
     messages: list[LoggedMessage]
     onset_us: int | None = None
     recommended: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    cut: bool = False
 
     @property
     def normal(self) -> "Recording":
@@ -74,7 +76,9 @@ def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Rec
         check_topics(path, [topic], {message.topic for message in messages})
     onset = _onset([message for message in messages if message.topic == topic], number) if fault else None
     others = [message for message in messages if not fault or message.topic != topic]
-    return Recording(path.name, others, onset, getattr(reader, "recommended", {}))
+    is_cut = getattr(reader, "is_cut", None)
+    cut = is_cut is not None and is_cut()
+    return Recording(path.name, others, onset, getattr(reader, "recommended", {}), cut)
 
 
 def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
@@ -109,13 +113,20 @@ def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[
         usable = [name for name in names if all(_is_finite(group[topic], name) for group in groups)]
         if usable:
             probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
-    _check_wanted(wanted, probes)
+    _check_wanted(wanted, probes, groups, shared, _cut(recordings))
     if not probes:
+        names = ", ".join(recording.name for recording in recordings)
         raise BadInputError(
-            f"{', '.join(recording.name for recording in recordings)}: no numbers in common; allowed: topics with "
-            f"{_LEAST_MESSAGES} messages or more in each recording, with finite numbers"
+            f"{names}: no numbers in common{_cut(recordings)}; allowed: topics with {_LEAST_MESSAGES} messages or more "
+            "in each recording, with finite numbers"
         )
     return probes
+
+
+def _cut(recordings: Sequence[Recording]) -> str:
+    """Which files are cut, as a part of a message; "" = none."""
+    names = [recording.name for recording in recordings if recording.cut]
+    return f" ({', '.join(names)}: cut, the last message is not complete)" if names else ""
 
 
 def _by_topic(recording: Recording) -> dict[str, list[LoggedMessage]]:
@@ -146,13 +157,27 @@ def _is_finite(messages: Sequence[LoggedMessage], name: str) -> bool:
     return bool(np.isfinite(np.array(values, np.float64)).all())
 
 
-def _check_wanted(wanted: Sequence[str], probes: Mapping[str, Probe]) -> None:
+def _check_wanted(
+    wanted: Sequence[str], probes: Mapping[str, Probe], groups: Sequence[dict[str, list[LoggedMessage]]],
+    shared: Sequence[str], cut: str,
+) -> None:  # fmt: skip
+    """Refuse wanted fields that are not monitored, and name the nearest ones."""
     found = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
     for name in wanted:
         topic, _, path = name.rpartition(":")
-        if not any(path == own and topic in ("", held) for held, own in found):
-            raise BadInputError(f"--fields: {name}: allowed: a finite number in all recordings, {_LEAST_MESSAGES} "
-                                "messages or more in each")  # fmt: skip
+        if any(path == own and topic in ("", held) for held, own in found):
+            continue
+        held = [topic] if topic in shared else shared
+        numbers = [
+            f"{own}:{number}" if topic else number
+            for own in held
+            for number in groups[0][own][0].layout.numbers(groups[0][own][0].data, LONGEST_LIST)
+            if all(_is_finite(group[own], number) for group in groups)
+        ]
+        raise BadInputError(
+            f"--fields: {name}: not a finite number in all recordings, in {_LEAST_MESSAGES} messages or more of "
+            f"each{cut}; allowed: {allowed(numbers, name)}"
+        )
 
 
 # ---- judging -------------------------------------------------------------------------------------------------------

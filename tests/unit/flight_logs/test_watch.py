@@ -7,6 +7,7 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
+from mavfi.flight_logs.reader import open_flight_log
 from mavfi.flight_logs.watch import Judged, LogAlarm, LogWatch, Recording, read_recording, select
 from mavfi.reports.log_watch import Rates
 
@@ -62,6 +63,32 @@ def test_a_known_fault_is_judged_by_its_delay(files):
     assert found.exposure_s == pytest.approx(8.98) and found.after_fault_s == pytest.approx(2.98)
 
 
+@pytest.mark.parametrize("ending", ["ulg", "tlog"])
+def test_a_file_that_is_cut_is_named(files, tmp_path, ending):
+    whole = files(ending, "a")
+    data = whole.read_bytes()
+    cut = tmp_path / f"short.{ending}"
+    for missing in range(1, 6):
+        cut.write_bytes(data[:-missing])
+        assert open_flight_log(cut).is_cut()
+    cut.write_bytes(data[: {"ulg": 2600, "tlog": 700}[ending]])
+    recordings = [read_recording(whole), read_recording(cut)]
+    assert not recordings[0].cut and recordings[1].cut
+    with pytest.raises(BadInputError, match=rf"no numbers in common \(short.{ending}: cut, the last message"):
+        select(recordings)
+
+
+def test_a_field_that_is_not_there_is_answered_with_the_nearest_names(files):
+    pytest.importorskip("pyulog")
+    pair = [read_recording(files("ulg", name)) for name in ("a", "b")]
+    with pytest.raises(BadInputError, match=r"vehicle_attitude:qq: .*; allowed: vehicle_attitude:q\[\d\], "):
+        select(pair, ["vehicle_attitude:qq"])
+    with pytest.raises(BadInputError, match=r"velocity: .*; allowed: velocity\[\d\], "):
+        select(pair, ["velocity"])
+    with pytest.raises(BadInputError, match=r"attitude:q\[0\]: .*; allowed: vehicle_attitude:q\[0\], "):
+        select(pair, ["attitude:q[0]"])
+
+
 def test_alarms_close_together_are_one_event():
     alarms = [LogAlarm(0, time, "row", 2.0, ()) for time in (0, 900_000, 1_800_000, 5_000_000)]
     assert Judged("x", 3600.0, 10, alarms, []).events == 2
@@ -78,7 +105,7 @@ def test_gaps_are_no_exposure(recordings, watching):
 
 @pytest.mark.parametrize("wanted", ["row:no_such", "vy:x", "no_such"])
 def test_fields_that_are_not_in_all_recordings_are_refused(recordings, wanted):
-    with pytest.raises(BadInputError, match=f"--fields: {wanted}: allowed"):
+    with pytest.raises(BadInputError, match=f"--fields: {wanted}: not a finite number in all .*; allowed: "):
         select(list(recordings.values()), [wanted])
 
 
