@@ -91,7 +91,10 @@ def _fault(result: FlightResult) -> list[RenderableType]:
         return []
     log = result.log
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
-    return [Text(), story_table([*story, ("effect", f"{effect.label}: {_MEANING.get(effect, effect.value)}")])]
+    text = f"{effect.label}: {_MEANING.get(effect, effect.value)}"
+    if effect is Effect.MASKED and not any(injection.activated for injection in log.injections):
+        text = "none: nothing was injected, the flight is the golden run"
+    return [Text(), story_table([*story, ("effect", text)])]
 
 
 def _alarms(result: FlightResult) -> list[RenderableType]:

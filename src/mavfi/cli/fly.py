@@ -43,9 +43,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     picture: options.Picture = None,
     html: options.Html = None,
     live: observing.Live = False,
-    live_port: observing.LivePort = 8765,
+    live_port: observing.LivePort = observing.DEFAULT_PORT,
     mavlink: observing.Mavlink = None,
-    pace: observing.Pace = 1.0,
+    pace: observing.Pace = observing.REAL_TIME,
     world: World = None,
 ) -> None:
     """Fly one mission and report its result; with a fault, compare it with the golden run.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mavfi.reports.export.telemetry import Telemetry
 
 _LAST_PORT = 65_535
+DEFAULT_PORT, REAL_TIME = 8765, 1.0
 Live = Annotated[bool, typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live).")]
 LivePort = Annotated[int, typer.Option(help="TCP port of --live on loopback; 0 = any free one.")]
 Mavlink = Annotated[
@@ -31,6 +32,10 @@ def check_options(live: bool, live_port: int, mavlink: int | None, pace: float, 
     check_number("--live-port", live_port, 0, _LAST_PORT)
     check_number("--mavlink", mavlink, 1, _LAST_PORT)
     check_number("--pace", pace, 0, 1000)
+    if live_port != DEFAULT_PORT and not live:
+        raise BadInputError(f"--live-port: {live_port}: no flight is served; allowed: together with --live")
+    if pace != REAL_TIME and not live and mavlink is None:
+        raise BadInputError(f"--pace: {pace:g}: nothing shows the flight; allowed: together with --live or --mavlink")
     if (live or mavlink is not None) and (fault or "").startswith("instruction"):
         option = "--live" if live else "--mavlink"
         raise BadInputError(

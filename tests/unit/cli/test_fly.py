@@ -252,3 +252,22 @@ def test_an_empty_cache_is_filled_on_all_processors(monkeypatch, capsys):
         monkeypatch.setattr("mavfi.cli.progress.compiling", lambda own=cold, **_: nullcontext(own))
         assert run(["fly", "--environment", "sparse", "--seed", "7", "--json"]) == 0
     assert compiled == [(7, os.cpu_count())]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--pace", "3"], "--pace: 3: nothing shows the flight; allowed: together with --live or --mavlink"),
+        (["--live-port", "9000"], "--live-port: 9000: no flight is served; allowed: together with --live"),
+    ],
+)
+def test_options_of_a_flight_that_nobody_sees_are_refused(capsys, options, text):
+    assert run(["fly", *options]) == 2
+    assert text in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_fault_that_comes_after_the_flight_has_no_effect_and_is_not_called_masked(capsys):
+    fault = "sensor:gyro:off@1000"
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--fault", fault]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "not activated" in out and "none: nothing was injected" in out and "masked" not in out
