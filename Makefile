@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors firmware hardening pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors airsim coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -101,6 +101,9 @@ cluster: setup  ## cost of campaigns of up to 100,000 missions without their fli
 
 memory: setup  ## memory of a worker over 1,500 state-level and 300 instruction-level runs: flat, or does it grow?
 	@$(BIN)/python -m benchmarks.memory
+
+airsim: setup  ## speed of client programs of AirSim in simulated time; writes the table in docs/airsim.md (N=...)
+	@$(BIN)/python -m benchmarks.airsim
 
 coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling
