@@ -115,9 +115,9 @@ def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[
             probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
     _check_wanted(wanted, probes, groups, shared, _cut(recordings))
     if not probes:
-        names = ", ".join(recording.name for recording in recordings)
+        files = ", ".join(recording.name for recording in recordings)
         raise BadInputError(
-            f"{names}: no numbers in common{_cut(recordings)}; allowed: topics with {_LEAST_MESSAGES} messages or more "
+            f"{files}: no numbers in common{_cut(recordings)}; allowed: topics with {_LEAST_MESSAGES} messages or more "
             "in each recording, with finite numbers"
         )
     return probes
