@@ -13,8 +13,9 @@ from typing import Any
 from mavfi.campaign.analysis.pairs import Paired, mcnemar
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.hardening.battery import SDC, Battery, Place, counts_of
+from mavfi.campaign.hardening.learned import affordable
 from mavfi.campaign.hardening.observed import Seen
-from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference
+from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference, ratio_bounds
 from mavfi.faults.instruction.build import cached_build
 from mavfi.faults.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
@@ -95,6 +96,34 @@ class Certificate:
         }  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class Unprotected:
+    """What fresh faults show of a function that the plan leaves as it is.
+
+    Attributes:
+        kernel: That calls it, as in a campaign's sampling.
+        function: Module and name.
+        signature: Numba types of its arguments.
+        instructions: Its dynamic instructions in the observed flights.
+        effects: Effects of injections, by number.
+    """
+
+    kernel: str
+    function: str
+    signature: str
+    instructions: int
+    effects: dict[str, int]
+
+    @property
+    def sdc(self) -> Rate:
+        """Silent corruptions per injection."""
+        return wilson(self.effects.get(SDC, 0), sum(self.effects.values()))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self) | {"sdc": asdict(self.sdc)}
+
+
 def verdict_of(measured: Rate, predicted: Coverage | None) -> str:
     """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %."""
     if predicted is None or measured.rate is None:
@@ -168,15 +197,37 @@ def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
     )  # fmt: skip
 
 
-def together(certificates: Sequence[Certificate]) -> Rate:
-    """Coverage over several functions, each weighted by its silent corruptions per flight."""
+def observe_plain(kernel: str, seen: Seen, faults: int, *address: Any) -> Unprotected:
+    """Inject at most `faults` faults in a function that is not protected, fewer in long calls."""
+    battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
+    function = name_of(seen.function)
+    random = stream(0, "certificate", function, seen.signature_text, *map(str, address))
+    effects = battery.run(battery.draw(random, min(faults, affordable(battery))))
+    return Unprotected(kernel, function, seen.signature_text, seen.instructions, counts_of(effects))
+
+
+def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
+    """Share of the silent corruptions of several functions that is removed: none of those in `others`.
+
+    Each function is weighted by its silent corruptions per flight.  With `others` the bounds are the products of those
+    of the coverage of protected functions and of their share of all silent corruptions.
+    """
     known = [one for one in certificates if one.sdc_before.rate is not None]
+    rest = [one for one in others if one.sdc.rate is not None]
     if not known:
         return Rate(0, None, None, None)
-    whole = sum(one.instructions for one in known)
+    whole = sum(one.instructions for one in (*known, *rest))
     before = _sum([(one.instructions / whole, one.sdc_before) for one in known])
     after = _sum([(one.instructions * one.growth / whole, one.sdc_after) for one in known])
-    return coverage(before, after, 1.0)
+    found = coverage(before, after, 1.0)
+    if not rest or found.rate is None:
+        return found
+    left = _sum([(one.instructions / whole, one.sdc) for one in rest])
+    assert left.rate is not None and before.rate is not None  # as with any injection
+    shares = [1 / (1 + ratio) for ratio in ratio_bounds(left, before)]  # of the protected functions: highest, lowest
+    _, low, high = bounds_of(found)
+    products = [bound * share for bound in (low, high) for share in shares]
+    return Rate(found.n, found.rate * before.rate / (before.rate + left.rate), min(products), max(products))
 
 
 def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
@@ -196,3 +247,9 @@ def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
         for one, planned in found:
             ahead.submit(cached_build, one.function, one.signature, Protection(planned))
     return [Pair.of(one, planned) for one, planned in found]
+
+
+def unprotected(seen: Sequence[Seen], plan: Plan) -> list[Seen]:
+    """The observed functions that are not among `pairs_of`."""
+    named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
+    return [one for one, planned in named if planned is None or not planned.sites]

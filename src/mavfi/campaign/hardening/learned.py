@@ -39,12 +39,15 @@ class Injected:
     world: str
 
 
+def affordable(battery: Battery) -> int:
+    """Number of faults that take some seconds."""
+    return int(np.clip(_WORK / battery.counts.mean(), FEWEST, MOST))
+
+
 def injections_in(seen: Seen, faults: int | None = None, seed: int = 0) -> list[Injected]:
     """Inject faults in the recorded calls of a function; by default fewer in long calls."""
     battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
-    if faults is None:
-        faults = int(np.clip(_WORK / battery.counts.mean(), FEWEST, MOST))
-    places = battery.draw(stream(seed, "harden", name_of(seen.function)), faults)
+    places = battery.draw(stream(seed, "harden", name_of(seen.function)), faults or affordable(battery))
     return [
         Injected(place.block, place.offset, effect == SDC, str(place.call))
         for place, effect in zip(places, battery.run(places), strict=True)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,19 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of, prepare_all
-from mavfi.campaign.hardening.certify import REFUTED, Certificate, certify, pairs_of
+from mavfi.campaign.hardening.certify import (
+    REFUTED,
+    Certificate,
+    Unprotected,
+    certify,
+    observe_plain,
+    pairs_of,
+    together,
+    unprotected,
+)
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Learn, injections_in
-from mavfi.campaign.hardening.observed import Seen, observe
+from mavfi.campaign.hardening.observed import Seen, entries_of, observe
 from mavfi.campaign.hardening.target import Target, targets_of
 from mavfi.campaign.mission import host_of
 from mavfi.campaign.overheads import processor
@@ -24,6 +33,7 @@ from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, writing
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.ir.build import name_of
 from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, PLANNERS
 
@@ -77,6 +87,11 @@ class Study:
         planners = dict.fromkeys([own, *(kernel for kernel in self.kernels if kernel in PLANNERS)])
         common = tuple(kernel for kernel in INJECTABLE if kernel not in PLANNERS)
         return {planner: (*common, planner) for planner in planners if planner in PLANNERS}
+
+    @property
+    def complete(self) -> bool:
+        """Whether its kernels are all of the missions that are flown."""
+        return all(kernel in self.kernels for kernels in self.by_planner().values() for kernel in kernels)
 
     def scenario(self, environment: str, seed: int, planner: str) -> Scenario:
         """A mission of the campaign."""
@@ -165,6 +180,8 @@ class Certification:
         missions: Environment and seed of the missions.
         certificates: By function.
         golden: Flights in which all calls run protected code.
+        others: Functions of the study's kernels that the plan leaves as they are.
+        scope: Kernels whose silent corruptions are counted; () = all of the missions.
     """
 
     plan: str
@@ -172,6 +189,13 @@ class Certification:
     missions: tuple[str, ...]
     certificates: tuple[Certificate, ...]
     golden: GoldenCheck
+    others: tuple[Unprotected, ...] = ()
+    scope: tuple[str, ...] = ()
+
+    @property
+    def coverage(self) -> Rate:
+        """Share of the silent corruptions in `scope` that is removed."""
+        return together(self.certificates, self.others)
 
     @property
     def refuted(self) -> bool:
@@ -191,24 +215,30 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
             "seeds are not known to be fresh; allowed: the ledger of the plan"
         )
     certificates: list[Certificate] = []
+    others: list[Unprotected] = []
     golden = GoldenCheck()
     missions: list[str] = []
     for planner, kernels in study.by_planner().items():
-        scenarios = study.fresh(planner)
-        done = {(one.function, one.signature) for one in certificates}
         flown: list[Seen] = []
-        for scenario in scenarios:
+        for scenario in study.fresh(planner):
             tell(f"flying {scenario.environment.name} {scenario.seed} with {planner}")
             flown += [seen for own in observe(scenario, kernels).values() for seen in own]
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
-        for pair in pairs_of(merged(flown), plan):
-            if (pair.planned.function, pair.planned.signature) not in done:
-                tell(f"injecting {3 * faults} faults in {pair.planned.function}")
-                certificates.append(certify(pair, faults, plan.digest))
+        done = {(one.function, one.signature) for one in (*certificates, *others)}
+        known = [one for one in merged(flown) if one.entry in entries_of(study.kernels)]
+        fresh = [one for one in known if (name_of(one.function), one.signature_text) not in done]
+        for pair in pairs_of(fresh, plan):
+            tell(f"injecting {3 * faults} faults in {pair.planned.function}")
+            certificates.append(certify(pair, faults, plan.digest))
+        for one in unprotected(fresh, plan):
+            tell(f"injecting faults in {name_of(one.function)}, which is not duplicated")
+            kernel = next(kernel for kernel in kernels if one.entry in INJECTABLE[kernel])
+            others.append(observe_plain(kernel, one, faults, plan.digest))
     if not certificates:
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
-    return Certification(plan.digest, faults, tuple(missions), tuple(certificates), golden)
+    scope = () if study.complete else study.kernels
+    return Certification(plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope)
 
 
 def merged(seen: Sequence[Seen]) -> list[Seen]:
@@ -242,5 +272,7 @@ def certification_json(certification: Certification) -> dict[str, Any]:
     return {
         "plan": certification.plan, "faults": certification.faults, "missions": list(certification.missions),
         "refuted": certification.refuted, "golden": certification.golden.to_json(),
+        "coverage": asdict(certification.coverage), "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],
+        "unprotected": [one.to_json() for one in certification.others],
     }  # fmt: skip

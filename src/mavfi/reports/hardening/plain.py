@@ -7,7 +7,7 @@ from typing import Any
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.hardening.certify import REFUTED, Certificate, together
+from mavfi.campaign.hardening.certify import REFUTED, Certificate, Unprotected
 from mavfi.campaign.hardening.study import Certification
 from mavfi.reports.text import ABSENT, percent
 
@@ -23,10 +23,12 @@ def headline(summary: Mapping[str, Any]) -> str:
     named = [row["kernel"] for row in summary["kernels"] if row["added"] > 0 or row["coverage"]["rate"]]
     if not named:
         return f"Nothing can be protected within {percent(summary['budget'])} of a flight's kernel time."
+    every = "all silent corruptions (SDC)"
+    some = f"the silent corruptions (SDC) in {', '.join(row['kernel'] for row in summary['kernels'])}"
     return (
         f"Protect {', '.join(named)}: {percent(summary['spent'])} more kernel time per flight removes "
-        f"{interval(summary['coverage'])} of all silent corruptions (SDC), predicted from {summary['injections']:,} "
-        "injections."
+        f"{interval(summary['coverage'])} of {every if summary['complete'] else some}, predicted from "
+        f"{summary['injections']:,} injections."
     )
 
 
@@ -64,9 +66,11 @@ def verdict_line(certification: Certification) -> str:
     golden = certification.golden
     verdicts = [one.verdict for one in certification.certificates]
     outcome = "refuted" if certification.refuted else "confirmed"
+    scope = certification.scope
+    counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
     return (
-        f"The plan is {outcome}: {interval_of(together(certification.certificates))} of all SDCs are removed, on fresh "
-        f"missions and faults; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted; golden digests "
+        f"The plan is {outcome}: {interval_of(certification.coverage)} of {counted} are removed, on fresh missions and "
+        f"faults; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted; golden digests "
         f"equal in {golden.same} of {golden.flights} flights; {golden.alarms} false alarms in {golden.calls:,} calls."
     )
 
@@ -74,6 +78,7 @@ def verdict_line(certification: Certification) -> str:
 def certificate_table(certification: Certification) -> Table:
     """Certificates by function."""
     rows = [_certificate_row(one) for one in certification.certificates]
+    rows += [_unprotected_row(one) for one in certification.others]
     notes = (
         f"{certification.faults} faults per function in plain code, as many in protected code, uniform over its own "
         "dynamic instructions; SDCs removed: 1 - SDC after x instr. / SDC before, so that added instructions do not "
@@ -92,6 +97,12 @@ def _certificate_row(one: Certificate) -> tuple[str, ...]:
         f"×{one.growth:.2f}", interval_of(one.coverage), interval_of(one.predicted_rate), one.verdict,
         f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
     )  # fmt: skip
+
+
+def _unprotected_row(one: Unprotected) -> tuple[str, ...]:
+    known = (one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc))
+    row = dict.fromkeys(_CERTIFICATE, ABSENT) | dict(zip(_CERTIFICATE, known, strict=False)) | {"": "not duplicated"}
+    return tuple(row.values())
 
 
 def interval_of(found: Rate) -> str:

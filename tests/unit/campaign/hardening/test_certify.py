@@ -5,7 +5,15 @@ import pytest
 
 from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.hardening.battery import SDC
-from mavfi.campaign.hardening.certify import Certificate, Pair, certify, together
+from mavfi.campaign.hardening.certify import (
+    Certificate,
+    Pair,
+    Unprotected,
+    certify,
+    observe_plain,
+    together,
+    unprotected,
+)
 from mavfi.campaign.hardening.golden import Guarded
 from mavfi.campaign.hardening.kernel import see
 from mavfi.errors import BadInputError
@@ -35,6 +43,21 @@ def test_totals_weight_functions_by_their_silent_corruptions():
     assert together([]).rate is None
 
 
+def plain(instructions, sdc):
+    return Unprotected("octomap", "m.g", "f8", instructions, {"masked": 400 - sdc, "sdc": sdc})
+
+
+def test_unprotected_functions_count_in_the_total():
+    half = together([certificate(200, 0)], [plain(1000, 200)])
+    assert half.rate == pytest.approx(0.5) and 0.4 < half.low < 0.5 < half.high < 0.6
+    little = together([certificate(200, 0)], [plain(499_000, 200)])
+    assert little.rate == pytest.approx(0.002) and 0.0015 < little.low < little.high < 0.0025
+    harmful = together([certificate(200, 150)], [plain(1000, 200)])
+    assert harmful.low < harmful.rate < harmful.high < 0 and harmful.rate == pytest.approx(-0.25)
+    assert together([certificate(200, 10)], [plain(1000, 0)]).rate == together([certificate(200, 10)]).rate
+    assert together([], [plain(1000, 200)]).rate is None
+
+
 @pytest.fixture(scope="module")
 def planned():
     seen = see(smooth, calls())
@@ -53,6 +76,15 @@ def test_full_duplication_removes_the_corruptions_of_the_same_injections(planned
     assert found.paired.n == 60 and found.paired.second_only == 0 and found.paired.p_value < 0.01
     assert sum(found.after.values()) == sum(found.before.values()) == 60
     assert found.to_json()["verdict"] == "unknown" and found.before[SDC] == found.to_json()["before"]["sdc"]
+
+
+def test_a_function_without_sites_is_observed_as_it_is(planned):
+    seen, bare = see(smooth, calls()), planned.model_copy(update={"sites": ()})
+    assert unprotected([seen], Plan(functions=(planned,))) == []
+    assert unprotected([seen], Plan()) == unprotected([seen], Plan(functions=(bare,))) == [seen]
+    found = observe_plain("smooth", seen, 60)
+    assert found.sdc.n == 60 and found.sdc.rate > 0.2 and found.instructions == seen.instructions
+    assert found.to_json()["sdc"]["successes"] == found.effects[SDC]
 
 
 def test_a_guarded_function_gives_the_same_bits_and_no_alarm(planned):

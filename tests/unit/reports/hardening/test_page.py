@@ -5,12 +5,19 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from mavfi.campaign.analysis.pairs import mcnemar
-from mavfi.campaign.hardening.certify import Certificate
+from mavfi.campaign.hardening.certify import Certificate, Unprotected
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.study import Certification
 from mavfi.hardening.plan import Coverage
 from mavfi.reports.hardening.page import HEIGHT, WIDTH, curve, page, source, write_certificate
-from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, verdict_line
+from mavfi.reports.hardening.plain import (
+    advice_table,
+    caveats,
+    certificate_table,
+    headline,
+    interval,
+    verdict_line,
+)
 from tests.unit.reports.hardening.summaries import rate, summary
 
 DIRECTORY, PLAN = Path("out/my runs"), Path("plan.yaml")
@@ -52,6 +59,9 @@ def test_source_lines_have_their_text_and_gaps():
 def test_sentences():
     advice = summary()
     assert headline(advice).startswith("Protect pid, octomap: 9.9 % more kernel time")
+    assert "46.0 % [41.0, 51.0] of all silent corruptions (SDC), predicted" in headline(advice)
+    some = "of the silent corruptions (SDC) in pid, octomap, collision_check, predicted"
+    assert some in headline(advice | {"complete": False}), "rates of other kernels are not known"
     advice["kernels"] = [row | {"added": 0.0, "coverage": rate(0.0)} for row in advice["kernels"]]
     assert headline(advice) == "Nothing can be protected within 10.0 % of a flight's kernel time."
     assert "of 60 with a dead kernel" in caveats(advice)[0]
@@ -70,5 +80,12 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
     assert "<td>1 : 0, p = 1</td>" in text
+    rest = Unprotected("octomap", "m.insert_scan", "f8", 99_000, {"masked": 80, "sdc": 20})
+    whole = Certification("ab" * 32, 100, (), (one,), GoldenCheck(), (rest,))
+    assert verdict_line(whole).startswith("The plan is confirmed: 2.3 % [1.2, 3.7] of all SDCs are removed")
+    assert certificate_table(whole).rows[1][:4] == ("octomap", "insert_scan", "20.0 % [13.3, 28.9]", "—")
+    assert certificate_table(whole).rows[1][-2] == "not duplicated"
+    part = Certification("ab" * 32, 100, (), (one,), GoldenCheck(), (), ("pid",))
+    assert "95.2 % [73.2, 99.2] of the SDCs in pid are removed" in verdict_line(part)
     refuted = Certification("ab" * 32, 100, (), (one,), GoldenCheck(2, 1, 9, 0))
     assert refuted.refuted and verdict_line(refuted).startswith("The plan is refuted")
