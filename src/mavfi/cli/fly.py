@@ -63,7 +63,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     wanted = in_register if fault is None else parse(fault, mission.localization)
     host = _host(world, fault, mission)
-    with compiling(instrumented=fault is not None and fault.startswith("instruction")) as cold:
+    with compiling(instrumented=bool(mission.protection) or (fault or "").startswith("instruction")) as cold:
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
         from mavfi.hosts.loop.compose import resolve

@@ -20,7 +20,8 @@ EXIT_REFUTED = 3
 def harden(  # noqa: PLR0913 - one parameter per option
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign with faults in instructions.")],
     plan: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="The plan: written, or with --certify read.")
+        Path | None,
+        typer.Option(metavar="FILE.yaml", help="The plan: written, or with --certify read (a shipped one by name)."),
     ] = None,
     budget: Annotated[
         float | None, typer.Option(metavar="SHARE", help="Share of a flight's kernel time to spend; 0.10 by default.")
@@ -122,7 +123,7 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_j
     from mavfi.reports.hardening.plain import certificate_table, verdict_line
     from mavfi.reports.terminal import show_table
 
-    plan = load_plan(path)
+    plan = load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))
     found = certify_plan(study, plan, faults, _tell)
     written = [save_certification(found, path)]

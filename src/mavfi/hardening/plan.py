@@ -7,7 +7,7 @@ one processor; they are data, since they are charged to the latency of the simul
 import hashlib
 import re
 import textwrap
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
 from importlib.metadata import version
 from itertools import groupby
@@ -146,17 +146,29 @@ def signature_text(signature: tuple[Any, ...]) -> str:
     return ", ".join(map(str, signature))
 
 
-def check_code(plan: FunctionPlan, ir_sha256: str) -> None:
+def check_code(plan: FunctionPlan, ir_sha256: str, sites: Sequence[Sequence[int]]) -> None:
     """Check that a function has the IR for which its protection was planned.
 
+    Args:
+        plan: Its protection.
+        ir_sha256: Digest of its IR.
+        sites: Number of sites of each block, by function of the module.
+
     Raises:
-        BadInputError: It has other IR.
+        BadInputError: It has other IR, or lacks a planned site.
     """
     if plan.ir_sha256 != ir_sha256:
         raise BadInputError(
             f"protection of {plan.function}: planned for IR {plan.ir_sha256[:12]}, this is {ir_sha256[:12]}: source, "
             "numba or llvmlite differ; make the plan again with mavfi harden"
         )
+    for site in plan.sites:
+        blocks = sites[site.function] if site.function < len(sites) else ()
+        if site.block >= len(blocks) or site.offset >= blocks[site.block]:
+            raise BadInputError(
+                f"protection of {plan.function}: site {site.block}:{site.offset} of function {site.function}: not in "
+                "its code; make the plan again with mavfi harden"
+            )
 
 
 def load_plan(name: str | Path) -> Plan:

@@ -5,7 +5,7 @@ from typing import Any
 
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.plan import FunctionPlan, Plan, check_code
-from mavfi.ir.digest import digest_of
+from mavfi.hardening.sources import shape_of
 from mavfi.ir.module import Module
 
 
@@ -28,5 +28,5 @@ class Protection:
 
     def __call__(self, module: Module) -> Module:
         """The protected module; a BadInputError if the plan was made for other code."""
-        check_code(self.plan, digest_of(module))
+        check_code(self.plan, *shape_of(module))
         return protect(module, self.plan.sites, addresses=self.plan.addresses, libm=self.plan.libm)

@@ -9,8 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.ir.build import Source, build_apart, source_of
+from mavfi.ir.digest import digest_of
+from mavfi.ir.module import Module
 from mavfi.ir.object_cache import ObjectCache
+from mavfi.ir.parser import parse_module
 
+Shape = tuple[str, list[list[int]]]
+"""What a plan must fit: see `shape_of`."""
 _FILE = re.compile(r'!DIFile\(filename: "([^"]*)", directory: "([^"]*)"')
 
 
@@ -28,6 +33,24 @@ def cached_source(kernel: Any, signature: tuple[Any, ...]) -> Source:
         data = build_apart(kernel, signature, make)
         cache.store(key, data, _files(_unpack(data)))
     return _unpack(data)
+
+
+def shape_of(module: Module) -> Shape:
+    """Digest of a module, and the number of sites by function and block."""
+    return digest_of(module), [[len(block.sites) for block in function.blocks] for function in module.functions]
+
+
+def cached_shape(kernel: Any, signature: tuple[Any, ...]) -> Shape:
+    """`shape_of` a kernel's IR, without parsing it again; raises the errors of `cached_source`."""
+    cache = ObjectCache("shape", Path(__file__).parent)
+    key = cache.key(kernel, signature)
+    data = cache.load(key)
+    if data is None:
+        source = cached_source(kernel, signature)
+        data = json.dumps(shape_of(parse_module(source.text, source.kernel))).encode()
+        cache.store(key, data, _files(source))
+    digest, sizes = json.loads(data)
+    return digest, sizes
 
 
 def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:

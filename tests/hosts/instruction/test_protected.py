@@ -9,7 +9,7 @@ from mavfi.faults.instruction.variant import signature_of
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
 from mavfi.hardening.full import full_plan
-from mavfi.hardening.plan import Coverage, Plan, load_plan, save_plan
+from mavfi.hardening.plan import Coverage, Plan, Site, load_plan, save_plan
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.protected import SOURCE
@@ -194,15 +194,30 @@ def test_a_plan_for_other_code_is_refused_in_one_line(plan, folder):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"numba": "0.1"}, "planned with numba 0.1, this is"), ({"functions": "kernel"}, "kernel 'pidd': not known")],
+    [
+        ({"ir_sha256": "ab" * 32}, "planned for IR abababababab, this is"),
+        ({"sites": (Site(0, 999, 0),)}, "site 999:0 of function 0: not in its code"),
+    ],
+)
+def test_a_golden_flight_refuses_a_plan_for_other_code(plan, folder, change, message):
+    other = plan.model_copy(update={"functions": tuple(one.model_copy(update=change) for one in plan.functions)})
+    save_plan(other, folder / "other.yaml")
+    with pytest.raises(BadInputError, match=rf"^protection of mavfi\.kernels\.control\.pid\.track: {message}[^\n]*$"):
+        fly(mission(folder / "other.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"numba": "0.1"}, "planned with numba 0.1, this is"),
+        ({"functions": "kernel"}, "kernel 'pidd': not known"),
+        ({"functions": "function"}, "function 'm.f': not of kernel pid; allowed: mavfi.kernels.control.pid.track"),
+    ],
 )
 def test_plans_of_other_versions_or_kernels_are_refused(plan, folder, change, message):
     if "functions" in change:
-        change = {"functions": tuple(replace_kernel(one) for one in plan.functions)}
+        update = {"kernel": "pidd"} if change["functions"] == "kernel" else {"function": "m.f"}
+        change = {"functions": tuple(one.model_copy(update=update) for one in plan.functions)}
     save_plan(plan.model_copy(update=change), folder / "bad.yaml")
     with pytest.raises(BadInputError, match=message):
         mission(folder / "bad.yaml")
-
-
-def replace_kernel(one):
-    return one.model_copy(update={"kernel": "pidd"})

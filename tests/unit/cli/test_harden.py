@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from mavfi.campaign.hardening.study import Study
 from mavfi.cli.commands import run
 from mavfi.hardening.plan import Coverage, load_plan, save_plan
 
@@ -27,6 +28,18 @@ def test_bad_input_is_one_line_and_exit_code_2(words, message, tmp_path, capsys,
     assert run(["harden", str(tmp_path), *words]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """A ledger with the digest of no plan."""
+    monkeypatch.setattr(Study, "open", lambda directory, _: Study(directory, None, "0" * 64, ("pid",)))
+
+
+def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["harden", "out", "--plan", "ten_percent", "--certify"]) == 2
+    assert "the plan was made from 9f6e16e63775" in capsys.readouterr().err
 
 
 CAMPAIGN = """

@@ -67,8 +67,15 @@ def test_a_function_is_planned_once_for_a_signature():
 
 
 def test_a_plan_for_other_code_is_refused_in_one_line():
-    check_code(of(), DIGEST)
+    check_code(of(sites=((0, 1, 2),)), DIGEST, [[0, 3]])
     with pytest.raises(
         BadInputError, match=r"protection of m\.f: planned for IR abababababab, this is cdcdcdcdcdcd: [^\n]*$"
     ):
-        check_code(of(), "cd" * 32)
+        check_code(of(), "cd" * 32, [])
+
+
+@pytest.mark.parametrize("site", [(1, 0, 0), (0, 2, 0), (0, 1, 3)])
+def test_a_site_that_does_not_exist_is_refused_in_one_line(site):
+    text = rf"protection of m\.f: site {site[1]}:{site[2]} of function {site[0]}: not in its code; [^\n]*$"
+    with pytest.raises(BadInputError, match=text):
+        check_code(of(sites=(site,)), DIGEST, [[0, 3]])

@@ -15,6 +15,7 @@ from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import CONTROLLER_LOST
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.record import Record
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
@@ -59,6 +60,7 @@ def fly(
         for attach in observers:
             attach(loop)
         flight = loop.fly()
+        check_flown(scenario.protection)
     finally:
         loop.plant.close()
     lost, extra = controller.lost, {"node": NODE, "most_calls": controller.most_calls}

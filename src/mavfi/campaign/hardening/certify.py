@@ -216,7 +216,7 @@ def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] 
     rest = [one for one in others if one.sdc.rate is not None]
     if not known:
         return Rate(0, None, None, None)
-    whole = sum(one.instructions for one in (*known, *rest))
+    whole = sum(one.instructions for one in known) + sum(one.instructions for one in rest)
     before = _sum([(one.instructions / whole, one.sdc_before) for one in known])
     after = _sum([(one.instructions * one.growth / whole, one.sdc_after) for one in known])
     found = coverage(before, after, 1.0)

@@ -33,6 +33,7 @@ from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, writing
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.hosts.loop.protection import check_plan
 from mavfi.ir.build import name_of
 from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, PLANNERS
@@ -209,6 +210,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
     Raises:
         BadInputError: The plan was made from another ledger or for other code, or protects nothing here.
     """
+    check_plan(plan, "plan")
     if plan.ledger != study.digest:
         raise BadInputError(
             f"{study.directory}: ledger {study.digest[:12]}, the plan was made from {plan.ledger[:12] or 'none'}: its "
@@ -225,7 +227,9 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
             flown += [seen for own in observe(scenario, kernels).values() for seen in own]
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
-        done = {(one.function, one.signature) for one in (*certificates, *others)}
+        done = {(one.function, one.signature) for one in certificates} | {
+            (one.function, one.signature) for one in others
+        }
         known = [one for one in merged(flown) if one.entry in entries_of(study.kernels)]
         fresh = [one for one in known if (name_of(one.function), one.signature_text) not in done]
         for pair in pairs_of(fresh, plan):

@@ -33,6 +33,7 @@ from mavfi.hosts.instruction.case import DETECTED, WAITING, Case, ChildReport, O
 from mavfi.hosts.instruction.protected import alarm_of, is_detection, paired, repetition_of, rewriting_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
+from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
@@ -310,6 +311,7 @@ class ForksFromTakeOff(Forks):
         """The golden flight, and the injected runs in order; does not return in children."""
         golden = self._fly(lambda: False)
         assert golden is not None  # `_fly` never stops early
+        check_flown(self.loop.scenario.protection)
         return golden, [flight_of(case, golden) for case in self.cases]
 
     def fly_to_injections(self) -> tuple[GoldenPrefix, list[Case]]:

@@ -11,6 +11,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.plant import MakePlant
+from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
@@ -43,7 +44,8 @@ def fly(  # noqa: PLR0913 - each is independent
         make_plant: Constructs the vehicle in its world.
 
     Raises:
-        BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
+        BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle, or its
+            protection is for other code.
     """
     loop = new_loop(scenario, profile=profile, functions=functions, make_plant=make_plant)
     try:
@@ -57,6 +59,7 @@ def fly(  # noqa: PLR0913 - each is independent
         for attach in observers:
             attach(loop)
         flight = loop.fly()
+        check_flown(scenario.protection)
     finally:
         loop.plant.close()
     if in_memory is not None and in_memory.effect is not None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import Scenario
 from mavfi.states import floats, new_state
@@ -55,7 +56,8 @@ def compile_stage(stage: str, scenario: Scenario) -> None:
     """Compile one of `STAGES`.
 
     Raises:
-        BadInputError: The scenario cannot be flown.
+        BadInputError: The scenario cannot be flown, or its protection is for other code.
     """
     with np.errstate(all="ignore"):
         STAGES[stage](new_loop(scenario))
+    check_flown(scenario.protection)

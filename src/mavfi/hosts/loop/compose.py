@@ -7,7 +7,8 @@ import numpy as np
 from mavfi import config as configs
 from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.errors import BadInputError
-from mavfi.hardening.plan import Plan, load_plan
+from mavfi.hardening.plan import Plan
+from mavfi.hosts.loop.protection import find_plan
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
@@ -65,7 +66,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     if world.camera_range is not None:
         camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
-    protection = _protection(spec.protection)
+    protection = find_plan(spec.protection).bare if spec.protection else None
     planner = find_planner(spec.planner)
     find_search(planner.name)
     find_generator(world.generator)
@@ -77,19 +78,6 @@ def resolve(spec: MissionSpec) -> Scenario:
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node, flight_controller=_controller(spec.flight_controller), protection=protection,
     )  # fmt: skip
-
-
-def _protection(name: str) -> Plan | None:
-    """What flights depend on of a protection plan; "" = none."""
-    if not name:
-        return None
-    plan = load_plan(name)
-    plan.check_versions()
-    for one in plan.functions:
-        if one.kernel not in INJECTED_KERNEL:
-            allowed = ", ".join(INJECTED_KERNEL)
-            raise BadInputError(f"protection {name}: kernel {one.kernel!r}: not known; allowed: {allowed}")
-    return plan.bare
 
 
 def _platform(spec: MissionSpec, protection: Plan | None) -> configs.PlatformConfig:

@@ -16,6 +16,7 @@ from mavfi.campaign.hardening.certify import (
 )
 from mavfi.campaign.hardening.golden import Guarded
 from mavfi.campaign.hardening.kernel import see
+from mavfi.campaign.hardening.study import certify_plan
 from mavfi.errors import BadInputError
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
@@ -91,6 +92,20 @@ def test_a_guarded_function_gives_the_same_bits_and_no_alarm(planned):
     guarded, own, other = Guarded(smooth, Plan(functions=(planned,))), calls()[0], calls()[0]
     assert np.float64(guarded(*own)).tobytes() == np.float64(smooth(*other)).tobytes()
     assert own[1].tobytes() == other[1].tobytes() and (guarded.calls, guarded.alarms) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kernel": "pidd"}, "^protection plan: kernel 'pidd': not known; allowed: [^\n]*$"),
+        ({"kernel": "pid"}, "^protection plan: function '[^\n]*smooth': not of kernel pid; allowed: [^\n]*$"),
+        ({}, "^protection: planned with llvmlite 0.1, this is [^\n]*$"),
+    ],
+)
+def test_a_plan_that_a_flight_refuses_is_not_certified(planned, change, message):
+    plan = Plan(functions=(planned.model_copy(update=change),), **({} if change else {"llvmlite": "0.1"}))
+    with pytest.raises(BadInputError, match=message):
+        certify_plan(None, plan, 1)
 
 
 def test_a_plan_of_other_code_is_refused(planned):
