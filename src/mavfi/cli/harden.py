@@ -128,7 +128,7 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_j
     found = certify_plan(study, plan, faults, _tell)
     written = [save_certification(found, path)]
     if html is not None:
-        write_certificate(html, found, study.directory, path)
+        write_certificate(html, found, study.directory, path, study.selected)
         written.append(html)
     if as_json:
         write_json(certification_json(found))

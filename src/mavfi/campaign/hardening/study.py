@@ -90,6 +90,12 @@ class Study:
         return {planner: (*common, planner) for planner in planners if planner in PLANNERS}
 
     @property
+    def selected(self) -> tuple[str, ...]:
+        """Its kernels, if they are not all of the ledger's; otherwise ()."""
+        sampled = (kernel for kernel in getattr(self.campaign.sampling, "kernels", ()) if kernel in INJECTABLE)
+        return () if set(sampled) == set(self.kernels) else self.kernels
+
+    @property
     def complete(self) -> bool:
         """Whether its kernels are all of the missions that are flown."""
         return all(kernel in self.kernels for kernels in self.by_planner().values() for kernel in kernels)

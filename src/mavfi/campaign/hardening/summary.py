@@ -24,7 +24,9 @@ def summary(study: Study, advices: Sequence[Advice], harm: Harm) -> dict[str, An
     return {
         "campaign": study.campaign.name, "ledger": study.digest, "budget": first.budget, "spent": first.spent,
         "coverage": asdict(first.coverage), "injections": sum(len(curve.target.injections) for curve, _ in pairs),
-        "complete": study.complete, "kernels": [_kernel(kernel, pairs) for kernel in study.kernels],
+        "complete": study.complete, "selected": list(study.selected),
+        "addresses": any(curve.target.addresses for curve, _ in pairs),
+        "kernels": [_kernel(kernel, pairs) for kernel in study.kernels],
         "functions": [_function(curve, step) for curve, step in pairs],
         "harm": asdict(harm),
     }  # fmt: skip

@@ -1,7 +1,7 @@
 """The page of a hardening advice: curves, the plan over the kernels' source, what escapes, what it does not buy."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -29,13 +29,15 @@ def write_page(path: Path, summary: Mapping[str, Any], directory: Path, plan: Pa
     write(path, page(summary, directory, plan))
 
 
-def write_certificate(path: Path, certification: Certification, directory: Path, plan: Path) -> None:
-    """Write the page of a certificate.
+def write_certificate(
+    path: Path, certification: Certification, directory: Path, plan: Path, kernels: Sequence[str] = ()
+) -> None:
+    """Write the page of a certificate; `kernels` are those of its command, () = all of the ledger.
 
     Raises:
         BadInputError: The file cannot be written.
     """
-    command = f"mavfi harden {shlex.quote(str(directory))} --plan {shlex.quote(str(plan))} --certify"
+    command = f"mavfi harden {shlex.quote(str(directory))}{_only(kernels)} --plan {shlex.quote(str(plan))} --certify"
     content = render(
         "certificate.html.j2", plan=plan.name, digest=certification.plan[:12], table=certificate_table(certification),
         verdict=verdict_line(certification).replace(" %", "\u00a0%"), missions=", ".join(certification.missions),
@@ -63,11 +65,17 @@ def _kernel(row: Mapping[str, Any]) -> dict[str, str]:
 
 def _commands(summary: Mapping[str, Any], directory: Path, plan: Path | None) -> list[tuple[str, str]]:
     ledger, file = shlex.quote(str(directory)), shlex.quote(str(plan or "plan.yaml"))
+    only, addresses = _only(summary["selected"]), " --addresses" if summary["addresses"] else ""
+    again = f"mavfi harden {ledger} --budget {summary['budget']:g}{only}{addresses} --plan {file}"
     return [
-        ("Make the plan again", f"mavfi harden {ledger} --budget {summary['budget']:g} --plan {file}"),
-        ("Test it with fresh missions and faults", f"mavfi harden {ledger} --plan {file} --certify"),
+        ("Make the plan again", again),
+        ("Test it with fresh missions and faults", f"mavfi harden {ledger}{only} --plan {file} --certify"),
         ("Fly with it", f"mavfi fly --protection {file}"),
     ]  # fmt: skip
+
+
+def _only(kernels: Sequence[str]) -> str:
+    return f" --kernels {','.join(kernels)}" if kernels else ""
 
 
 def curve(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -37,6 +37,7 @@ def summary():
     return {
         "campaign": "hardening <small>", "ledger": "0123456789abcdef" * 4, "budget": 0.1, "spent": 0.099,
         "coverage": rate(0.46), "injections": 1200, "complete": True,
+        "selected": [], "addresses": False,
         "kernels": [
             {"kernel": row["kernel"], "share": row["share"], "added": row["added"], "time": row["time"],
              "coverage": row["coverage"]}

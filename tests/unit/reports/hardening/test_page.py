@@ -32,6 +32,13 @@ def test_the_page_says_what_to_protect_and_what_it_does_not_buy():
     assert "cannot repeat: call 5.0 %" in text and "beyond the budget 15.0 %" in text
 
 
+def test_the_commands_of_the_page_have_all_options():
+    text = page(summary() | {"selected": ["pid", "octomap"], "addresses": True}, DIRECTORY, PLAN)
+    assert "--budget 0.1 --kernels pid,octomap --addresses --plan plan.yaml" in text
+    assert "runs&#39; --kernels pid,octomap --plan plan.yaml --certify" in text
+    assert "--kernels" not in page(summary(), DIRECTORY, PLAN)
+
+
 def test_the_page_loads_nothing():
     text = page(summary(), DIRECTORY, None)
     assert not re.findall(r"(?:src|href)=[\"'](?!#)", text) and "<script" not in text
@@ -80,6 +87,8 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
     assert "<td>1 : 0, p = 1</td>" in text
+    write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN, ("pid",))
+    assert "runs&#39; --kernels pid --plan plan.yaml --certify" in (tmp_path / "c.html").read_text()
     rest = Unprotected("octomap", "m.insert_scan", "f8", 99_000, {"masked": 80, "sdc": 20})
     whole = Certification("ab" * 32, 100, (), (one,), GoldenCheck(), (rest,))
     assert verdict_line(whole).startswith("The plan is confirmed: 2.3 % [1.2, 3.7] of all SDCs are removed")
