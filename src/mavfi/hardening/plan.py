@@ -66,7 +66,7 @@ class FunctionPlan(Config):
     sites: tuple[Site, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
     lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")
-    predicted: Coverage | None = Field(None, description="coverage predicted from the ledger")
+    predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
 
     @field_validator("sites", mode="before")
     @classmethod
@@ -101,7 +101,7 @@ class Plan(Config):
     numba: str = Field(default_factory=partial(version, "numba"))
     llvmlite: str = Field(default_factory=partial(version, "llvmlite"))
     cpu: str = Field("", description="class of the processor on which times were measured")
-    ledger: str = Field("", description="digest of the ledger from which sites were chosen")
+    ledger: str = Field("", description="digest of the ledger whose missions were studied")
     functions: tuple[FunctionPlan, ...] = ()
 
     @model_validator(mode="after")

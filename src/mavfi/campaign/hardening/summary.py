@@ -56,7 +56,7 @@ def _function(curve: Curve, step: Step) -> dict[str, Any]:
 
 
 def _sdc(target: Target) -> Rate:
-    """Silent corruptions per injection in the ledger."""
+    """Silent corruptions per injection in recorded calls."""
     return coverage_of([(one, one.sdc) for one in target.injections])
 
 

@@ -29,6 +29,7 @@ def test_the_page_says_what_to_protect_and_what_it_does_not_buy():
     assert "46.0\u00a0% [41.0, 51.0]" in text and "0 of 253 flights with an SDC were lost" in text
     assert "hardening &lt;small&gt;" in text and "<small>\n" not in text.split("</title>")[0]
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify" in text
+    assert "400 injections in recorded calls" in text and "in the ledger" not in text, "the advice has its own faults"
     assert "cannot repeat: call 5.0 %" in text and "beyond the budget 15.0 %" in text
 
 
