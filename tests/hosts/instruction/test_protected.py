@@ -163,7 +163,7 @@ def test_the_measured_time_is_charged(plan, folder):
 
 
 @pytest.mark.parametrize(("kind", "again"), [("rerun", True), ("vote", False)])
-def test_whole_calls_can_be_repeated(plan, folder, plain_faults, plain_logs, kind, again):
+def test_whole_calls_can_be_repeated(plan, folder, golden, plain_faults, plain_logs, kind, again):
     """The differing execution is found without a change of the code; a majority is published in time."""
     repeated = tuple(one.model_copy(update={"kind": kind, "sites": ()}) for one in plan.functions)
     save_plan(plan.model_copy(update={"functions": repeated}), folder / f"{kind}.yaml")
@@ -172,6 +172,9 @@ def test_whole_calls_can_be_repeated(plan, folder, plain_faults, plain_logs, kin
     log = flight.log
     assert (log.kernel.effect, [alarm.source for alarm in log.alarms]) == ("detected", [SOURCE])
     assert (log.meta["recompute_us"]["control"] > 0) == again
+    told = dict(injection_lines(log.injections[0], None, log))["kernel"], verdict(Effect.MASKED, log, golden[0].log)
+    assert ["computed again" in text for text in told] == [again, again]
+    assert ["published" in text for text in told] == [not again, not again]
 
 
 def test_lines_and_predictions_are_not_part_of_the_mission(plan, folder, protected):

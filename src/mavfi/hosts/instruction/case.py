@@ -78,7 +78,7 @@ class Case:
         kernel: The injected kernel of the pipeline, "" = the detector; `call` of its function is injected, at
             `time_us` (us).
         value: The injected value, as reported by the machine code.
-        how: How the call ended, or `WAITING`; `detail`: signal, budget or exception.
+        how: How the call ended, or `WAITING`; `detail`: as in `KernelEffect`.
         report: Report of the child that completed the flight.
         golden: Error-free output of the kernel in the same step.
     """

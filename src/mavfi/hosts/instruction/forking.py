@@ -161,6 +161,7 @@ class Forks(ABC):
             return False, None
         if case.how != "done":
             repetition = self._repetition(function, args)
+            case.detail = repetition if case.how == DETECTED else case.detail
             ended = self._fork(case, dead=True)
             if ended is None:
                 assert self.child is not None  # this is one
