@@ -260,7 +260,8 @@ def page(
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
         + "## Requirements\n\n"
         + markdown_grid(("what", "requirement", "measured"), requirements(certified, compared, advice, check))
-        + "\n\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`).\n\n"
+        + "\n\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`). Golden digests "
+        + "are compared without charged time: with it the longer latency changes the flight.\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + "\n\n## Curves and certificates\n\n"

@@ -1,4 +1,4 @@
-"""The README's sentence on hardening."""
+"""The README's sentence on hardening, and the table of requirements."""
 
 from tools.markers import GENERATED, ROOT
 
