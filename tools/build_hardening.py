@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.analysis.pairs import Paired, mcnemar
+from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.hardening.advise import Advice, Curve, Step
 from mavfi.campaign.hardening.certify import certify, pairs_of, verdict_of
@@ -38,6 +38,7 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of
 from mavfi.reports.text import markdown_grid, percent, shown
+from tools.hardening_requirements import HEADINGS, REQUIRED, requirements
 from tools.markers import GENERATED, ROOT, banner, fill
 
 PAGE = GENERATED / "hardening.md"
@@ -45,15 +46,6 @@ PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 COMPARED_FRACTION = 0.25
 """Share of the instructions of full duplication at which ways to choose are compared."""
-REQUIRED = {
-    "plan_rrt_connect": (1.2, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
-    "time_to_collision": (1.2, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
-    "track": (1.3, "≥ 85 % at ≤ ×1.30"),
-    "apply_updates": (1.3, "≥ 85 % at ≤ ×1.30"),
-    "back_project": (1.5, "best found within ×1.5"),
-    "insert_scan": (1.5, "best found within ×1.5"),
-}
-"""Largest time and requirement, by function."""
 MORE = {"plan_rrt_connect": 2, "time_to_collision": 5}
 """Times more faults in the largest step within the time, where a lower bound is required."""
 LONG = 2_000_000
@@ -102,7 +94,7 @@ def certificates(
     for (planner, kernels), advice in zip(study.by_planner().items(), advices, strict=True):
         fresh: list[Any] | None = None
         for curve in advice.curves:
-            most, _ = REQUIRED.get(curve.target.seen.entry, (0.0, ""))
+            most = REQUIRED[curve.target.seen.entry][0] if curve.target.seen.entry in REQUIRED else 0.0
             within = max((step.fraction for step in curve.steps if step.time <= most), default=0.0)
             for step in curve.steps[1:]:
                 n = faults if curve.target.seen.instructions < LONG * curve.target.seen.total else faults // 4
@@ -148,7 +140,13 @@ def alternatives(target: Target) -> Row | None:
     }  # fmt: skip
     hits = {name: [hit for _, hit in target.judged(choose)] for name, choose in ways.items()}
     tests = {name: mcnemar(hits["cut"], hits[name]) for name in ("line", "opcode", "random")}
-    return {"function": target.seen.entry, "n": len(hits["cut"]), "hits": hits, "tests": tests}
+    return {
+        "function": target.seen.entry,
+        "kernel": target.kernels[0],
+        "n": len(hits["cut"]),
+        "hits": hits,
+        "tests": tests,
+    }
 
 
 def golden(plan: Plan, flights: int, records: Records) -> GoldenCheck:
@@ -191,47 +189,6 @@ def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, str, float], 
     return rows
 
 
-def best_within(certified: Sequence[tuple[Curve, Step, Row]], entry: str, most: float) -> str:
-    """The best certified step of a function within a time."""
-    own = [(step, row) for curve, step, row in certified if curve.target.seen.entry == entry and step.time <= most]
-    own = [(step, row) for step, row in own if row["coverage"]["rate"] is not None]
-    if not own:
-        cheapest = min((s.time for c, s, _ in certified if c.target.seen.entry == entry), default=None)
-        return "not certified" if cheapest is None else f"no certified step; the cheapest takes ×{cheapest:.2f}"
-    step, row = max(own, key=lambda one: one[1]["coverage"]["rate"])
-    return f"{found(row)} at ×{step.time:.2f}"
-
-
-def requirements(
-    certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], advice: Row, check: GoldenCheck
-) -> list[list[str]]:  # fmt: skip
-    """Required and measured values."""
-    judged = [row for _, _, row in certified if row["verdict"] != "unknown"]
-    inside = sum(row["verdict"] == "confirmed" for row in judged)
-    beaten = [
-        row["function"] for row in compared
-        if all(_wins(row["tests"][name]) for name in ("opcode", "random"))
-    ]  # fmt: skip
-    rows = [
-        ["golden digests with any plan; false alarms", "equal on 40 missions in four environments; 0 in ≥ 10,000 calls",
-         f"{check.same} of {check.flights} equal; {check.alarms} in {check.calls:,} calls"],
-    ]  # fmt: skip
-    for entry, (most, wanted) in REQUIRED.items():
-        rows.append([f"`{entry}`", wanted, best_within(certified, entry, most)])
-    rows += [
-        ["`--budget 0.10` of a flight's kernel time", "every kernel but the map in full, or better",
-         f"{percent(advice['spent'])} spent, {interval(advice['coverage'])} of all SDCs removed, predicted"],
-        ["prediction", "inside its 95 % interval for ≥ 90 % of ≥ 20 plans", f"{inside} of {len(judged)} plans"],
-        ["choice", "beats random and by-opcode at equal cost, paired p < .01, on ≥ 5 kernels",
-         f"{len(beaten)} of {len(compared)} functions: {', '.join(beaten) or 'none'}"],
-    ]  # fmt: skip
-    return rows
-
-
-def _wins(test: Paired) -> bool:
-    return test.first_only > test.second_only and test.p_value < 0.01
-
-
 def alternative_rows(compared: Sequence[Row]) -> list[list[str]]:
     """Coverage of each way to choose, with McNemar's p against the minimum cut."""
     rows = []
@@ -259,9 +216,9 @@ def page(
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
         + "## Requirements\n\n"
-        + markdown_grid(("what", "requirement", "measured"), requirements(certified, compared, advice, check))
-        + "\n\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`). Golden digests "
-        + "are compared without charged time: with it the longer latency changes the flight.\n\n"
+        + markdown_grid(HEADINGS, requirements(curves, certified, compared, advice, check))
+        + "\n\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`). "
+        + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + "\n\n## Curves and certificates\n\n"

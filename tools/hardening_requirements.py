@@ -1,0 +1,135 @@
+"""The table of requirements of docs/generated/hardening.md: required, measured, whether met, and what limits."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mavfi.campaign.analysis.pairs import Paired
+from mavfi.campaign.hardening.advise import Curve, Step
+from mavfi.campaign.hardening.golden import GoldenCheck
+from mavfi.reports.hardening.plain import interval
+from mavfi.reports.text import percent
+
+HEADINGS = ("what", "requirement", "measured", "met", "what limits")
+Row = dict[str, Any]
+Certified = Sequence[tuple[Curve, Step, Row]]
+REQUIRED: dict[str, tuple[float, float | None, float, str]] = {
+    "plan_rrt_connect": (1.2, 0.97, 0.94, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
+    "time_to_collision": (1.2, 0.97, 0.94, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
+    "track": (1.3, 0.85, -1.0, "≥ 85 % at ≤ ×1.30"),
+    "apply_updates": (1.3, 0.85, -1.0, "≥ 85 % at ≤ ×1.30"),
+    "back_project": (1.5, None, -1.0, "best found within ×1.5"),
+    "insert_scan": (1.5, None, -1.0, "best found within ×1.5"),
+}
+"""Largest time, least coverage (None = the best found) and its lower bound, and requirement, by function."""
+
+
+def requirements(
+    curves: Sequence[Curve], certified: Certified, compared: Sequence[Row], advice: Row, check: GoldenCheck
+) -> list[list[str]]:  # fmt: skip
+    """Required and measured values, in the columns of `HEADINGS`."""
+    whole = check.passed and check.flights >= 40 and check.calls >= 10_000
+    rows = [
+        ["golden digests with any plan; false alarms", "equal on 40 missions in four environments; 0 in ≥ 10,000 calls",
+         f"{check.same} of {check.flights} equal; {check.alarms} in {check.calls:,} calls", _met(whole), ""],
+    ]  # fmt: skip
+    rows += [_function(entry, curves, certified) for entry in REQUIRED]
+    return [*rows, _budget(advice), _prediction(certified), _choice(compared)]
+
+
+def _met(whether: bool) -> str:
+    return "yes" if whether else "no"
+
+
+def _function(entry: str, curves: Sequence[Curve], certified: Certified) -> list[str]:
+    """The best certified step of a function within its time."""
+    most, least, bound, wanted = REQUIRED[entry]
+    steps = [(step, row) for curve, step, row in certified if curve.target.seen.entry == entry]
+    own = [(step, row) for step, row in steps if step.time <= most and row["coverage"]["rate"] is not None]
+    curve = next((one for one in curves if one.target.seen.entry == entry), None)
+    if not own or curve is None:
+        cheapest = min((step.time for step, _ in steps), default=None)
+        measured = "not certified" if cheapest is None else f"no certified step; the cheapest takes ×{cheapest:.2f}"
+        return [f"`{entry}`", wanted, measured, _met(False), ""]
+    step, row = max(own, key=lambda one: one[1]["coverage"]["rate"])
+    found = row["coverage"]
+    met = least is not None and found["rate"] >= least and found["low"] >= bound
+    limits = "" if met or entry not in _LIMITS else _LIMITS[entry](curve, row, most)
+    measured = f"{interval(found)} at ×{step.time:.2f}"
+    return [f"`{entry}`", wanted, measured, "best found" if least is None else _met(met), limits]
+
+
+def _full(curve: Curve) -> str:
+    return f"in full ×{curve.steps[-1].time:.2f}"
+
+
+def _gap(curve: Curve, most: float) -> str:
+    """Times of the steps around the largest one that is allowed."""
+    below = max(step.time for step in curve.steps if step.time <= most)
+    above = min((step.time for step in curve.steps if step.time > most), default=None)
+    return "" if above is None else f"no step between ×{below:.2f} and ×{above:.2f} was tried"
+
+
+_LIMITS: dict[str, Callable[[Curve, Row, float], str]] = {
+    "plan_rrt_connect": lambda curve, row, most: (
+        f"n = {row['sdc_after']['n']} faults cannot reach a lower bound of 94 %: more faults would help; {_full(curve)}"
+    ),
+    "time_to_collision": lambda curve, row, most: (
+        f"`floor` is a call of libm in code for every CPU: code for newer ones would help; {_full(curve)}"
+    ),
+    "apply_updates": lambda curve, row, most: (
+        f"most of its instructions update counters, each of which is an output: only more time helps; {_full(curve)}"
+    ),
+    "back_project": lambda curve, row, most: f"throughput-bound; {_gap(curve, most)}",
+    "insert_scan": lambda curve, row, most: f"throughput-bound; {_gap(curve, most)}",
+}
+"""What limits a function: what was tried, and what would help, from its curve, certificate and largest time."""
+
+
+def _budget(advice: Row) -> list[str]:
+    """What the budget buys; functions of the map need not be protected in full."""
+    left = [row for row in advice["functions"] if row["kernel"] != "octomap" and not row["steps"][-1]["chosen"]]
+    costs = [f"{row['entry']} {percent(row['share'] * (row['steps'][-1]['time'] - 1))}" for row in left]
+    return [
+        f"`--budget {advice['budget']:.2f}` of a flight's kernel time", "every kernel but the map in full, or better",
+        f"{percent(advice['spent'])} spent, {interval(advice['coverage'])} of all SDCs removed, predicted",
+        _met(not left), f"not in full, which adds: {', '.join(costs)}" if left else "",
+    ]  # fmt: skip
+
+
+def _prediction(certified: Certified) -> list[str]:
+    """Agreement of prediction and certificate, in two readings."""
+    judged = [(step, row) for _, step, row in certified if row["verdict"] != "unknown"]
+    agree = sum(row["verdict"] == "confirmed" for _, row in judged)
+    inside = sum(_inside(step, row) for step, row in judged)
+    return [
+        "prediction", "inside its 95 % interval for ≥ 90 % of ≥ 20 plans",
+        f"difference of measured and predicted rate not below or above 0: {agree} of {len(judged)} plans; measured "
+        f"rate inside the predicted interval: {inside} of {len(judged)}",
+        f"{_met(_most(agree, len(judged)))}; {_met(_most(inside, len(judged)))}",
+        "" if _most(inside, len(judged)) else "the second reading ignores the interval of the measured rate",
+    ]  # fmt: skip
+
+
+def _inside(step: Step, row: Row) -> bool:
+    low, high = step.coverage.low, step.coverage.high
+    return low is not None and high is not None and low <= row["coverage"]["rate"] <= high
+
+
+def _most(count: int, whole: int) -> bool:
+    return whole >= 20 and count >= 0.9 * whole
+
+
+def _choice(compared: Sequence[Row]) -> list[str]:
+    """Functions and kernels in which the minimum cut beats simpler ways to choose."""
+    beaten = [row for row in compared if all(_wins(row["tests"][name]) for name in ("opcode", "random"))]
+    kernels = {row["kernel"] for row in beaten}
+    return [
+        "choice", "beats random and by-opcode at equal cost, paired p < .01, on ≥ 5 kernels",
+        f"{len(beaten)} of {len(compared)} functions, of {len(kernels)} kernels: "
+        + (", ".join(row["function"] for row in beaten) or "none"),
+        _met(len(kernels) >= 5), "" if len(kernels) >= 5 else "few SDCs in the others: more faults would help",
+    ]  # fmt: skip
+
+
+def _wins(test: Paired) -> bool:
+    return test.first_only > test.second_only and test.p_value < 0.01
