@@ -12,13 +12,16 @@ from typing import Any
 
 from mavfi.campaign.analysis.pairs import Paired, mcnemar
 from mavfi.campaign.analysis.statistics import Rate, wilson
+from mavfi.campaign.hardening.advise import times_of
 from mavfi.campaign.hardening.battery import SDC, Battery, Place, counts_of
 from mavfi.campaign.hardening.learned import affordable
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference, ratio_bounds
+from mavfi.campaign.hardening.target import Target
 from mavfi.faults.instruction.build import cached_build
 from mavfi.faults.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
+from mavfi.hardening.measure import Timed
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
 from mavfi.hardening.protection import Protection
 from mavfi.hardening.sources import cached_source
@@ -43,6 +46,8 @@ class Certificate:
         growth: Dynamic instructions of protected code / plain code.
         predicted: Coverage, from the plan; None = the plan has no prediction.
         paired: Silent corruption in plain (first) and protected code (second), same instruction, execution and bit.
+        time: Protected / plain execution time, measured in the observed calls; None = not measured.
+        planned_time: The same, from the plan.
     """
 
     kernel: str
@@ -54,6 +59,8 @@ class Certificate:
     growth: float
     predicted: Coverage | None
     paired: Paired
+    time: float | None = None
+    planned_time: float = 1.0
 
     @property
     def sdc_before(self) -> Rate:
@@ -86,6 +93,7 @@ class Certificate:
         return {
             "kernel": self.kernel, "function": self.function, "signature": self.signature,
             "instructions": self.instructions, "verdict": self.verdict, "growth": self.growth,
+            "time": self.time, "planned_time": self.planned_time,
             "before": self.before, "after": self.after, "coverage": asdict(self.coverage),
             "sdc_before": asdict(self.sdc_before), "sdc_after": asdict(self.sdc_after),
             "predicted": None if self.predicted is None else self.predicted.model_dump(),
@@ -160,6 +168,13 @@ class Pair:
         """Dynamic instructions of protected code / plain code, over the recorded calls."""
         return float(self.guarded.counts.sum() / self.plain.counts.sum())
 
+    def time(self) -> float:
+        """Protected / plain execution time, measured on the recorded calls."""
+        target = Target((self.planned.kernel,), self.seen)
+        modules = target.module, Protection(self.planned)(target.module)
+        _, (time,) = times_of(target, [Timed.code_of(target.source, module) for module in modules])
+        return time
+
     def counterparts(self, places: Sequence[Place]) -> list[Place]:
         """The same instructions, executions and bits in protected code: original instructions keep their names."""
         source = cached_source(self.seen.function, self.seen.signature)
@@ -194,6 +209,7 @@ def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
     return Certificate(
         planned.kernel, planned.function, planned.signature, seen.instructions, counts_of(before), counts_of(after),
         pair.growth, planned.predicted, mcnemar([one == SDC for one in before], [one == SDC for one in again]),
+        pair.time(), planned.time,
     )  # fmt: skip
 
 

@@ -13,8 +13,8 @@ from mavfi.reports.text import ABSENT, percent
 
 _ADVICE = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed, predicted", "n SDC", "sites")
 _CERTIFICATE = (
-    "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "SDCs removed", "predicted", "",
-    "pairs",
+    "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "time", "SDCs removed",
+    "predicted", "", "pairs",
 )  # fmt: skip
 
 
@@ -82,7 +82,8 @@ def certificate_table(certification: Certification) -> Table:
     notes = (
         f"{certification.faults} faults per function in plain code, as many in protected code, uniform over its own "
         "dynamic instructions; SDCs removed: 1 - SDC after x instr. / SDC before, so that added instructions do not "
-        "dilute the rate; instr.: dynamic instructions, protected / plain",
+        "dilute the rate; instr.: dynamic instructions, protected / plain; time: "
+        "the same for time, measured here (in the plan)",
         "DUE (crash, hang, exception) at IR level; pairs: of the faults in plain code, injected once more in protected "
         "code: SDC in plain code only : in protected code only, McNemar's test",
     )
@@ -94,9 +95,14 @@ def _certificate_row(one: Certificate) -> tuple[str, ...]:
     return (
         one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc_before), interval_of(one.sdc_after),
         percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in KERNEL_DUE) / n),
-        f"×{one.growth:.2f}", interval_of(one.coverage), interval_of(one.predicted_rate), one.verdict,
+        f"×{one.growth:.2f}", _time(one), interval_of(one.coverage), interval_of(one.predicted_rate), one.verdict,
         f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
     )  # fmt: skip
+
+
+def _time(one: Certificate) -> str:
+    """Time ratio as measured, with that of the plan."""
+    return ABSENT if one.time is None else f"×{one.time:.2f} (×{one.planned_time:.2f})"
 
 
 def _unprotected_row(one: Unprotected) -> tuple[str, ...]:

@@ -76,6 +76,8 @@ def test_full_duplication_removes_the_corruptions_of_the_same_injections(planned
     assert found.coverage.rate > 0.8 and found.after.get("detected", 0) > 0
     assert found.paired.n == 60 and found.paired.second_only == 0 and found.paired.p_value < 0.01
     assert sum(found.after.values()) == sum(found.before.values()) == 60
+    assert found.time >= 1.0 and found.to_json()["time"] == found.time
+    assert found.to_json()["planned_time"] == planned.time
     assert found.to_json()["verdict"] == "unknown" and found.before[SDC] == found.to_json()["before"]["sdc"]
 
 

@@ -80,14 +80,14 @@ def test_sentences():
 def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     one = Certificate(
         "pid", "mavfi.pid.track", "f8", 1000, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 2.4,
-        Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False]),
+        Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False]), 1.372, 1.34,
     )  # fmt: skip
     found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 3578, 0))
     write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN)
     text = (tmp_path / "c.html").read_text()
     assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
-    assert "<td>1 : 0, p = 1</td>" in text
+    assert "<td>1 : 0, p = 1</td>" in text and "<td>×1.37 (×1.34)</td>" in text
     write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN, ("pid",))
     assert "runs&#39; --kernels pid --plan plan.yaml --certify" in (tmp_path / "c.html").read_text()
     rest = Unprotected("octomap", "m.insert_scan", "f8", 99_000, {"masked": 80, "sdc": 20})
