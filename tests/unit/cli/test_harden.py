@@ -5,9 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.hardening.study import Study
+from mavfi.campaign.analysis.pairs import mcnemar
+from mavfi.campaign.hardening import study
+from mavfi.campaign.hardening.certify import Certificate
+from mavfi.campaign.hardening.golden import GoldenCheck
+from mavfi.campaign.hardening.study import Certification, Study
 from mavfi.cli.commands import run
-from mavfi.hardening.plan import Coverage, load_plan, save_plan
+from mavfi.hardening.plan import Coverage, Plan, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
@@ -40,6 +44,22 @@ def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypat
     monkeypatch.chdir(tmp_path)
     assert run(["harden", "out", "--plan", "ten_percent", "--certify"]) == 2
     assert "the plan was made from 9f6e16e63775" in capsys.readouterr().err
+
+
+def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save_plan(Plan(), Path("plan.yaml"))
+    claim = Coverage(estimate=0.95, low=0.9, high=0.98)
+    for sdc, code in ((50, 3), (1, 0)):
+        one = Certificate(
+            "pid", "m.track", "f8", 9, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": sdc}, 1.0, claim,
+            mcnemar([True], [False]),
+        )  # fmt: skip
+        found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
+        monkeypatch.setattr(study, "certify_plan", lambda *_, found=found: found)
+        assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
+        assert ("The plan is refuted: " in capsys.readouterr().out) == (code == 3)
+        assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
 
 
 CAMPAIGN = """

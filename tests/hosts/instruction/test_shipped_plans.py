@@ -1,0 +1,72 @@
+"""The shipped plans fit the code; with its time charged, `ten_percent` detects a fault that would change the flight."""
+
+import pytest
+
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.config import names
+from mavfi.faults.spec import InstructionRequest
+from mavfi.flight_record import record_of
+from mavfi.hardening.plan import load_plan, save_plan, signature_text
+from mavfi.hardening.sources import cached_shape
+from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.instruction.protected import SOURCE
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.ir.build import name_of
+from mavfi.mission import MissionSpec
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE, PLANNERS
+
+pytestmark = pytest.mark.slow
+
+
+def mission(plan, **more):
+    return resolve(MissionSpec(environment="sparse", seed=7, protection=str(plan), **more))
+
+
+@pytest.fixture(scope="module")
+def golden():
+    """Two golden flights with the shipped plan."""
+    return [fly(mission("ten_percent")).log for _ in range(2)]
+
+
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory):
+    """The mission with the time of the plan, but plain code."""
+    plan = load_plan("ten_percent")
+    bare = tuple(one.model_copy(update={"kind": "none", "sites": ()}) for one in plan.functions)
+    path = tmp_path_factory.mktemp("plans") / "timed.yaml"
+    save_plan(plan.model_copy(update={"functions": bare}), path)
+    return mission(path)
+
+
+def test_golden_flights_are_those_of_plain_code_with_this_latency(golden, timed):
+    assert golden[0].digest() == golden[1].digest() == fly(timed).log.digest()
+    assert golden[0].digest() != fly(mission("")).log.digest(), "its time is charged"
+    assert golden[0].status.label == "success" and not golden[0].alarms
+
+
+def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):
+    faults = draw_instruction_faults(timed, InstructionRequest({"pid": 5}), seed=2).faults["pid"]
+    plain = [flight.log for flight in fly_instruction_faults(timed, faults).flights]
+    changed = [place for place, log in enumerate(plain) if log.digest() != golden[0].digest()]
+    assert changed, "draw other faults"
+    fault, own = faults[changed[0]], mission("ten_percent")
+    first, again = (fly_instruction_faults(own, [fault]).flights[0].log for _ in range(2))
+    assert first.kernel.effect == "detected" and [alarm.source for alarm in first.alarms] == [SOURCE]
+    assert record_of(first) == record_of(again), "replay"
+    assert first.status.label == "success"
+
+
+@pytest.mark.parametrize("name", names("protections"))
+def test_each_shipped_plan_is_that_of_the_code(golden, name):
+    """Made again by `make hardening` and tools/full_protection.py after a change of a kernel."""
+    plan = load_plan(name)
+    for planner in {one.kernel for one in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
+        fly(mission("", planner=planner))  # its types are known then
+    functions = {name_of(getattr(PLAIN, entry)): getattr(PLAIN, entry) for own in INJECTABLE.values() for entry in own}
+    assert plan.functions
+    for one in plan.functions:
+        function = functions[one.function]
+        (signature,) = (own for own in function.overloads if signature_text(own) == one.signature)
+        assert cached_shape(function, signature)[0] == one.ir_sha256, one.function
