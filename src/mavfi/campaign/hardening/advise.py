@@ -21,8 +21,8 @@ from mavfi.hardening.measure import Timed, compare
 from mavfi.hardening.plan import Site
 from mavfi.ir.build import environment_of
 
-FRACTIONS = (0.1, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-"""Steps of a curve: shares of the instructions that duplicating everything adds."""
+FRACTIONS = (0.1, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+"""Steps of a curve: shares of the instructions that duplicating everything adds; dense where time has its jumps."""
 _SECONDS = 1.0
 """Time for measuring one function."""
 Judged = Sequence[tuple[Injected, bool]]

@@ -1,13 +1,16 @@
 """Budget of time over functions, and predicted coverage."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.campaign.hardening.advise import Advice, Curve, Step, allocate, coverage_of, coverage_of_steps
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, allocate, coverage_of, coverage_of_steps
 from mavfi.campaign.hardening.learned import Injected
+from mavfi.campaign.hardening.study import Study
 from mavfi.hardening.choose import NOTHING
 
 
@@ -40,6 +43,24 @@ def test_the_cheapest_steps_are_bought_first():
     assert allocate([SMALL, LARGE], 0.14) == (2, 1)
     assert allocate([SMALL, LARGE], 2.0) == (2, 2)
     assert allocate([SMALL, LARGE], 0.0) == (0, 0)
+
+
+def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
+    kernels = ["point_cloud", "octomap", "collision_check", "rrt_connect", "pid"]
+    campaign = Campaign.model_validate({
+        "name": "tiny", "environments": ["dense"], "missions": 1, "faults": 5,
+        "sampling": {"level": "instruction", "kernels": kernels}, "mission": {"planner": "rrt_connect"},
+    })  # fmt: skip
+    whole, part = (Study(Path(), campaign, "0" * 64, own) for own in (tuple(kernels), ("pid",)))
+    assert whole.complete and whole.selected == ()
+    assert not part.complete and part.selected == ("pid",)
+
+
+def test_the_steps_of_a_curve_are_dense_where_time_jumps():
+    """A throughput-bound kernel had no step between x1.12 and x1.60."""
+    steps = (0.0, *FRACTIONS)
+    assert steps[-1] == 1.0 and all(one < other for one, other in zip(steps, steps[1:], strict=False))
+    assert all(other - one <= 0.051 for one, other in zip(steps[2:], steps[3:], strict=False) if one < 0.5)
 
 
 @settings(max_examples=40, deadline=None)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.hardening.advise import Advice, Curve, Step, choices_of
+from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of
 from mavfi.campaign.hardening.battery import Battery
 from mavfi.campaign.hardening.certify import Pair, certify
 from mavfi.campaign.hardening.kernel import see
@@ -48,7 +48,7 @@ def test_a_choice_from_other_calls_covers_what_it_has_not_seen(target):
     ladder = choices_of(target)
     covered = [np.mean([hit for _, hit in judged]) for _, _, judged in ladder]
     assert covered[0] == 0.0 and covered[-1] == 1.0
-    assert covered[3] > 0.6  # at half of the instructions
+    assert covered[1 + FRACTIONS.index(0.5)] > 0.6
     assert [choice.cost for _, choice, _ in ladder] == sorted(choice.cost for _, choice, _ in ladder)
     assert all(len(judged) == sum(one.sdc for one in target.injections) for _, _, judged in ladder)
 
@@ -70,11 +70,13 @@ class Study:
     campaign: Named
     digest: str = "0" * 64
     kernels: tuple[str, ...] = ("pid",)
+    complete: bool = False
+    selected: tuple[str, ...] = ("pid",)
 
 
 def test_a_summary_adds_up(target):
     steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in choices_of(target))
-    advice = Advice(0.5, (Curve(target, 1.0, 0.2, steps),), (3,))
+    advice = Advice(0.5, (Curve(target, 1.0, 0.2, steps),), (FRACTIONS.index(0.5) + 1,))
     found = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
     (function,), (kernel,) = found["functions"], found["kernels"]
     assert sum(function["escapes"].values()) == pytest.approx(1.0)
@@ -82,8 +84,9 @@ def test_a_summary_adds_up(target):
     assert sum(line["sdc"] * line["protected"] for line in function["lines"]) == pytest.approx(
         function["escapes"]["protected"]
     )
+    assert (found["complete"], found["selected"], found["addresses"]) == (False, ["pid"], False)
     assert found["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
-    assert [step["chosen"] for step in function["steps"]] == [place == 3 for place in range(9)]
+    assert [step["chosen"] for step in function["steps"]] == [one.fraction == 0.5 for one in steps]
 
 
 def test_choice_and_certificate_count_the_same_corruptions():
