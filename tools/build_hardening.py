@@ -36,7 +36,7 @@ from mavfi.hardening.plan import Plan, save_plan
 from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of
+from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of, rerun_line
 from mavfi.reports.text import markdown_grid, percent, shown
 from tools.hardening_requirements import HEADINGS, REQUIRED, requirements
 from tools.markers import GENERATED, ROOT, banner, fill
@@ -221,6 +221,7 @@ def page(
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
+        + f"\n\n{rerun_line(advice)}"
         + "\n\n## Curves and certificates\n\n"
         + "Step: share of the instructions that full duplication adds. Certified with n faults in plain and n in "
         + "protected code, on fresh missions; brackets: 95 % intervals.\n\n"

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from mavfi.campaign.hardening.study import Certification
-from mavfi.reports.hardening.plain import caveats, certificate_table, headline, interval, verdict_line
+from mavfi.reports.hardening.plain import caveats, certificate_table, headline, interval, rerun_line, verdict_line
 from mavfi.reports.html.page import render, write
 from mavfi.reports.text import percent
 from mavfi.reports.vulnerability.listing import highlighted, read_source
@@ -49,7 +49,7 @@ def write_certificate(
 def page(summary: Mapping[str, Any], directory: Path, plan: Path | None) -> str:
     """Render the page as text."""
     return render(
-        "harden.html.j2", summary=summary, caveats=caveats(summary),
+        "harden.html.j2", summary=summary, caveats=caveats(summary), rerun=rerun_line(summary),
         headline=headline(summary).replace(" %", "\u00a0%"),
         curves=[curve(row) for row in summary["functions"]], kernels=[_kernel(row) for row in summary["kernels"]],
         sources=[source(row) for row in summary["functions"]], commands=_commands(summary, directory, plan),

@@ -12,6 +12,7 @@ from mavfi.campaign.hardening.study import Certification
 from mavfi.reports.text import ABSENT, percent
 
 _ADVICE = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed, predicted", "n SDC", "sites")
+_TWICE = 2.0
 _CERTIFICATE = (
     "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "time", "SDCs removed",
     "predicted", "", "pairs",
@@ -42,6 +43,20 @@ def caveats(summary: Mapping[str, Any]) -> list[str]:
         f"It does not buy crashes: {interval(share)} of the injections ended in a crash, hang or exception; "
         "duplication detects some of them at IR level, which says nothing about machine level.",
     ]
+
+
+def rerun_line(summary: Mapping[str, Any]) -> str:
+    """Why calls are not computed twice instead: twice the time, at least, for all of the silent corruptions."""
+    rows = [row for row in summary["functions"] if row["steps"][-1]["time"] > _TWICE]
+    text = "Computing a whole call twice (kind rerun) removes all SDCs, but takes at least ×2.00: "
+    if not rows:
+        return f"{text}every function here is duplicated in full for less."
+    named = [
+        f"{row['entry']} (×{row['steps'][-1]['time']:.2f} in full; a rerun adds at least {percent(row['share'])} of a "
+        f"flight's kernel time, the budget is {percent(summary['budget'])})"
+        for row in rows
+    ]
+    return f"{text}less than full duplication for {', '.join(named)} only."
 
 
 def advice_table(summary: Mapping[str, Any]) -> Table:

@@ -1,6 +1,7 @@
 """The page of an advice: complete, offline, and safe; and its sentences."""
 
 import re
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from mavfi.reports.hardening.plain import (
     certificate_table,
     headline,
     interval,
+    rerun_line,
     verdict_line,
 )
 from tests.unit.reports.hardening.summaries import rate, summary
@@ -74,6 +76,13 @@ def test_sentences():
     assert headline(advice) == "Nothing can be protected within 10.0 % of a flight's kernel time."
     assert "of 60 with a dead kernel" in caveats(advice)[0]
     assert interval(rate(None)) == "—"
+    assert rerun_line(advice).endswith(
+        "less than full duplication for insert_scan (×2.40 in full; a rerun adds at least 77.0 % of a flight's kernel "
+        "time, the budget is 10.0 %) only."
+    )
+    assert rerun_line(advice) in unescape(page(advice, DIRECTORY, PLAN))
+    small = advice | {"functions": advice["functions"][:1]}
+    assert rerun_line(small).endswith("every function here is duplicated in full for less.")
     assert advice_table(advice).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
 
 
