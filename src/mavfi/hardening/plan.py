@@ -15,7 +15,14 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import yaml
-from pydantic import Field, field_serializer, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_serializer,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from mavfi.config import Config, load, shipped
 from mavfi.errors import BadInputError, writing
@@ -66,6 +73,9 @@ class FunctionPlan(Config):
     sites: tuple[Site, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
     lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")
+    share: float | None = Field(
+        None, ge=0, le=1, description="of the plain execution time of its kernel in a flight; absent = not known"
+    )
     predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
 
     @field_validator("sites", mode="before")
@@ -83,6 +93,14 @@ class FunctionPlan(Config):
     @field_serializer("sites")
     def _compact(self, sites: tuple[Site, ...]) -> dict[int, str]:
         return {number: " ".join(_ranges(list(own))) for number, own in groupby(sites, key=lambda site: site.function)}
+
+    @model_serializer(mode="wrap")
+    def _known(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A plan without shares has the digest that it had before there were any."""
+        found: dict[str, Any] = write(self)
+        if self.share is None:
+            found.pop("share", None)
+        return found
 
     @model_validator(mode="after")
     def _consistent(self) -> "FunctionPlan":
@@ -125,8 +143,14 @@ class Plan(Config):
         return hashlib.sha256(self.bare.model_dump_json().encode()).hexdigest()
 
     def time_of(self, kernel: str) -> float:
-        """Protected / plain execution time of a kernel: the largest of its functions', 1 if none is protected."""
-        return max((one.time for one in self.functions if one.kernel == kernel), default=1.0)
+        """Protected / plain execution time of a kernel, 1 if none of its functions is protected.
+
+        The times of its functions are weighted by their shares of its time; without shares it is the largest one.
+        """
+        own = [one for one in self.functions if one.kernel == kernel]
+        if any(one.share is None for one in own):
+            return max(one.time for one in own)
+        return 1.0 + sum((one.share or 0.0) * (one.time - 1.0) for one in own)
 
     def find(self, function: str, signature: tuple[Any, ...]) -> FunctionPlan | None:
         """The entry for a function (module and name) and the Numba types of its arguments; None = not protected."""

@@ -38,6 +38,22 @@ def test_the_digest_is_that_of_the_content_without_lines():
     assert one.digest != Plan(functions=(of(sites=((0, 0, 1),), time=1.5),)).digest
 
 
+def test_the_time_of_a_kernel_weights_its_functions_by_their_shares(tmp_path):
+    parts = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
+    plan = Plan(functions=parts)
+    assert plan.time_of("pid") == pytest.approx(1 + 0.75 * 0.2 + 0.05 * 0.8) and plan.time_of("rrt") == 1.0
+    save_plan(plan, tmp_path / "p.yaml")
+    assert load_plan(tmp_path / "p.yaml") == plan
+    old = Plan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
+    assert old.time_of("pid") == 1.8, "the largest, if a share is not known"
+
+
+def test_a_plan_without_shares_keeps_its_digest():
+    plan = Plan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
+    assert plan.digest.startswith("e8e853e533f5f2497261567f69d774ab")
+    assert "share" not in Plan(functions=(of(),)).model_dump_json()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -1,6 +1,7 @@
 """From a ledger to a plan, and from a plan to its certificate."""
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -154,20 +155,27 @@ def advise(
 
 def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
     """The plan of an advice."""
+    ticks: dict[str, float] = defaultdict(float)
+    for advice in advices:
+        for curve in advice.curves:
+            ticks[curve.target.kernels[0]] += curve.ticks
     functions = [
-        planned_of(curve.target, step) for advice in advices for curve, step in advice.steps if step.choice.chosen
+        planned_of(curve.target, step, round(curve.ticks / ticks[curve.target.kernels[0]], 4))
+        for advice in advices
+        for curve, step in advice.steps
+        if step.choice.chosen
     ]
     return Plan(cpu=processor(), ledger=study.digest, functions=tuple(functions))
 
 
-def planned_of(target: Target, step: Step) -> FunctionPlan:
-    """The entry of a function in a plan."""
+def planned_of(target: Target, step: Step, share: float | None = None) -> FunctionPlan:
+    """The entry of a function in a plan; `share` of the time of its kernel."""
     sites = target.sites(step.choice)
     return FunctionPlan(
         kernel=target.kernels[0], function=target.name, signature=target.seen.signature_text,
         ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none",
         addresses=target.addresses, sites=tuple(sites),
-        lines=target.lines(sites), time=round(step.time, 3), predicted=_coverage(step.coverage),
+        lines=target.lines(sites), time=round(step.time, 3), share=share, predicted=_coverage(step.coverage),
     )  # fmt: skip
 
 

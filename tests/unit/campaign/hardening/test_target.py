@@ -12,7 +12,7 @@ from mavfi.campaign.hardening.certify import Pair, certify
 from mavfi.campaign.hardening.kernel import see
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import Harm
-from mavfi.campaign.hardening.study import planned_of
+from mavfi.campaign.hardening.study import plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import targets_of
 from mavfi.faults.instruction.variant import signature_of
@@ -87,6 +87,14 @@ def test_a_summary_adds_up(target):
     assert (found["complete"], found["selected"], found["addresses"]) == (False, ["pid"], False)
     assert found["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
     assert [step["chosen"] for step in function["steps"]] == [one.fraction == 0.5 for one in steps]
+
+
+def test_a_plan_states_the_share_of_its_kernels_time(target):
+    steps = tuple(Step(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
+    curves = Curve(target, 300.0, 0.2, steps), Curve(target, 100.0, 0.1, steps)  # two functions of a kernel
+    advice = Advice(0.5, curves, (len(steps) - 1, 0))
+    (planned,) = plan_of(Study(Study.Named()), [advice]).functions
+    assert planned.share == 0.75 and planned.time == 1.4
 
 
 def test_choice_and_certificate_count_the_same_corruptions():
