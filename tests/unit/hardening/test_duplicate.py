@@ -17,6 +17,7 @@ from mavfi.hardening.duplicate import protect
 from mavfi.hardening.plan import FunctionPlan, signature_text
 from mavfi.hardening.protection import Protection
 from mavfi.hardening.recorded import copied
+from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import name_of, target_machine
 from mavfi.ir.digest import bodies_of, digest_of
 from mavfi.ir.module import is_floating
@@ -198,7 +199,8 @@ def test_a_plan_is_applied_to_the_code_for_which_it_was_made(tmp_path, monkeypat
     """The module is rewritten in a fresh process, from which the refusal comes, too."""
     signature = signature_of(WALK)
     plain = variant_of(walk, signature)
-    plan = plan_for(walk, WALK, ir_sha256=plain.ir_sha256)
+    fresh = parse_module(cached_source(walk, signature).text, "walk")
+    plan = plan_for(walk, WALK, ir_sha256=plain.ir_sha256, sites=tuple(candidates(fresh)))
     protected = variant_of(walk, signature, Protection(plan))
     assert protected.ir_sha256 != plain.ir_sha256
     assert variant_of(walk, signature, Protection(plan)) is protected
