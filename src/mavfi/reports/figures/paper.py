@@ -53,8 +53,8 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
             axes.set_ylim(len(names) - 0.5, -0.5)
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="x")
-        right.set_xlim(right=1.02)
     panels[-1][0].set_xlabel("flight time of missions that succeed (s)")
+    panels[-1][1].set_xlim(right=1.02)  # after the last environment: a limit ends autoscaling of the shared axis
     panels[-1][1].set_xlabel("missions that succeed")
     panels[-1][1].xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[-1][1].xaxis.set_major_locator(MaxNLocator(4))
