@@ -78,5 +78,7 @@ def show_study_report(written: StudyReport, show_all: bool) -> None:
             show_table(table, terminal)
     if show_all:
         show_table(written.times, terminal)
-    for line in written.findings:
-        terminal.print(Text(f"· {line}"))
+    for title, lines in written.findings.items():
+        terminal.print(Text(title, "bold"))
+        for line in lines:
+            terminal.print(Text(f"· {line}"))

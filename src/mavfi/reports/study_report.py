@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -61,13 +61,19 @@ class StudyReport:
         return [one for one in self.sections if one.section.headline and one.tables] or list(self.sections)
 
     @property
-    def findings(self) -> list[str]:
-        """Findings of the headline's campaigns, and the number of the paper's findings by verdict."""
-        lines = [line for one in self.headline if one.runs is not None for line in findings(one.runs)]
-        verdicts = Counter(entry["verdict"] for one in self.sections for table in one.tables
-                           if table.name == "claims" for entry in table.entries())  # fmt: skip
-        counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in sorted(verdicts))
-        return [*lines, *([f"Findings of the paper, tested: {counts}."] if counts else [])]
+    def findings(self) -> dict[str, list[str]]:
+        """Findings in sentences by title of their section: tested claims first, then the headline's campaigns."""
+        found = {}
+        for one in self.sections:
+            claims = [entry for table in one.tables if table.name == "claims" for entry in table.entries()]
+            if claims:
+                found[one.section.title] = _verdicts(claims)
+        of_campaigns = {one.section.campaign: one for one in reversed(self.headline) if one.runs is not None}
+        for one in reversed(of_campaigns.values()):
+            lines = findings(one.runs) if one.runs is not None else []
+            if lines:
+                found.setdefault(one.section.title, []).extend(lines)
+        return found
 
     @property
     def times(self) -> Table:
@@ -81,6 +87,14 @@ class StudyReport:
         data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
                                       "times": self.times.to_json()})  # fmt: skip
         return data
+
+
+def _verdicts(claims: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Sentences on tested claims: their number by verdict, and those that were contradicted."""
+    counts = Counter(claim["verdict"] for claim in claims)
+    parts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in sorted(counts))
+    against = "; ".join(claim["statement"] for claim in claims if claim["verdict"] == "contradicted")
+    return [f"{len(claims)} claims: {parts}.", *([f"Contradicted: {against}."] if against else [])]
 
 
 def check_names(study: Study, where: str) -> None:

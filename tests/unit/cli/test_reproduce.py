@@ -89,7 +89,9 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "mavfi reproduce small --scale quick --out" in page, "how to repeat it"
     assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
-    assert all(line in page for line in study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings)
+    findings = study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings
+    assert list(findings) == ["One", "Two"] and all(f"<h3>{title}</h3>" in page for title in findings)
+    assert all(line in page for lines in findings.values() for line in lines)
 
     assert run(["report", str(out), "--html", str(tmp_path / "page.html"), "--flights", "1", "--no-draw-run"]) == 0
     printed = capsys.readouterr().out

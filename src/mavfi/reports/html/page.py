@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from mavfi.errors import writing
 from mavfi.flight_record import plain
@@ -29,6 +30,11 @@ def as_json(data: Any) -> Markup:
     return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - without "<", nothing can end the element
 
 
+def with_code(text: str) -> Markup:
+    """Escape text, and show what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))  # noqa: S704 - escaped
+
+
 @cache
 def _resource(name: str) -> Markup:
     """A file of this package, inlined verbatim."""
@@ -43,7 +49,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )  # fmt: skip
     found.globals |= {"resource": _resource, "version": __version__, "before": f"{BEFORE:g}", "after": f"{AFTER:g}"}
-    found.filters["as_json"] = as_json
+    found.filters |= {"as_json": as_json, "with_code": with_code}
     return found
 
 

@@ -100,19 +100,19 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """Text of the first screen."""
+    """Text of the first screen; findings by heading ("" = none)."""
 
     kind: str
     title: str
     lines: Sequence[str]
-    findings: Sequence[str]
+    findings: Mapping[str, Sequence[str]]
 
 
 def headline_of(report: Report) -> Headline:
     """Headline of a campaign."""
     named, *lines = header(report.runs.campaign)
     campaign, _, mission = named.partition(" · ")
-    return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], report.findings)
+    return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], {"": report.findings})
 
 
 def headline_of_study(study: StudyReport) -> Headline:

@@ -8,6 +8,9 @@ from typing import Any
 from mavfi.campaign.analysis.table import TEXT, Table
 from mavfi.reports.text import ABSENT, cell
 
+LONGEST_NAME = 40
+"""Longest text of a cell that is shown on one line (characters)."""
+
 _INTERVAL = re.compile(r"^(\S+) (\[.*)$")
 
 
@@ -62,7 +65,10 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
             link = sets.link(ids[column]) if kinds[column] == "number" and text != ABSENT else ""
             cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
         rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
-    columns = [{"heading": table.columns[place].heading, "kind": kinds[place]} for place in shown]
+    columns = [
+        {"heading": table.columns[place].heading, "kind": kinds[place], "prose": _is_prose(table, place)}
+        for place in shown
+    ]
     return {
         "name": table.name, "title": table.title, "columns": columns, "rows": rows, "notes": table.notes,
         "csv": table.to_csv(),
@@ -74,6 +80,11 @@ def _kind(table: Table, place: int) -> str:
     if place < table.keys:
         return "key"
     return "text" if table.columns[place].form == TEXT else "number"
+
+
+def _is_prose(table: Table, place: int) -> bool:
+    """Whether a column holds sentences, which wrap."""
+    return any(isinstance(row[place], str) and len(row[place]) > LONGEST_NAME for row in table.rows)
 
 
 def _split(text: str) -> tuple[str, str]:

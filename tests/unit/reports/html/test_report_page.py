@@ -74,6 +74,22 @@ def test_text_from_data_is_never_markup(tmp_path, report, flown):
     assert "</script><script>alert(1)" in json.loads(data)["0-<b>bold</b>"]
 
 
+def test_what_stands_between_backticks_is_shown_as_code_and_stays_escaped(tmp_path, report, flown):
+    table = Table.of_text("commands", ["command"], [("one",)], ["as `mavfi runs <DIR>` lists"])
+    _, text = written(tmp_path, report, flown, [Section("First", []), Section("Then", [table], text="Fly `a` & b.")])
+    assert "<p>Fly <code>a</code> &amp; b.</p>" in text
+    assert "<li>as <code>mavfi runs &lt;DIR&gt;</code> lists</li>" in text
+
+
+def test_only_columns_of_sentences_wrap(tmp_path, report, flown):
+    sentence = "a sentence that would make the table wider than the page"
+    rows = [("one", "confirmed", sentence), ("two", "no", "")]
+    table = Table.of_text("claims", ["claim", "verdict", "here"], rows, [])
+    _, text = written(tmp_path, report, flown, [Section("First", [table])])
+    assert f'<td class="text prose">{sentence}</td>' in text and '<td class="text prose"></td>' in text
+    assert '<td class="text">confirmed</td>' in text and '<th scope="row">one</th>' in text
+
+
 @pytest.mark.slow
 def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
     def endless():
