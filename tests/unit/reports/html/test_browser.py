@@ -212,6 +212,18 @@ def test_the_page_of_a_run_has_its_flight_and_the_way_back(browser, report_html,
     assert browser.complaints() == []
 
 
+def test_print_shows_what_is_folded(browser, report_html):
+    browser.open(report_html)
+    hidden = """return [...document.querySelectorAll('#report details > :not(summary)')].filter((node) =>
+        !node.checkVisibility()).length"""
+    assert browser.run(hidden) > 0
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        assert browser.run(hidden) == 0
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
 def test_tables_are_downloaded_as_csv(browser, report_html):
     browser.open(report_html)
     browser.run("window.kept = []; window.download = (name, text) => kept.push([name, text])")
