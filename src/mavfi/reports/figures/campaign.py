@@ -247,7 +247,8 @@ register(
     Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
     Drawing(
         "flight_time", flight_time,
-        "Share of missions that arrived, by flight time over the golden run's; failures never arrive.", general=True,
+        "Share of missions that arrived, faults in all bits, by flight time over the golden run's; lost ones never do.",
+        general=True,
     ),
     Drawing(
         "sites", sites, "Share of missions that fail or take more than 5 % longer, by what was injected.", general=True
