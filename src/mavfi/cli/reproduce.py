@@ -1,7 +1,7 @@
 """`mavfi reproduce`: train detectors, fly the campaigns of a study, write its reports, print its headline."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
+    from mavfi.campaign.study import Study
     from mavfi.cli.progress import Part
     from mavfi.mission import MissionSpec
 
@@ -22,6 +23,8 @@ MODELS = "models"
 """Subfolder of the study for the trained models."""
 PAGE, FLIGHTS = "report.html", 12
 """Name of the study's page, and its number of flights; `mavfi report DIR --html` embeds as many as fit."""
+TIMED, TIMED_FLIGHTS = "overheads_as_in_the_paper", 3
+"""View whose overheads are measured, and golden flights per environment and detector for it."""
 
 
 def reproduce(  # noqa: PLR0913 - one parameter per option
@@ -45,6 +48,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.overheads import measure, save
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import Training, record
@@ -67,6 +71,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
     parts = {f"training {place}": Part(0, flights, 1.0 / workers) for place in range(1, 1 + len(lacking))}
     parts |= {folder: _part(campaign, out / folder, workers) for folder, campaign in campaigns.items()}
+    timed = _to_be_timed(chosen, campaigns, out)
+    parts |= {f"timing {folder}": Part(0, flights, 1.0) for folder, flights in timed.items()}
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
     with stoppable(stopped), compiling(instrumented=True):
         compile_ahead(campaigns.values(), executor)
@@ -82,6 +88,9 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign
             run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
+        for folder in timed:  # in one process, with no other work beside it
+            bar.begin(f"timing {folder}", "timed flights")
+            save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
     written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers)
     if as_json:
         write_json(written.to_json())
@@ -102,6 +111,18 @@ def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> l
             if not _trained(campaign, mission, folder, flights):
                 found.setdefault(tuple(_trained_for(mission).values()), mission)
     return list(found.values())
+
+
+def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> dict[str, int]:
+    """Campaigns whose overheads the study shows and nobody has measured yet, by folder: number of flights to time."""
+    from mavfi.campaign.overheads import load
+
+    found = {}
+    for folder in {section.campaign: None for section in study.sections if TIMED in section.views}:
+        arms = sum(bool(arm.detector) for arm in campaigns[folder].arms.values())
+        if arms and not load(out / folder):
+            found[folder] = TIMED_FLIGHTS * arms * len(campaigns[folder].environments)
+    return found
 
 
 def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":

@@ -3,6 +3,7 @@ import json
 import pytest
 import yaml
 
+from mavfi.campaign import overheads
 from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
@@ -45,12 +46,16 @@ def study(folder, **changes):
 
 
 @pytest.mark.slow
-def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, tmp_path, monkeypatch):
+def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("mavfi.cli.reproduce.TIMED_FLIGHTS", 1)
+    leading = {".": "success_as_in_the_paper", "instructions": "instructions_as_in_the_paper"}
+    sections = [{"title": name, "campaign": name, "views": [view], "headline": True} for name, view in leading.items()]
+    sections.append({"title": "Table II", "campaign": ".", "views": ["overheads_as_in_the_paper"]})
     out = tmp_path / "out"
-    arguments = ["reproduce", study(tmp_path), "--out", str(out), "--workers", "1"]
+    arguments = ["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out), "--workers", "1"]
     assert run(arguments) == 0
     text = capsys.readouterr().out
-    states, instructions = (VIEWS[name].title for name in ("success_as_in_the_paper", "instructions_as_in_the_paper"))
+    states, instructions = (VIEWS[name].title for name in leading.values())
     assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
     assert {"study.md", "study.json"} <= {path.name for path in out.iterdir()}
     files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
@@ -59,9 +64,12 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
     assert "Injection run" in (out / "instructions" / "readme_block.md").read_text(encoding="utf-8"), "not its headline"
 
     def never(*_, **__):
-        raise AssertionError("trained again")
+        raise AssertionError("trained or timed again")
 
+    assert overheads.load(out)["missions"] == 1
+    assert "one process on " in (out / "study.md").read_text(encoding="utf-8"), "measured, not modelled alone"
     monkeypatch.setattr("mavfi.campaign.training.record", never)
+    monkeypatch.setattr("mavfi.campaign.overheads.measure", never)
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)["campaigns"]) == {".", "instructions"}
