@@ -57,7 +57,7 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
     panels[-1][1].set_xlim(right=1.02)  # after the last environment: a limit ends autoscaling of the shared axis
     panels[-1][1].set_xlabel("missions that succeed")
     panels[-1][1].xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
-    panels[-1][1].xaxis.set_major_locator(MaxNLocator(4))
+    panels[-1][1].xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     return figure
 
 
