@@ -46,7 +46,7 @@ PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 COMPARED_FRACTION = 0.25
 """Share of the instructions of full duplication at which ways to choose are compared."""
-MORE = {"plan_rrt_connect": 2, "time_to_collision": 5}
+MORE = {"plan_rrt_connect": 8, "time_to_collision": 10}
 """Times more faults in the largest step within the time, where a lower bound is required."""
 LONG = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
