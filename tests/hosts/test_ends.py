@@ -143,7 +143,7 @@ def test_a_huge_command_is_shortened():
         ({"environment": "nowhere"}, "environment 'nowhere': not known; allowed: "),
         ({"seed": -1}, "'seed': -1"),
         ({"v_max": 99.0}, "'v_max': 99.0"),
-        ({"stack": "soft"}, "autopilot 'soft': not known; allowed: hardened, published"),
+        ({"autopilot": "soft"}, "autopilot 'soft': not known; allowed: hardened, published"),
         ({"platform": "abacus"}, "platform 'abacus': not known"),
     ],
 )

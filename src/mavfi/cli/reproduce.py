@@ -53,9 +53,9 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import Training, record
     from mavfi.campaign.warm_up import compile_ahead
-    from mavfi.cli.progress import Part, StudyBar, compiling, duration
+    from mavfi.cli.progress import Part, StudyBar, compiling
     from mavfi.cli.study_report import show_study_report, write_study_report
-    from mavfi.reports.study_report import MARKDOWN, check_names
+    from mavfi.reports.study_report import check_names
 
     begun = time.perf_counter()
     chosen = load_study(study)
@@ -82,12 +82,10 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             bar.begin(f"training {place}", "training flights")
             flown = record(out / MODELS, flights, mission, workers=workers, progress=bar.show, only=wanted)
             trainings.append(flown)
-        for _ in map_each(executor, Training.fit, trainings):
-            pass
+        list(map_each(executor, Training.fit, trainings))
         for folder, campaign in campaigns.items():
             bar.begin(folder, f"campaign {campaign.name}")
-            show = bar.show_campaign
-            run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
+            run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign)
         for folder in timed:  # in one process, with no other work beside it
             bar.begin(f"timing {folder}", "timed flights")
             save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
@@ -96,11 +94,18 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         write_json(written.to_json())
         return
     show_study_report(written, show_all)
+    _say_where(out, campaigns, time.perf_counter() - begun)
+
+
+def _say_where(out: Path, folders: Iterable[str], seconds: float) -> None:
+    """Print where report, ledgers and models are, and how long it took."""
+    from mavfi.cli.progress import duration
+    from mavfi.reports.study_report import MARKDOWN
+
     terminal = console()
     terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
-    terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in campaigns)}."), soft_wrap=True)
-    where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
-    terminal.print(where, soft_wrap=True)
+    terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in folders)}."), soft_wrap=True)
+    terminal.print(f"The models are in {out / MODELS}. It took {duration(seconds)}.", soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:

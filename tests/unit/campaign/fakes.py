@@ -166,7 +166,7 @@ class SlowHost(FakeHost):
 
     def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
         if not os.path.exists(os.environ.get(HURRY, "")):
-            time.sleep(0.5)
+            time.sleep(1.0)
         return FakeFlights(arms, fast_forward)
 
 

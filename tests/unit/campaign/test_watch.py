@@ -64,17 +64,8 @@ def test_a_campaign_is_watched_from_outside(flying):
 @pytest.mark.parametrize("stop", [True, False])
 def test_watching_ends_with_the_campaign_or_with_ctrl_c(flying, stop):
     command = [sys.executable, "-m", "mavfi", "campaign", "status", str(flying), "--watch", "--every", "0.2"]
-    watching = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    line = watching.stdout.readline()
-    assert "of 160 runs" in line
-    if stop:
-        watching.send_signal(signal.SIGINT)
-    else:
-        while "runs/s" not in line or "left" not in line:
-            assert line, "the speed was not shown"
-            line = watching.stdout.readline()
-        (flying.parent / "hurry").touch()
-    out, err = watching.communicate(timeout=120)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
+        out, err = _watched(watching, flying, stop)
     if stop:
         assert (watching.returncode, err) == (130, "Stopped watching; the campaign is left as it is.\n")
         assert is_written(flying)
@@ -84,6 +75,20 @@ def test_watching_ends_with_the_campaign_or_with_ctrl_c(flying, stop):
     last = lines[next(i for i, line in enumerate(lines) if line.startswith("160 of 160 runs · complete")) :]
     golden = next(line for line in last if line.startswith("golden"))
     assert golden.split()[:4] == ["golden", "40", "40", "40"] and "100.0 % [91.2, 100.0]" in golden
+
+
+def _watched(watching, flying, stop):
+    """Output and errors of the command, whose campaign hurries once its speed was shown."""
+    line = watching.stdout.readline()
+    assert "of 160 runs" in line
+    if stop:
+        watching.send_signal(signal.SIGINT)
+    else:
+        while "runs/s" not in line or "left" not in line:
+            assert line, f"the speed was not shown: {watching.stderr.read()}"
+            line = watching.stdout.readline()
+        (flying.parent / "hurry").touch()
+    return watching.communicate(timeout=120)
 
 
 def test_a_complete_campaign_is_shown_once(capsys, flown):

@@ -161,7 +161,7 @@ def flight_time(runs: Runs) -> Figure | None:
             lowest = min(lowest, float((part <= -0.02).sum()) / n)
         axes.set_title(f"{environment}, n = {_range(counts.values())}")
         axes.set_xlim(fastest - 0.02, reach)
-        axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_major_formatter(_signed)
         axes.grid(True)
         axes.set_xlabel("flight time against the golden run's")
