@@ -45,7 +45,7 @@ def with_licence(name: str, package: Path, code: str) -> str:
 
 
 def main() -> None:
-    """Write the folder anew."""
+    """Write the folder from scratch."""
     if platform.machine() != "x86_64":
         raise SystemExit("vendor_javascript: esbuild is fetched for x86-64 Linux")
     VENDOR.mkdir(parents=True, exist_ok=True)

@@ -69,30 +69,31 @@ class Scores:
         return wilson(int((own > threshold).sum()), len(own))
 
     def area(self) -> float | None:
-        """Area under the ROC curve of harmful corrupted publications against golden ones (Mann and Whitney's U)."""
-        own = self.corrupted[self.harmful]
-        if not len(own) or not self.judged:
-            return None
-        ascending = self.golden[::-1]
-        silent = self.judged - len(ascending)  # publications with a score of 0
-        below = np.searchsorted(ascending, own, "left") + silent * (own > 0)
-        equal = np.searchsorted(ascending, own, "right") - np.searchsorted(ascending, own, "left") + silent * (own == 0)
-        return float(np.mean((below + 0.5 * equal) / self.judged))
+        """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
+        from sklearn.metrics import roc_auc_score
+
+        samples = self._samples()
+        return None if samples is None else float(roc_auc_score(*samples[:2], sample_weight=samples[2]))
 
     def precision(self) -> float | None:
         """Average precision: area under the curve of precision over recall, harmful corrupted publications to find.
 
         Precision depends on the share of corrupted publications, here one per harmful fault among the golden ones.
         """
-        own = np.sort(self.corrupted[self.harmful])
+        from sklearn.metrics import average_precision_score
+
+        samples = self._samples()
+        return None if samples is None else float(average_precision_score(*samples[:2], sample_weight=samples[2]))
+
+    def _samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Labels (1 = harmful), scores and weights; the last sample stands for all golden scores of 0."""
+        own = self.corrupted[self.harmful]
         if not len(own) or not self.judged:
             return None
-        thresholds = np.unique(np.append(own, 0.0))[::-1]
-        found = len(own) - np.searchsorted(own, thresholds, "left")
-        alarms = len(self.golden) - np.searchsorted(self.golden[::-1], thresholds, "left")
-        alarms = np.where(thresholds > 0.0, alarms, self.judged)
-        gained = np.diff(found, prepend=0)
-        return float((gained * found / np.maximum(found + alarms, 1)).sum() / len(own))
+        scores = np.concatenate([own, self.golden, [0.0]])
+        weights = np.ones(len(scores))
+        weights[-1] = self.judged - len(self.golden)
+        return np.arange(len(scores)) < len(own), np.minimum(scores, np.finfo(float).max), weights
 
     def curve(self) -> list[tuple[float, float, float]]:
         """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""
@@ -252,14 +253,7 @@ def table(found: Mapping[str, Scores], left_out: Mapping[str, str] | None = None
     columns += [Column(f"at_{rate:g}", f"detected at {rate:g}/h", RATE) for rate in RATES_PER_HOUR]
     columns += [Column("hours", "exposure", "number .2f h")]
     rows = [
-        (
-            name,
-            int(own.harmful.sum()),
-            own.area(),
-            own.precision(),
-            *(own.detected_at(rate) for rate in RATES_PER_HOUR),
-            own.hours,
-        )
+        (name, int(own.harmful.sum()), own.area(), own.precision(), *map(own.detected_at, RATES_PER_HOUR), own.hours)
         for name, own in found.items()
     ]
     notes = (

@@ -104,7 +104,7 @@ def _types(connection: sqlite3.Connection) -> str:
         json.dumps(items, allow_nan=False)
         checked(_Meta, items, "metadata")
     except (BadInputError, RecursionError, ValueError) as error:
-        return f"{error}"
+        return str(error)
     for column, kinds in _TYPES.items():
         allowed = ", ".join(f"'{kind}'" for kind in kinds.split())
         json_too = f" OR {column} IS NOT NULL AND NOT json_valid({column})" if column in ("spec", "record") else ""

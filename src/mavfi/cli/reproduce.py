@@ -86,7 +86,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         for folder, campaign in campaigns.items():
             bar.begin(folder, f"campaign {campaign.name}")
             run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign)
-        for folder in timed:  # in one process, with no other work beside it
+        for folder in timed:  # in one process, with no other work at the same time
             bar.begin(f"timing {folder}", "timed flights")
             save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
     written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers)

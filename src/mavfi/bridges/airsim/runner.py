@@ -21,7 +21,7 @@ def _airsim():
     """The client library: airsim, or Cosys-AirSim's as airsim."""
     try:
         import airsim
-        from airsim import VehicleClient  # noqa: F401 - a folder of this name beside the program is not the library
+        from airsim import VehicleClient  # noqa: F401 - a folder of this name next to the program is not the library
     except ImportError:
         import cosysairsim as airsim
 

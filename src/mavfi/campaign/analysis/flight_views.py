@@ -18,9 +18,9 @@ from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 
 ONE_FAULT = "rates are conditional on one fault per mission"
-INTERVALS = (
-    "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds; whole word: MOVER over bit strata], n"
-)
+_WILSON = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds"
+INTERVALS = f"{_WILSON}], n"
+_STRATA_INTERVALS = f"{_WILSON}; whole word: MOVER over bit strata], n"
 _SETTINGS = (
     "golden = no fault; fi = one fault; dr_X = the same faults with detector X on; golden_X = no fault, detector X on"
 )
@@ -116,14 +116,14 @@ register(
         "success", "Success of missions", SETTING, (m.leading_success, paper.column(paper.success), m.other_success),
         where=of_missions,
         notes=lambda runs: (
-            paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,
+            paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, _STRATA_INTERVALS,
             "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
         ), leads=True, applies=of_states,
     ),
     View(
         "memory_success", "Success of missions, faults in memory", SETTING, (m.leading_success, m.other_success),
         where=of_missions,
-        notes=lambda runs: (ONE_FAULT, _SETTINGS, INTERVALS, *unknown_note(of_missions(runs))), leads=True,
+        notes=lambda runs: (ONE_FAULT, _SETTINGS, _STRATA_INTERVALS, *unknown_note(of_missions(runs))), leads=True,
         applies=lambda runs: has(runs.injected, level=MEMORY),
     ),
 )  # fmt: skip
@@ -205,7 +205,7 @@ FEWEST = 10  # minimum number of flights for a field to have a row in the report
 
 def _slow_note(runs: Runs) -> tuple[str, ...]:
     return (
-        f"success: {INTERVALS}",
+        f"success: {_STRATA_INTERVALS}",
         "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes; both for the first "
         "column's bits", ONE_FAULT,
     )  # fmt: skip
@@ -234,7 +234,7 @@ _of_failures: dict[str, Any] = {
     "applies": of_sensors,
     "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
     "notes": lambda _: (
-        f"success: {INTERVALS.split(';')[0]}], n",
+        f"success: {INTERVALS}",
         "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
         ONE_FAULT,
     ),

@@ -81,7 +81,7 @@ def _shown(
         (m.count("n", "n"), m.rate("success", "success %", "success"), _DETOURS, *_TIMES), where=where,
         headings=("environment", heading), applies=applies,
         notes=lambda _: (
-            note, f"rates: {INTERVALS.split(';')[0]}]; flight times of missions that succeed; against golden: of the "
+            note, f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the "
             "same world", ONE_FAULT,
         ),
     )  # fmt: skip

@@ -144,10 +144,12 @@ def _forked(
     pipe: Connection, ours: Iterable[Connection], function: Callable[[Any], Iterator[Any]], parent: int
 ) -> None:  # fmt: skip
     """Main function of a forked worker."""
+    if not _ends_with(parent):
+        return
     for end in ours:
         end.close()
     gc.freeze()  # inherited objects stay shared: a collection would copy their pages
-    _work(pipe, function, parent)
+    _work(pipe, function)
 
 
 def _started(handle: int, parent: int) -> None:
@@ -163,7 +165,7 @@ def _started(handle: int, parent: int) -> None:
             pipe.send(Raised(MavfiError(f"workers cannot import what they should call: {error}")))
             return
         gc.freeze()  # modules would take 0.1 s of the collection after each mission
-        _work(pipe, function, parent)
+        _work(pipe, function)
 
 
 def _ends_with(parent: int) -> bool:
@@ -172,10 +174,8 @@ def _ends_with(parent: int) -> bool:
     return os.getppid() == parent
 
 
-def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
+def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
     """Fly missions until the pipe is closed or the parent is dead."""
-    if not _ends_with(parent):
-        return
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:

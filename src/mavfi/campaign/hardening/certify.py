@@ -33,14 +33,27 @@ CONFIRMED, REFUTED, BETTER, UNKNOWN = "confirmed", "refuted", "better", "unknown
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate:
-    """What fresh faults show of the protection of one function.
+class _Function:
+    """A function in which fresh faults were injected.
 
     Attributes:
         kernel: That calls it, as in a campaign's sampling.
         function: Module and name.
         signature: Numba types of its arguments.
         instructions: Dynamic instructions of plain code in the observed flights.
+    """
+
+    kernel: str
+    function: str
+    signature: str
+    instructions: int
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate(_Function):
+    """What fresh faults show of the protection of one function.
+
+    Attributes:
         before: Effects of injections in plain code, by number.
         after: The same in protected code.
         growth: Dynamic instructions of protected code / plain code.
@@ -50,10 +63,6 @@ class Certificate:
         planned_time: The same, from the plan.
     """
 
-    kernel: str
-    function: str
-    signature: str
-    instructions: int
     before: dict[str, int]
     after: dict[str, int]
     growth: float
@@ -105,21 +114,13 @@ class Certificate:
 
 
 @dataclass(frozen=True, slots=True)
-class Unprotected:
+class Unprotected(_Function):
     """What fresh faults show of a function that the plan leaves as it is.
 
     Attributes:
-        kernel: That calls it, as in a campaign's sampling.
-        function: Module and name.
-        signature: Numba types of its arguments.
-        instructions: Its dynamic instructions in the observed flights.
         effects: Effects of injections, by number.
     """
 
-    kernel: str
-    function: str
-    signature: str
-    instructions: int
     effects: dict[str, int]
 
     @property

@@ -241,9 +241,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
             flown += [seen for own in observe(scenario, kernels).values() for seen in own]
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
-        done = {(one.function, one.signature) for one in certificates} | {
-            (one.function, one.signature) for one in others
-        }
+        done = {(one.function, one.signature) for one in (*certificates, *others)}
         known = [one for one in merged(flown) if one.entry in entries_of(study.kernels)]
         fresh = [one for one in known if (name_of(one.function), one.signature_text) not in done]
         for pair in pairs_of(fresh, plan):

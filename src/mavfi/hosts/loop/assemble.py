@@ -10,7 +10,6 @@ from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
-from mavfi.hosts.loop.waiting import repeats
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
@@ -51,7 +50,7 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
         return
     loop.marks = True
     restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
-    tap = Watch(loop, detector, recovery, repeated=repeats(loop.scenario.autopilot), **restart)
+    tap = Watch(loop, detector, recovery, **restart)
     loop.taps.detector, loop.taps.watched = tap, tap.states
     loop.taps.seal = tap.seal if tap.seals else None
     duplicates = getattr(detector, "duplicates", ())

@@ -21,7 +21,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
-from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer
+from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, repeats
 from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.states import STAGE_KERNELS, STATES, Stage, State, StateSpec
 
@@ -188,7 +188,6 @@ class Watch:
         detector: The detector.
         recovery: The recovery policy.
         restart: Restarts the node of a kernel; arguments: kernel, instant (us), down time (us).
-        repeated: Whether each scan judges the trajectory anew, see `waiting`.
 
     Attributes:
         restarts_left: Remaining number of node restarts.
@@ -201,7 +200,7 @@ class Watch:
 
     def __init__(
         self, loop: "Loop", detector: Detector, recovery: Recovery = INLINE,
-        restart: Callable[[str, int, int], None] = _never, *, repeated: bool = False,
+        restart: Callable[[str, int, int], None] = _never,
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
@@ -219,7 +218,9 @@ class Watch:
         self.seals = self._seal is not None or recovery.grain == "message"
         self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants of the latest hard alarms (us)
         self._silenced = False
-        self._answer = Answer(recovery.answer_s, repeated=repeated) if recovery.answer_s else None
+        self._answer = None
+        if recovery.answer_s:
+            self._answer = Answer(recovery.answer_s, repeated=repeats(loop.scenario.autopilot))
 
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""

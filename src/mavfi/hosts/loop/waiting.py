@@ -1,7 +1,7 @@
 """Deadline of the path that answers a collision alarm.
 
-The wait begins with an alarm, and ends with a path that carries the alarm's sequence number or a later one.  Where the
-check judges the trajectory anew at each scan, an accepted status that withdraws the alarm ends the wait, too: the
+The wait begins with an alarm, and ends with a path that carries the alarm's sequence number or a later one.  If
+every scan re-evaluates the trajectory, an accepted status that withdraws the alarm ends the wait as well: the
 trajectory is free, and the planner need not answer.  A lost flag is no withdrawal: the times and distances of such a
 status still tell of a collision.  Neither is the status of a vehicle without a trajectory, which the check cannot
 judge: there the planner is needed.
@@ -17,7 +17,7 @@ COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "pla
 
 
 def repeats(autopilot: AutopilotConfig) -> bool:
-    """Whether each scan judges the trajectory anew: an alarm can be withdrawn."""
+    """Whether every scan re-evaluates the trajectory, so that an alarm can be withdrawn."""
     return autopilot.alarm == "repeated" or autopilot.replanning == "every_map"
 
 
@@ -26,7 +26,7 @@ class Answer:
 
     Args:
         limit_s: Deadline (s).
-        repeated: Whether each scan judges the trajectory anew (`repeats`).
+        repeated: Whether every scan re-evaluates the trajectory (`repeats`).
     """
 
     states = frozenset((COLLISION, PATH, WAYPOINT))
@@ -43,7 +43,7 @@ class Answer:
         Args:
             state: Collision status, path or way-point.
             now: Instant of the publication (us).
-            away: Whether the planner is restarting; the deadline begins anew when it is back.
+            away: Whether the planner is restarting; the deadline restarts when it is back.
         """
         if state.spec.name == WAYPOINT:
             self._waypoint = state

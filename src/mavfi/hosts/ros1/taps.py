@@ -12,13 +12,13 @@ from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.loop.recovery import Action, Watch
-from mavfi.hosts.loop.waiting import repeats
 from mavfi.hosts.ros1.convert import to_stamp
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTION, INJECTOR, RECOMPUTE, VERDICT
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports, fatal
+from mavfi.mission import Scenario
 from mavfi.states import STATES, State, StateSpec, in_node
 
 if TYPE_CHECKING:
@@ -66,11 +66,12 @@ class Shadow:
     """Stub of a loop for `Watch` in the detector's node: the world holds the real loop and executes the actions.
 
     Attributes:
-        awaited, requests, busy: As of `Loop`.
+        scenario, awaited, requests, busy: As of `Loop`.
         record: Alarms only; the world records events.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
         self.awaited: dict[str, Any] = {}
         self.requests: dict[str, Any] = {}
         self.busy: dict[str, Any] = {}
@@ -96,11 +97,8 @@ class Watcher:
     def __init__(self, plan: Plan) -> None:
         assert plan.detector is not None
         plan.detector.start()
-        self._shadow = Shadow()
-        self._watch = Watch(
-            cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget,
-            repeated=repeats(plan.scenario.autopilot),
-        )  # fmt: skip
+        self._shadow = Shadow(plan.scenario)
+        self._watch = Watch(cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget)
         self._gated, self._free = plan.gated, plan.free_running
         self._lock = threading.Lock()
         self._ports = ports = Ports(DETECTOR, plan)

@@ -125,7 +125,8 @@ def test_an_alarm_about_a_recomputation_restarts_the_writer():
 class Flight:
     """As much of a loop as a watch needs."""
 
-    def __init__(self):
+    def __init__(self, alarm="one_shot"):
+        self.scenario = SimpleNamespace(autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"))
         self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
@@ -160,9 +161,9 @@ class Never(Always):
         return None
 
 
-def shown(detector, recovery, values, flight, restarts_left=MOST_RESTARTS, *, repeated=False):
+def shown(detector, recovery, values, flight, restarts_left=MOST_RESTARTS):
     """Which of the values pass."""
-    watch = Watch(flight, detector, recovery, flight.restart, repeated=repeated)
+    watch = Watch(flight, detector, recovery, flight.restart)
     watch.restarts_left = restarts_left
     return [watch(state, now) is not None for now, state in values]
 
@@ -249,21 +250,21 @@ def waypoint(index=3):
 )
 def test_an_alarm_that_is_withdrawn_needs_no_answer(withdrawal, ends):
     late = [(700_000, free(3)), (900_000, status(3, flag=True)), (1_400_000, status(3, flag=True))]
-    for repeated, index, restarted in ((True, 3, not ends), (False, 3, True), (True, -1, True)):
-        flight = Flight()
+    for alarm, index, restarted in (("repeated", 3, not ends), ("one_shot", 3, True), ("repeated", -1, True)):
+        flight = Flight(alarm)
         values = [(0, waypoint(index)), (1, status(3, flag=True)), (200_000, withdrawal)]
         values += late if ends else [(700_000, status(3, flag=True))]
-        shown(Never(hard=True), ESCALATES, values, flight, repeated=repeated)
+        shown(Never(hard=True), ESCALATES, values, flight)
         assert [kernel for kernel, *_ in flight.restarted] == ["planner"] * restarted
 
 
-def test_an_alarm_that_returns_is_waited_for_anew():
-    flight = Flight()
+def test_an_alarm_that_returns_starts_a_new_wait():
+    flight = Flight("repeated")
     values = [
         (0, waypoint()), (1, status(3, flag=True)), (200_000, status(4, flag=True)), (400_000, free(4)),
         (800_000, status(5, flag=True)), (1_300_000, status(5, flag=True)), (1_500_000, status(5, flag=True)),
     ]  # fmt: skip
-    shown(Never(hard=True), ESCALATES, values, flight, repeated=True)
+    shown(Never(hard=True), ESCALATES, values, flight)
     assert flight.restarted == [("planner", 1_500_000, RESTART_US)]
 
 
