@@ -81,7 +81,7 @@ def test_points_of_success_open_the_missions_of_the_rate(flown_by_hand):
 def test_curves_of_flight_time_open_all_missions_of_which_they_show_the_share(flown_by_hand):
     panels = figures.figure(flown_by_hand, "flight_time").axes
     for axes, environment in zip(panels, ("sparse", "dense"), strict=True):
-        own = flown_by_hand.injected.where("judged", environment=environment)
+        own = flown_by_hand.injected.where("judged", environment=environment, population="sign_exponent")
         assert opened(linked(axes)) == behind(*own.groups("setting").values())
         assert axes.get_title(loc="left") == f"{environment}, n = {len(ids(linked(axes)[0]))}"
 

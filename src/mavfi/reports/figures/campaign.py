@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import (
+    ALL_BITS,
     FAILS_OR_SLOWER,
     POPULATIONS,
     in_leading,
@@ -19,6 +20,7 @@ from mavfi.campaign.analysis.measures import (
     population_names,
     populations,
 )
+from mavfi.campaign.analysis.paper_views import leading_faults
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.views import has
@@ -138,7 +140,7 @@ def _points(
 # ---- flight time -------------------------------------------------------------------------------------------------
 def flight_time(runs: Runs) -> Figure | None:
     """Cumulative share of arrived missions by flight time relative to the golden run; failures never arrive."""
-    judged = runs.injected.where("judged")
+    judged = leading_faults(runs)
     settings, environments = judged.settings(), judged.values("environment")
     if not settings:
         return None
@@ -171,6 +173,12 @@ def flight_time(runs: Runs) -> Figure | None:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", **_LEGEND)
     return figure
+
+
+def _arrival_caption(runs: Runs) -> str:
+    names = population_names(runs.injected, ())
+    bits = f" in {POPULATIONS.get(names[0], names[0])} bits" if names and names[0] != ALL_BITS else ""
+    return f"Share of missions that arrived, faults{bits}, by flight time over the golden run's; lost ones never do."
 
 
 def _range(counts: Iterable[int]) -> str:
@@ -247,8 +255,7 @@ register(
     Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
     Drawing(
         "flight_time", flight_time,
-        "Share of missions that arrived, faults in all bits, by flight time over the golden run's; lost ones never do.",
-        general=True,
+        _arrival_caption, general=True,
     ),
     Drawing(
         "sites", sites, "Share of missions that fail or take more than 5 % longer, by what was injected.", general=True

@@ -1,5 +1,6 @@
 """The report of one or more campaigns as one HTML file: headline, sections, runs, flights."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -116,10 +117,20 @@ def headline_of(report: Report) -> Headline:
 
 
 def headline_of_study(study: StudyReport) -> Headline:
-    """Headline of a study; its campaigns are described among the remarks."""
+    """Headline of a study: what was flown; its campaigns are described among the remarks."""
     campaigns = [runs.campaign for runs in study.campaigns.values()]
     done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
-    lines = [f"{len(campaigns)} campaigns · {done:,} of {total:,} runs done", " · ".join(versions(campaigns[0]))]
+    levels = Counter[str]()
+    for runs in study.campaigns.values():
+        levels.update(runs.injected["level"])
+    golden = sum(len(runs.golden) for runs in study.campaigns.values())
+    counts = [f"{golden:,} without a fault", *(f"{n:,} with one at {level} level" for level, n in levels.most_common())]
+    places = dict.fromkeys(name for campaign in campaigns for name in campaign["environments"])
+    lines = [
+        f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
+        f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
+        " · ".join(versions(campaigns[0])),
+    ]
     return Headline("study", f"Study {study.study.name}", lines, study.findings)
 
 
