@@ -61,6 +61,8 @@ def _compared(
 _PERCEPTION = ("perception", _of("stage", "perception"))
 _LATER = ("planning and control", _of("stage", "planning", "control"))
 _HURT = "fails or > 5 % longer"
+_WORDS = {FI: "fault", "dr_gaussian": "fault with GAD", "dr_autoencoder": "fault with AAD"}
+"""Settings of paired tests."""
 
 
 def _lost(select: pl.Expr | None = None) -> Callable[[Runs], Evidence]:
@@ -85,7 +87,7 @@ def _paired(setting: str, other: str, column: str, *, more: bool, what: str) -> 
         complete = (pl.len().over(pair) == 2) & pl.col(column).is_not_null().all().over(pair)
         own = own.where(complete)
         found = within_worlds(own.where(setting=setting), own.where(setting=other), pl.col(column))
-        return _tested(found, setting, other, more=more, what=what)
+        return _tested(found, _WORDS[setting], _WORDS[other], more=more, what=what)
 
     return test
 
