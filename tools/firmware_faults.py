@@ -211,7 +211,7 @@ def _mission_lines(campaign: Path | None) -> list[str]:
         "## Whole missions", "", "`mavfi campaign run firmware`: the whole pipeline flies, the instant is uniform over "
         f"the golden flight.  {len(runs.injected.where('judged'))} runs.", "",
     ]  # fmt: skip
-    for view in ("firmware_faults", "firmware_functions"):
+    for view in ("firmware_faults", "firmware_phases", "firmware_functions"):
         found = table_of(runs, view)
         lines += [markdown_table(found).rstrip().replace("## ", "### ", 1), ""]
     return lines

@@ -26,10 +26,12 @@ def _in_firmware(runs: Runs) -> bool:
 
 
 def _faults(runs: Runs) -> Runs:
-    """Activated faults with the columns `registers` (class of the register) and `function`."""
+    """Activated faults with the columns `registers` (class of the register), `function` and `third` (of the flight)."""
     kind = pl.col("register").map_elements(class_of, return_dtype=pl.String)
     function = pl.col("symbol").map_elements(function_of, return_dtype=pl.String)
-    return runs.injected.where("activated", kernel=FIRMWARE).adding(registers=kind, function=function)
+    part = (3.0 * pl.col("time_s") / pl.col("golden_flight_time_s")).floor().clip(0, 2).cast(pl.Int64)
+    third = part.replace_strict({0: "first", 1: "second", 2: "last"}, return_dtype=pl.String)
+    return runs.injected.where("activated", kernel=FIRMWARE).adding(registers=kind, function=function, third=third)
 
 
 register(
@@ -37,6 +39,10 @@ register(
         "firmware_faults", "What one bit in a register of the firmware does to the mission", ("registers",), _MEASURES,
         where=_faults, total=("registers", "in all"), notes=lambda _: (_INTERVALS,), largest="n",
         applies=_in_firmware,
+    ),
+    View(
+        "firmware_phases", "By third of the golden flight in which the fault comes", ("third",), _MEASURES,
+        where=_faults, applies=_in_firmware,
     ),
     View(
         "firmware_functions", "By function of the firmware", ("function",), _MEASURES, where=_faults, largest="n",
