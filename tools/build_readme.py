@@ -104,10 +104,11 @@ def compact(block: str) -> str:
 
 
 def copy_study(out: Path) -> None:
-    """Copy the report of a study, its figures and its page to docs/results/, in the place of the former ones."""
+    """Copy the report of a study, its tables, figures and page to docs/results/, in the place of the former ones."""
     results = DOCS / "results"
     shutil.rmtree(results, ignore_errors=True)
-    shutil.copytree(out / "figures", results / "figures")
+    for folder in ("figures", "tables"):
+        shutil.copytree(out / folder, results / folder)
     shutil.copyfile(out / "report.html", results / "report.html")
     text = (out / "study.md").read_text(encoding="utf-8")
     (results / "study.md").write_text(banner("make reproduce readme") + text, encoding="utf-8")

@@ -24,7 +24,7 @@ from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.figures import FIGURES, draw, drawing
 from mavfi.reports.text import checks, header
 
-FIGURES_FOLDER = "figures"
+FIGURES_FOLDER, TABLES_FOLDER = "figures", "tables"
 MARKDOWN, JSON = "study.md", "study.json"
 
 
@@ -73,6 +73,15 @@ class StudyReport:
             lines = findings(one.runs) if one.runs is not None else []
             if lines:
                 found.setdefault(one.section.title, []).extend(lines)
+        return found
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """All tables by name; those of a campaign begin with its name."""
+        found: dict[str, Table] = {}
+        for one in self.sections:
+            start = "" if one.runs is None else f"{one.runs.campaign['name']}_"
+            found |= {f"{start}{table.name}": table for table in one.tables}
         return found
 
     @property
@@ -155,7 +164,7 @@ def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, f
 
 
 def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> StudyReport:
-    """Analyse a study flown at a scale, and write study.md, study.json and figures to its folder.
+    """Analyse a study flown at a scale, and write study.md, study.json, tables (CSV) and figures to its folder.
 
     Raises:
         BadInputError: See `study_report`.
@@ -166,7 +175,10 @@ def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> 
     texts = {
         MARKDOWN: _markdown(found, today),
         JSON: json.dumps({**flown, **found.to_json()}, indent=1, allow_nan=False) + "\n",
+        **{f"{TABLES_FOLDER}/{name}.csv": table.to_csv() for name, table in found.tables.items()},
     }
+    with writing(folder / TABLES_FOLDER):
+        (folder / TABLES_FOLDER).mkdir(exist_ok=True)
     for name, content in texts.items():
         with writing(folder / name):
             (folder / name).write_text(content, encoding="utf-8")

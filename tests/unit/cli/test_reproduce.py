@@ -94,6 +94,8 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     report = (out / "study.md").read_text(encoding="utf-8")
     assert VIEWS["kernel_missions"].title in report and "(figures/table1_sites.png)" in report
     assert (out / "figures" / "table1_sites.png").stat().st_size > 10_000
+    table = (out / "tables" / "table1_instructions_kernel_effects.csv").read_text(encoding="utf-8")
+    assert table.splitlines()[0].startswith("environment,kernel,") and len(table.splitlines()) > 1
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "mavfi reproduce small --scale quick --out" in page, "how to repeat it"
     assert "Missions of an autonomous quadrotor in sparse: at most one flipped bit per mission" in page

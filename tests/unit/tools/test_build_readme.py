@@ -76,7 +76,7 @@ def test_both_pages_are_written(monkeypatch, tmp_path):
     (out / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
     (out / "flight.png").write_bytes(b"picture")
     (out / "figures").mkdir()
-    for name in ("figures/a.png", "report.html", "study.md"):
+    for name in ("figures/a.png", "tables/a.csv", "report.html", "study.md"):
         (out / name).write_text(name, encoding="utf-8")
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "old.png").touch()
@@ -85,5 +85,5 @@ def test_both_pages_are_written(monkeypatch, tmp_path):
     assert "| state level |" in (tmp_path / "results.md").read_text(encoding="utf-8")
     assert (tmp_path / "flight.png").read_bytes() == b"picture"
     copied = {str(path.relative_to(tmp_path / "results")) for path in (tmp_path / "results").rglob("*.*")}
-    assert copied == {"figures/a.png", "report.html", "study.md"}
+    assert copied == {"figures/a.png", "tables/a.csv", "report.html", "study.md"}
     assert (tmp_path / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
