@@ -40,7 +40,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Train detectors, fly the campaigns of a study, and compare the results with the paper's tables and findings.
 
-    Campaigns run one after the other, each in a separate folder. Writes report.html, study.md, study.json, figures and tables (CSV).
+    Campaigns run one after the other, each in a separate folder. Writes report.html, study.md, study.json, figures
+    and tables (CSV).
 
     Ctrl-C stops (exit code 130); the same command resumes.
 

@@ -75,7 +75,8 @@ def test_both_pages_are_written(monkeypatch, tmp_path):
     (out / "readme_block.md").write_text("| state level |", encoding="utf-8")
     (out / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
     (out / "flight.png").write_bytes(b"picture")
-    (out / "figures").mkdir()
+    for folder in ("figures", "tables"):
+        (out / folder).mkdir()
     for name in ("figures/a.png", "tables/a.csv", "report.html", "study.md"):
         (out / name).write_text(name, encoding="utf-8")
     (tmp_path / "results").mkdir()
