@@ -18,9 +18,8 @@ from datetime import UTC, datetime
 
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.fingerprint import versions
-from mavfi.campaign.mission import MissionPlan, fly_mission, scenarios_of
+from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, Planned, arms_of
-from mavfi.campaign.run import model_hashes
 from mavfi.flight_record import FlightRecord
 
 TAKE_OFF, FAST = "from take-off", "fast-forward"

@@ -177,9 +177,10 @@ def fly_request(
     Raises:
         BadInputError: The mission has no such site.
     """
-    detector = None if setup.make_detector is None else setup.make_detector()
     fault, golden = (
-        (None, None) if request is None else draw_request(setup.scenario, request, seed, detector, setup.recovery)
+        (None, None)
+        if request is None
+        else draw_request(setup.scenario, request, seed, setup.detector(), setup.recovery)
     )
     return _fly_fault(setup, fault, label, bare, golden if own_host is None else None, own_host)
 

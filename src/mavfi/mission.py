@@ -118,6 +118,11 @@ class MissionSpec(Config):
     degraded: Literal["none", "hover"] = Field(
         "none", description="Where restarts do not help: none (fly on), or hover (commands are withheld from then on)."
     )
+    copies: int = Field(
+        1, ge=1, le=3,
+        description="Copies of the detector, each with its own memory: of two, the alarm of either counts; of three, "
+        "that of two.",
+    )  # fmt: skip
     dead_node: DeadNode = Field(
         "fresh",
         description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
@@ -141,8 +146,8 @@ class MissionSpec(Config):
         return "fresh"
 
 
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
-"""Mission keys that define the recovery from a detector's alarms."""
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "copies")
+"""Mission keys that define the recovery from a detector's alarms, and how many copies vote on these."""
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
 _AUTOPILOT_OPTIONS = ("alarm",)
 

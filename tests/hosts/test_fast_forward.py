@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.mission import MissionPlan, fly_mission, scenarios_of
+from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, arms_of
-from mavfi.campaign.run import model_hashes
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup

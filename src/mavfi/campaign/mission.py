@@ -13,10 +13,12 @@ from functools import partial
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.copies import lead_of
 from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.detector import Detector
+from mavfi.detectors.replicas import replicated
 from mavfi.errors import MachineError, SpecMismatchError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
@@ -78,6 +80,26 @@ def plan_of(campaign: Campaign, models: Mapping[str, str], scenarios: Mapping[tu
     """The plan of a campaign."""
     keys = {place: scenario.key() for place, scenario in scenarios.items()}
     return Plan(campaign, _sampler_of(campaign), arms_of(campaign), keys, models)
+
+
+def model_hashes(
+    campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models_dir: Path | None
+) -> dict[str, str]:
+    """Load every arm's detector for every environment, and return the sha256 of its model, by arm.
+
+    Campaigns with parts, which may differ in what detectors are trained for, have keys "environment/arm".
+
+    Raises:
+        BadInputError: A detector is unknown or cannot be copied, or a model is absent or does not match.
+    """
+    found = {}
+    for arm in (arm for arm in arms_of(campaign) if arm.detector):
+        copies = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides).copies
+        for environment in campaign.environments:
+            detector, model = detector_for(scenarios[environment, arm.name], arm.detector, arm.profile, models_dir)
+            replicated(detector, copies)  # refuses what it cannot copy
+            found[f"{environment}/{arm.name}" if campaign.parts else arm.name] = model
+    return found
 
 
 _SAMPLERS: dict[str, Sampler] = {}
@@ -172,12 +194,17 @@ def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
 
 
 def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
-    """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`."""
+    """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`.
+
+    Faults in a detector are drawn in the first of the arms that differ in its copies; all of these are counted.
+    """
     arm = next(arm for arm in plan.arms if arm.name == spec.arm)
+    lead = lead_of(plan.campaign.arms, arm.name)
 
     def fly() -> FlightRecord:
-        draws = [draw for _, draw in plan.places(*spec.world) if draw.variant == arm.name and draw.target != NULL]
-        if arm.name and not arm.is_variant and not draws:
+        shared = [draw for _, draw in plan.places(*spec.world) if draw.variant == lead and draw.target != NULL]
+        draws = shared if lead == arm.name else []
+        if arm.name and not arm.is_variant and not shared:
             return flights.golden(arm.name).record()
         found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
         sampled[arm.name] = found

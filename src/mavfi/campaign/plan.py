@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.copies import lead_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
 from mavfi.campaign.shard import WHOLE, Shard
@@ -191,7 +192,7 @@ class Plan:
             yield before + draws * each + index, Draw(NULL, index, seed)
 
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
-        """The runs of one fault, in its variant and in every arm, or only in the arm of the injected detector.
+        """The runs of one fault, in its variant and in every arm, or only in the arms of the injected detector.
 
         A null run is in one arm only, cyclically.
         """
@@ -201,9 +202,10 @@ class Plan:
             settings = [(arm, _with_arm(NULL, arm.name)) for arm in [arms[draw.index % len(arms)]]]
         else:
             kind = "injected"
-            again = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in self.watching]
             variant = self._arm(draw.variant)
-            settings = [one for one in again if one[0] is variant] if variant.detector else [(variant, FI), *again]
+            again = self.copies_of(variant.name) if variant.detector else self.watching
+            settings = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in again]
+            settings = settings if variant.detector else [(variant, FI), *settings]
         return [
             self._run(
                 kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
@@ -219,8 +221,9 @@ class Plan:
         for place, name in enumerate(campaign.environments):
             first = (shard.number - 1 - place * campaign.missions) % shard.of
             for block in self.sampler.blocks(name):
-                alone = block.count and self._arm(block.draw(0).variant).detector
-                total += _of_shard(block.count, campaign.missions, first, shard.of) * (1 if alone else each)
+                variant = block.draw(0).variant if block.count else ""
+                runs = len(self.copies_of(variant)) if self._arm(variant).detector else each
+                total += _of_shard(block.count, campaign.missions, first, shard.of) * runs
             total += _of_shard(campaign.nulls, campaign.missions, first, shard.of)
         return total
 
@@ -231,6 +234,11 @@ class Plan:
     def keys(self, environment: str) -> dict[str, str]:
         """Scenario keys of an environment, by arm."""
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
+
+    def copies_of(self, arm: str) -> tuple[Arm, ...]:
+        """The arms that differ from an arm with a detector at most in its copies, itself included."""
+        arms = self.campaign.arms
+        return tuple(one for one in self.watching if lead_of(arms, one.name) == lead_of(arms, arm))
 
     def _arm(self, name: str) -> Arm:
         return next(arm for arm in self.arms if arm.name == name)

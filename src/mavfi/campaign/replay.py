@@ -178,6 +178,6 @@ def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
 
 def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
     """Fly one mission on the deterministic host and record its publications, in order."""
-    detector = None if setup.make_detector is None else setup.make_detector()
+    detector = setup.detector()
     flight, published = recorded.fly_recorded(setup.scenario, fault, detector, setup.recovery)
     return flight, [Publication(time_us, state) for state, time_us in published]

@@ -19,7 +19,7 @@ from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
-from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, scenarios_of
+from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, model_hashes, plan_of, scenarios_of
 from mavfi.campaign.outside import held
 from mavfi.campaign.pace import Pace
 from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, golden_done, is_golden
@@ -32,7 +32,6 @@ from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
-from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 
 SHARD = "shard"
@@ -316,26 +315,6 @@ def identity_of(
         "models": dict(models),
         **({"mission_keys": keys} if keys else {}),
         **({"detector_options": options} if options else {}),
-    }
-
-
-def model_hashes(
-    campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models_dir: Path | None
-) -> dict[str, str]:
-    """Load every arm's detector for every environment, and return the sha256 of its model, by arm.
-
-    Campaigns with parts, which may differ in what detectors are trained for, have keys "environment/arm".
-
-    Raises:
-        BadInputError: A detector is unknown, or a model is absent or does not match.
-    """
-    return {
-        f"{environment}/{arm.name}" if campaign.parts else arm.name: detector_for(
-            scenarios[environment, arm.name], arm.detector, arm.profile, models_dir
-        )[1]
-        for arm in arms_of(campaign)
-        if arm.detector
-        for environment in campaign.environments
     }
 
 

@@ -87,9 +87,8 @@ def run(  # noqa: PLR0913 - options
 
 def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None, shard: "Shard") -> list[str]:
     """Description of a campaign for --dry-run, as lines; names are checked, no file is written."""
-    from mavfi.campaign.mission import plan_of, scenarios_of
+    from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
-    from mavfi.campaign.run import model_hashes
     from mavfi.campaign.samplers.sampler import draws_of
     from mavfi.cli.forecast import forecast_lines
 

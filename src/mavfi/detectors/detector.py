@@ -61,8 +61,9 @@ def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of 
     """The part of a detector that raises alarms as `source`, if its compiled functions can be instrumented; else None.
 
     It has `compiled`, these functions by name, and `instrument`, which replaces the functions of the given names and
-    restores all others.
+    restores all others.  Of several copies it is in the first, see `replicas.INJECTED`.
     """
-    parts = getattr(detector, "parts", (detector,))
-    found = (part for part in parts if getattr(part, "source", "") == source and getattr(part, "compiled", None))
-    return next(found, None)
+    parts = getattr(detector, "parts", None)
+    if parts is not None:
+        return next((found for part in parts if (found := part_of(part, source)) is not None), None)
+    return detector if getattr(detector, "source", "") == source and getattr(detector, "compiled", None) else None

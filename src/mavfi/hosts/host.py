@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
+from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import FlightLog, Profile
@@ -71,6 +72,10 @@ class ArmSetup:
     recovery: Recovery = INLINE
     observers: tuple[Callable[[Any], None], ...] = ()
 
+    def detector(self) -> Detector | None:
+        """A detector for flights of the arm, in as many copies as its policy says; None = no detector."""
+        return None if self.make_detector is None else replicated(self.make_detector(), self.recovery.copies)
+
 
 class MissionFlights(Protocol):
     """The flights of one mission under several arms; arms without a detector are flown first."""
@@ -133,8 +138,7 @@ class ArmFlights(ABC):
 
     def _detector(self, arm: str) -> Detector | None:
         if arm not in self._detectors:
-            make = self._arms[arm].make_detector
-            self._detectors[arm] = None if make is None else make()
+            self._detectors[arm] = self._arms[arm].detector()
         return self._detectors[arm]
 
 

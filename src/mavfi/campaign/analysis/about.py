@@ -23,8 +23,8 @@ from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
 _NAMED = (
-    "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness",
-    "protection",
+    "flight_controller", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node", "alarm",
+    "epoch_liveness", "protection",
 )  # fmt: skip
 """Keys of a mission that are listed when they differ from their defaults."""
 

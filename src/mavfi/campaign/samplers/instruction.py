@@ -83,7 +83,7 @@ def draw_instruction_faults(
     (_draw_strata if request.sampling == "stratified" else _draw_uniform)(draws, fly_again)
     return Drawn(
         golden,
-        {draw.kernel: _counts(list(draw.counted.values())) for draw in draws},
+        {draw.kernel: _counts(list(draw.counted.values()), _copies(draw.kernel, recovery)) for draw in draws},
         {draw.kernel: draw.faults() for draw in draws},
     )
 
@@ -211,13 +211,19 @@ def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
         draw.take((member.function, call, start + member.site.offset), member.site, chosen.weight)
 
 
-def _counts(functions: Sequence[Profiling]) -> dict[str, Any]:
+def _copies(kernel: str, recovery: Recovery) -> int:
+    """Number of copies that execute a kernel's instructions; in golden flights those of a detector are identical."""
+    return recovery.copies if kernel in DETECTORS else 1
+
+
+def _counts(functions: Sequence[Profiling], copies: int = 1) -> dict[str, Any]:
+    """Executed instructions and calls of all copies, given the functions of one."""
     lines: Counter[tuple[str, int]] = Counter()
     for function in functions:
         for _, site, times in function.executed():
-            lines[site.file, site.line] += times
+            lines[site.file, site.line] += copies * times
     return {
-        "instructions": sum(sum(function.counts) for function in functions),
-        "calls": sum(len(function.counts) for function in functions),
+        "instructions": copies * sum(sum(function.counts) for function in functions),
+        "calls": copies * sum(len(function.counts) for function in functions),
         "lines": [[file, line, count] for (file, line), count in sorted(lines.items())],
     }

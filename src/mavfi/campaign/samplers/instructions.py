@@ -2,13 +2,15 @@
 
 A mission's golden run counts the instructions of its kernels and draws the faults.  Faults in a planner other than the
 campaign's are drawn in separate missions with that planner.  Faults in a detector are drawn from the golden run of its
-arm, which counts kernels, recomputations included, and detector, and are injected in that arm alone.
+arm, which counts kernels, recomputations included, and detector, and are injected in that arm alone; with arms that
+differ in its copies alone, in each of these.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
+from mavfi.campaign.copies import lead_of
 from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
@@ -74,7 +76,8 @@ class InstructionSampler:
     ) -> Sampled:  # fmt: skip
         """Fly the golden run with instruction counters, and draw its faults."""
         targets = [draw.target for draw in draws]
-        places = (arm, "") if arm in self._watched.values() else (arm,)  # there kernels are counted, too
+        lead = lead_of(self._campaign.arms, arm)
+        places = (lead, "") if lead in self._watched.values() else (arm,)  # there kernels are counted, too
         kernels = [name for name in self._sampling.kernels if self._flown_in(name) in places]
         if not kernels:
             return Sampled(flights.golden(arm))
@@ -85,7 +88,7 @@ class InstructionSampler:
         )  # fmt: skip
         drawn = draw_instruction_faults(
             scenario, request, environment, seed=scenario.seed, recovery=setup.recovery,
-            detector=None if setup.make_detector is None else setup.make_detector(),
+            detector=setup.detector(),
         )  # fmt: skip
         flights.know(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {name: faults for name, faults in drawn.faults.items() if faults})
@@ -104,11 +107,13 @@ class InstructionSampler:
 def _arm_with(campaign: Campaign, detector: str) -> str:
     """The arm whose detector is injected, under its own name or as a named configuration (`recommended`)."""
     found = [name for name, arm in campaign.arms.items() if is_named(arm.detector, detector)]
-    if len(found) != 1:
+    leads = list(dict.fromkeys(lead_of(campaign.arms, name) for name in found))
+    if len(leads) != 1:
         raise BadInputError(
-            f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm"
+            f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm, or "
+            "of arms that differ in copies alone"
         )
-    return found[0]
+    return leads[0]
 
 
 def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:

@@ -60,6 +60,7 @@ class Recovery:
             0 = none.
         degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
             continues the mission, `hover` withholds all further commands.
+        copies: Number of copies of the detector that vote on an alarm, see `detectors.replicas`.
 
     Raises:
         BadInputError: `degraded: hover` with coupling `observer`, which cannot withhold commands.
@@ -70,6 +71,7 @@ class Recovery:
     same_twice: SameTwice = "accept"
     answer_s: float = 0.0
     degraded: Degraded = "none"
+    copies: int = 1
 
     def __post_init__(self) -> None:
         if self.degraded != "none" and self.coupling != "inline":

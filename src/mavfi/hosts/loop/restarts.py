@@ -8,10 +8,12 @@
 - `recompute`: the step is recomputed at once from the memory before it; its result is published one latency later.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from weakref import proxy
 
 from mavfi.detectors.detector import Detector
+from mavfi.detectors.replicas import INJECTED, Replicated
 from mavfi.faults.state import ActedOn
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Tap
@@ -71,21 +73,33 @@ class Restarts:
 
         Policy `end`: the detector does not return.  `recompute`: its call is repeated, without effect on the flight.
         Otherwise it restarts with initialized memory after the down time and receives the last publication of each
-        state, as any restarted node.
+        state, as any restarted node.  Of several copies only the injected one dies; the others go on voting.
         """
         if self._policy == "recompute":
             return
-        taps = self._loop.taps
-        tap, taps.detector = taps.detector, None
+        if isinstance(detector, Replicated):
+            detector.lose()
+            back: Callable[[int], None] = partial(self._vote_again, detector)
+        else:
+            taps = self._loop.taps
+            back, taps.detector = partial(self._watch_again, detector, taps.detector), None
         if self._policy != "end":
-            self._loop.actions["detector back"] = lambda now: self._watch_again(detector, tap, now)
+            self._loop.actions["detector back"] = back
             self._loop.at(now + after_us, "detector back")
 
-    def _watch_again(self, detector: Detector, tap: Tap | None, now: int) -> None:
+    def _vote_again(self, detector: Replicated, now: int) -> None:
+        self._begin_again(detector.parts[INJECTED], now)
+        detector.rejoin()
+
+    def _begin_again(self, detector: Detector, now: int) -> None:
+        """Initialize a detector, and pass it the last publication of each state."""
         detector.start()
         for name in STATES:  # in data-flow order
             if name in self._latest:
                 detector.accept(self._latest[name], now)
+
+    def _watch_again(self, detector: Detector, tap: Tap | None, now: int) -> None:
+        self._begin_again(detector, now)
         self._loop.awaited.clear()  # recomputations finished during the down time
         self._loop.taps.detector = tap
 

@@ -24,13 +24,15 @@ def check_supported(spec: MissionSpec) -> None:
     """Check that ROS nodes can fly a mission.
 
     Raises:
-        BadInputError: The mission requires retransmission of messages, recomputation of a dead node's step, or a
-            degraded mode.
+        BadInputError: The mission requires retransmission of messages, recomputation of a dead node's step, copies of
+            the detector, or a degraded mode.
     """
     if spec.grain == "message":
         raise BadInputError("grain: 'message': on ROS, nodes keep no copy of what they sent; allowed: stage, kernel")
     if spec.protection:
         raise BadInputError(f"protection: {spec.protection!r}: not on ROS; allowed: none")
+    if spec.copies != 1:
+        raise BadInputError(f"copies: {spec.copies}: on ROS, the detector is one node; allowed: 1")
     if spec.degraded != "none":
         raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
     if spec.dead_node == "recompute":

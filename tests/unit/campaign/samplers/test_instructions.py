@@ -200,6 +200,35 @@ def test_the_golden_run_of_its_arm_counts_kernels_and_detector(monkeypatch, requ
     )
 
 
+def test_arms_that_differ_in_copies_alone_share_the_faults_of_their_detector(monkeypatch, requests):
+    arms = {
+        "one": {"detector": "gaussian"}, "two": {"detector": "gaussian", "copies": 2},
+        "three": {"detector": "gaussian", "mission": {"copies": 3}}, "other": {"detector": DETECTOR, "copies": 2},
+    }  # fmt: skip
+    c = with_detectors(monkeypatch, arms=arms)
+    runs, golden = flown(c)
+    counted = Counter((run.target, run.setting) for run in runs)
+    own = {setting: count for (target, setting), count in counted.items() if target == "gaussian"}
+    assert own == {"dr_one": 9, "dr_two": 9, "dr_three": 9}
+    assert {count for (target, _), count in counted.items() if target == "pid"} == {9}
+    faults = {arm: [run.fault for run in runs if run.target == "gaussian" and run.arm == arm] for arm in arms}
+    assert faults["one"] == faults["two"] == faults["three"] != [] == faults["other"]
+    kernels = {spec.arm: set(record.counts) for spec, record in golden.items()}
+    assert kernels["one"] == kernels["two"] == kernels["three"] == {"pid", "gaussian"} and kernels["other"] == set()
+    drawn = [request.kernels["gaussian"] for *_, request in requests if "gaussian" in request.kernels]
+    assert sorted(drawn) == [0] * 6 + [3] * 3, "drawn in the first of these arms, counted in all"
+    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
+    positions = [run.position for run in [*golden, *runs]]
+    assert len(set(positions)) == len(positions)
+
+
+def test_arms_that_differ_in_more_than_copies_do_not_share_faults():
+    for other in ({"profile": "tuned"}, {"coupling": "observer"}):
+        arms = {"a": {"detector": "gaussian"}, "b": {"detector": "gaussian", "copies": 2, **other}}
+        with pytest.raises(ValueError, match="2 arms; allowed: .*, or of arms that differ in copies alone"):
+            campaign("kernel", ("pid", "gaussian"), arms=arms)
+
+
 def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
     for arms, number in (
         ({}, 0),
