@@ -15,12 +15,14 @@ from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.detector import part_of
 from mavfi.detectors.parts import Chain
+from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
@@ -103,6 +105,29 @@ def test_a_flight_continues_whatever_becomes_of_its_detector(name):
     assert found.flights[-1].log.kernel.effect == "hang"
     assert found.flights[-1].log.digest() == found.golden.log.digest(), "nothing depends on a silent detector"
     assert np.array_equal(found.golden.log.rows, drawn.golden.log.rows)
+
+
+@pytest.mark.slow  # counts the instructions of golden flights
+def test_a_fault_in_one_of_three_copies_changes_no_flight_and_all_copies_are_counted():
+    spec = MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), dead_node="readback")
+    scenario, request = resolve(spec), InstructionRequest({"gaussian": 4})
+    flown = {}
+    for number in (1, 3):
+        watching = replicated(detector_for(scenario, "gaussian", "paper")[0], number)
+        policy = Recovery(copies=number)
+        drawn = draw_instruction_faults(scenario, request, "test", seed=2, detector=watching, recovery=policy)
+        flown[number] = drawn, fly_instruction_faults(scenario, drawn.faults["gaussian"], watching, recovery=policy)
+    (one, _), (three, found) = flown[1], flown[3]
+    assert one.faults == three.faults, "of the first copy"
+    assert one.golden.log.digest() == three.golden.log.digest() == found.golden.log.digest()
+    for key in ("instructions", "calls"):
+        assert three.counts["gaussian"][key] == 3 * one.counts["gaussian"][key] > 0
+    assert [line[2] for line in three.counts["gaussian"]["lines"]] == [
+        3 * line[2] for line in one.counts["gaussian"]["lines"]
+    ]
+    assert one.golden.log.alarms, "so a dead copy is missed if it is the only one"
+    assert [flight.log.digest() for flight in found.flights] == [found.golden.log.digest()] * 4
+    assert {"sdc", "crash"} <= {flight.log.kernel.effect for flight in found.flights}, "the copy itself is hit"
 
 
 @pytest.mark.slow  # counts the instructions of two golden flights

@@ -203,6 +203,7 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
         (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
         (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
         (small(host="tests.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS), "faults of level 'instruction'"),
+        (small(arms={"x": {"detector": "checksum", "copies": 2}}), "copies: 2: detector Checksum takes part in what"),
     ):
         with pytest.raises(BadInputError, match=message):
             flown_into(directory, campaign)
@@ -215,7 +216,6 @@ def with_model(monkeypatch, sha=None):
     def found(scenario, name, profile, models_dir=None):
         return FakeDetector(), sha or (models_dir.name if models_dir else "shipped")
 
-    monkeypatch.setattr(run_module, "detector_for", found)
     monkeypatch.setattr(mission_module, "detector_for", found)
 
 
@@ -265,6 +265,7 @@ def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_p
     with Store.open(tmp_path / "out") as store:
         assert {(run.spec.arm, run.spec.model) for run in store.runs()} == {("", ""), ("gaussian", "mine")}
         assert store.meta("models_dir") == str(tmp_path / "mine")
+    monkeypatch.setattr(run_module, "model_hashes", lambda *_: {"gaussian": "mine"})
     monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), "trained since"))
     with pytest.raises(SpecMismatchError, match="arm gaussian: planned with the model mine, but .*mine holds trained"):
         flown_into(tmp_path / "other", models_dir=tmp_path / "mine")

@@ -133,8 +133,7 @@ def test_a_fault_in_the_memory_of_one_of_three_copies_changes_no_alarm(model_fol
     places = {number for number, _ in alone}
     for bend in (blind, nervous):
         hit = [
-            bent(events, replicated(detector("gaussian", "paper", model_folder), copies), 20, bend)
-            for copies in (2, 3)
+            bent(events, replicated(detector("gaussian", "paper", model_folder), copies), 20, bend) for copies in (2, 3)
         ]
         assert str(hit[1]) == str(alone)
         assert {number for number, _ in hit[0]} >= places, "of two copies the alarm of either counts"
