@@ -17,9 +17,6 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.hardening.advise import Advice, Curve, Step
 from mavfi.campaign.hardening.certify import certify, pairs_of, verdict_of
@@ -29,9 +26,8 @@ from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
-from mavfi.campaign.hardening.target import Target
+from mavfi.campaign.hardening.ways import CUT
 from mavfi.campaign.overheads import processor
-from mavfi.hardening.choose import Choice, Chooser
 from mavfi.hardening.plan import Plan, save_plan
 from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.compose import resolve
@@ -44,7 +40,7 @@ from tools.markers import GENERATED, ROOT, banner, fill
 PAGE = GENERATED / "hardening.md"
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
-COMPARED_FRACTION = 0.25
+COMPARED_SHARE = 0.25
 """Share of the instructions of full duplication at which ways to choose are compared."""
 MORE = {"plan_rrt_connect": 8, "time_to_collision": 10}
 """Times more faults in the largest step within the time, where a lower bound is required."""
@@ -119,34 +115,15 @@ def certificates(
                 yield curve, step, row
 
 
-def alternatives(target: Target) -> Row | None:
+def alternatives(curve: Curve) -> Row | None:
     """Silent corruptions that choices at equal cost remove, judged by other calls; None if few."""
-    if sum(one.sdc for one in target.injections) < 20:
+    compared = next((one for one in curve.compared if one.share == COMPARED_SHARE), None)
+    if compared is None:
         return None
-    rows = target.rows
-
-    def budget(chooser: Chooser) -> float:
-        return COMPARED_FRACTION * chooser.full.cost
-
-    def by(names: Sequence[Any]) -> Any:
-        return lambda chooser: chooser.by_group(names, budget(chooser))
-
-    def random(chooser: Chooser) -> Choice:
-        return chooser.at_random(np.random.default_rng(7), budget(chooser))
-
-    ways = {
-        "cut": lambda chooser: chooser.within(budget(chooser)), "line": by([(row.file, row.line) for row in rows]),
-        "opcode": by([row.opcode for row in rows]), "random": random,
-    }  # fmt: skip
-    hits = {name: [hit for _, hit in target.judged(choose)] for name, choose in ways.items()}
-    tests = {name: mcnemar(hits["cut"], hits[name]) for name in ("line", "opcode", "random")}
     return {
-        "function": target.seen.entry,
-        "kernel": target.kernels[0],
-        "n": len(hits["cut"]),
-        "hits": hits,
-        "tests": tests,
-    }
+        "function": curve.target.seen.entry, "kernel": curve.target.kernels[0], "n": len(compared.judged[CUT]),
+        "hits": compared.hits, "tests": compared.tests,
+    }  # fmt: skip
 
 
 def golden(plan: Plan, flights: int, records: Records) -> GoldenCheck:
@@ -231,7 +208,7 @@ def page(
             curve_rows(curves, by_step),
         )
         + "\n\n## Ways to choose, at equal cost\n\n"
-        + f"Silent corruptions that are removed at step {COMPARED_FRACTION:g}; calls judge choices made "
+        + f"Silent corruptions that are removed at step {COMPARED_SHARE:g}; calls judge choices made "
         + "without them; p: McNemar's test against the minimum cut.\n\n"
         + markdown_grid(
             ("function", "SDCs", "minimum cut", "by line", "by opcode", "random"), alternative_rows(compared)
@@ -268,7 +245,7 @@ def main() -> None:
     PLAN.parent.mkdir(exist_ok=True)
     save_plan(plan, PLAN)
     curves = [curve for advice in advices for curve in advice.curves if len(curve.steps) > 1]
-    compared = [row for curve in curves if (row := alternatives(curve.target)) is not None]
+    compared = [row for curve in curves if (row := alternatives(curve)) is not None]
     check = golden(plan, given.flights, records)
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))

@@ -6,7 +6,7 @@ Coverage is predicted by cross-validation: each part of the faults judges choice
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic
 
@@ -14,7 +14,8 @@ from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_ra
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.hardening.learned import Injected, Learn, injections_in
-from mavfi.campaign.hardening.target import Target
+from mavfi.campaign.hardening.target import Judged, Target
+from mavfi.campaign.hardening.ways import Compared, compare_ways
 from mavfi.hardening.choose import NOTHING, Choice, Chooser, upper_hull
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.measure import Timed, compare
@@ -25,8 +26,6 @@ FRACTIONS = (0.1, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Steps of a curve: shares of the instructions that duplicating everything adds; dense where time has its jumps."""
 _SECONDS = 1.0
 """Time for measuring one function."""
-Judged = Sequence[tuple[Injected, bool]]
-"""Silent corruptions, and whether they are removed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +59,14 @@ class Curve:
         ticks: Ticks of the time stamp counter in all calls of a golden flight.
         share: Share of the flight's kernel time.
         steps: By cost.
+        compared: Ways to choose, at a few costs; () if it has few silent corruptions.
     """
 
     target: Target
     ticks: float
     share: float
     steps: tuple[Step, ...]
+    compared: tuple[Compared, ...] = ()
 
     def extra(self, step: Step) -> float:
         """Time that a step adds, as a share of the flight's kernel time."""
@@ -148,11 +149,13 @@ class Prepared:
         injections: In its recorded calls.
         choices: As of `choices_of`.
         codes: As of `codes_of`, for all choices.
+        compared: As of `Curve`.
     """
 
     injections: list[Injected]
     choices: list[tuple[float, Choice, Judged]]
     codes: list[bytes]
+    compared: tuple[Compared, ...] = ()
 
 
 def prepare(target: Target, fractions: Sequence[float] = FRACTIONS, learn: Learn = injections_in) -> Prepared:
@@ -209,7 +212,8 @@ def prepare_all(
     fractions = [() if set(wanted).isdisjoint(target.kernels) else FRACTIONS for target in targets]
 
     def at(place: int) -> Prepared:
-        return prepare(targets[place], fractions[place], learn)
+        own = prepare(targets[place], fractions[place], learn)
+        return replace(own, compared=compare_ways(targets[place]))
 
     longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
     ready: dict[int, Prepared] = {}
@@ -237,9 +241,9 @@ def curves_of(
     for target, own in zip(targets, ready, strict=True):
         tell(f"timing {target.name}")
         ticks, steps = timed_steps(target, own)
-        rows.append((target, ticks * target.seen.total, steps))
-    whole = other_ticks + sum(ticks for _, ticks, _ in rows)
-    return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
+        rows.append((target, ticks * target.seen.total, steps, own.compared))
+    whole = other_ticks + sum(ticks for _, ticks, *_ in rows)
+    return tuple(Curve(target, ticks, ticks / whole, steps, ways) for target, ticks, steps, ways in rows)
 
 
 def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ from mavfi.campaign.hardening.advise import Advice, Curve, Step, coverage_of, co
 from mavfi.campaign.hardening.ledger import Harm
 from mavfi.campaign.hardening.study import Study
 from mavfi.campaign.hardening.target import Target
+from mavfi.campaign.hardening.ways import Compared
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import Site
 
@@ -51,6 +52,7 @@ def _function(curve: Curve, step: Step) -> dict[str, Any]:
         "injections": len(target.injections), "sdc": asdict(_sdc(target)), "share": curve.share,
         "time": step.time, "added": curve.extra(step), "coverage": asdict(step.coverage), "sites": len(sites),
         "all_sites": len(target.values), "steps": [_step(curve, one, one is step) for one in curve.steps],
+        "ways": [_ways(one) for one in curve.compared],
         "escapes": _escapes(target, sites), "lines": _lines(target, sites),
     }  # fmt: skip
 
@@ -64,6 +66,14 @@ def _step(curve: Curve, step: Step, chosen: bool) -> dict[str, Any]:
     return {
         "fraction": step.fraction, "instructions": 1 + step.choice.cost / max(curve.target.seen.instructions, 1),
         "time": step.time, "coverage": asdict(step.coverage), "chosen": chosen,
+    }  # fmt: skip
+
+
+def _ways(compared: Compared) -> dict[str, Any]:
+    """Coverage of each way to choose at one cost, and p of McNemar's test of the minimum cut against the others."""
+    return {
+        "share": compared.share, "p": {way: test.p_value for way, test in compared.tests.items()},
+        "coverage": {way: asdict(coverage_of(judged)) for way, judged in compared.judged.items()},
     }  # fmt: skip
 
 

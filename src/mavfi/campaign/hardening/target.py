@@ -17,6 +17,8 @@ from mavfi.ir.build import Source, name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 
+Judged = Sequence[tuple[Injected, bool]]
+"""Silent corruptions, and whether they are removed."""
 FOLDS = 4
 """Parts of the injections, each of which judges a choice made from the others."""
 

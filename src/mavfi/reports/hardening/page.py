@@ -9,15 +9,21 @@ from typing import Any
 from markupsafe import Markup
 
 from mavfi.campaign.hardening.study import Certification
-from mavfi.reports.hardening.plain import caveats, certificate_table, headline, interval, rerun_line, verdict_line
+from mavfi.campaign.hardening.ways import FEWEST
+from mavfi.reports.hardening.drawing import curve, ways
+from mavfi.reports.hardening.plain import (
+    NAMES,
+    caveats,
+    certificate_table,
+    headline,
+    interval,
+    rerun_line,
+    verdict_line,
+    ways_line,
+)
 from mavfi.reports.html.page import render, write
 from mavfi.reports.text import percent
 from mavfi.reports.vulnerability.listing import highlighted, read_source
-
-WIDTH, HEIGHT = 300, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 12, 10, 32
-_TICKS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
-_MOST_TICKS = 5
 
 
 def write_page(path: Path, summary: Mapping[str, Any], directory: Path, plan: Path | None) -> None:
@@ -51,7 +57,10 @@ def page(summary: Mapping[str, Any], directory: Path, plan: Path | None) -> str:
     return render(
         "harden.html.j2", summary=summary, caveats=caveats(summary), rerun=rerun_line(summary),
         headline=headline(summary).replace(" %", "\u00a0%"),
-        curves=[curve(row) for row in summary["functions"]], kernels=[_kernel(row) for row in summary["kernels"]],
+        curves=[curve(row) for row in summary["functions"]], names=NAMES,
+        ways=[drawn for row in summary["functions"] if (drawn := ways(row)) is not None], fewest=FEWEST,
+        ways_line=ways_line(summary),
+        kernels=[_kernel(row) for row in summary["kernels"]],
         sources=[source(row) for row in summary["functions"]], commands=_commands(summary, directory, plan),
     )  # fmt: skip
 
@@ -76,35 +85,6 @@ def _commands(summary: Mapping[str, Any], directory: Path, plan: Path | None) ->
 
 def _only(kernels: Sequence[str]) -> str:
     return f" --kernels {','.join(kernels)}" if kernels else ""
-
-
-def curve(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A function's curve of predicted coverage over time, in pixels of its drawing."""
-    last: float = max(1.05, *(step["time"] for step in row["steps"]))
-
-    def x(time: float) -> float:
-        return _LEFT + round((WIDTH - _LEFT - _RIGHT) * (time - 1) / (last - 1), 1)
-
-    def y(share: float) -> float:
-        return round(HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * share, 1)
-
-    points = [
-        {
-            "x": x(step["time"]), "y": y(step["coverage"]["rate"]), "low": y(step["coverage"]["low"]),
-            "high": y(step["coverage"]["high"]), "chosen": step["chosen"],
-            "text": f"×{step['time']:.2f} time: {interval(step['coverage'])} of SDCs",
-        }
-        for step in sorted(row["steps"], key=lambda step: (step["time"], step["coverage"]["rate"] or 0.0))
-        if step["coverage"]["rate"] is not None
-    ]  # fmt: skip
-    inside = [tick for tick in _TICKS if tick <= last + 1e-9]
-    ticks = inside[:: -(-len(inside) // _MOST_TICKS)]
-    return {
-        "kernel": row["kernel"], "entry": row["entry"], "width": WIDTH, "height": HEIGHT, "points": points,
-        "path": " ".join(f"{point['x']},{point['y']}" for point in points), "left": _LEFT, "right": WIDTH - _RIGHT,
-        "bottom": HEIGHT - _BOTTOM, "xs": [(x(tick), f"×{tick:g}") for tick in ticks],
-        "ys": [(y(share), f"{100 * share:.0f} %") for share in (0.0, 0.5, 1.0)], "n": row["coverage"]["n"],
-    }  # fmt: skip
 
 
 def source(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,6 +8,16 @@ def rate(value, n=60, spread=0.05):
     return {"n": n, "rate": value, "low": low, "high": high, "successes": round(n * value)}
 
 
+def ways(best):
+    """Coverage by way to choose; the minimum cut is the best."""
+    factors = {"cut": 1.0, "line": 0.8, "opcode": 0.6, "random": 0.4}
+    return [
+        {"share": share, "p": {"line": 0.2, "opcode": 0.01, "random": 1e-9},
+         "coverage": {way: rate(best * share * factor) for way, factor in factors.items()}}
+        for share in (0.1, 0.25, 0.5, 0.75)
+    ]  # fmt: skip
+
+
 def function(kernel, entry, share, steps, chosen, file="mavfi/kernels/control/pid.py", first=60):
     rows = [
         {"fraction": i / 5, "instructions": 1 + i / 4, "time": time, "coverage": rate(value), "chosen": i == chosen}
@@ -22,6 +32,7 @@ def function(kernel, entry, share, steps, chosen, file="mavfi/kernels/control/pi
         "kernel": kernel, "function": f"mavfi.{entry}", "entry": entry, "signature": "f8", "calls": 1800,
         "instructions": 868_901, "injections": 400, "sdc": rate(0.45), "share": share, "time": time,
         "added": share * (time - 1), "coverage": rate(value), "sites": 310, "all_sites": 705, "steps": rows,
+        "ways": ways(value or 1.0),
         "escapes": {"protected": 0.8, "beyond the budget": 0.15, "cannot repeat: call": 0.05}, "lines": lines,
     }  # fmt: skip
 

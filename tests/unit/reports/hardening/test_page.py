@@ -10,7 +10,8 @@ from mavfi.campaign.hardening.certify import Certificate, Unprotected
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.study import Certification
 from mavfi.hardening.plan import Coverage
-from mavfi.reports.hardening.page import HEIGHT, WIDTH, curve, page, source, write_certificate
+from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, curve, ways
+from mavfi.reports.hardening.page import page, source, write_certificate
 from mavfi.reports.hardening.plain import (
     advice_table,
     caveats,
@@ -19,6 +20,7 @@ from mavfi.reports.hardening.plain import (
     interval,
     rerun_line,
     verdict_line,
+    ways_line,
 )
 from tests.unit.reports.hardening.summaries import rate, summary
 
@@ -56,6 +58,32 @@ def test_points_of_a_curve_lie_within_its_drawing_in_order_of_time():
     )
     assert sum(point["chosen"] for point in drawn["points"]) == 1
     assert drawn["xs"][0][1] == "×1" and 2 <= len(drawn["xs"]) <= 6
+
+
+def test_ways_to_choose_meet_at_both_ends_and_are_told_in_words():
+    row = summary()["functions"][0]
+    drawn = ways(row)
+    lines = {line["way"]: line for line in drawn["lines"]}
+    paths = {way: line["path"].split() for way, line in lines.items()}
+    assert list(paths) == ["cut", "line", "opcode", "random"]
+    assert len({(path[0], path[-1]) for path in paths.values()}) == 1 and all(len(path) == 6 for path in paths.values())
+    heights = [float(paths[way][3].split(",")[1]) for way in paths]
+    assert heights == sorted(heights), "higher coverage is drawn higher"
+    assert "10 %, 25 %, 50 %, 75 % of the instructions" in drawn["label"]
+    assert "minimum cut 10 %, 24 %, 48 %, 73 %; by source line 8 %, 19 %," in drawn["label"]
+    assert ways(row | {"ways": []}) is None
+
+
+def test_the_page_compares_ways_to_choose_where_there_are_enough_corruptions():
+    advice = summary()
+    text = page(advice, DIRECTORY, PLAN)
+    assert text.count('class="random"') == 1 + 2 * len(advice["functions"])  # legend; group and line of each drawing
+    assert "at random, 25 % of the instructions: 9.7 % [4.7, 14.7] of SDCs" in text
+    line = ways_line(advice)
+    assert line.startswith("In 12 comparisons") and "than at random in 12, fewer in 0 (p < 0.01" in line
+    assert "than by source line in 0, fewer in 0" in line, "p = 0.2 is not counted"
+    advice["functions"] = [row | {"ways": []} for row in advice["functions"]]
+    assert "No function has the 20 SDCs that are needed" in page(advice, DIRECTORY, PLAN)
 
 
 def test_source_lines_have_their_text_and_gaps():
