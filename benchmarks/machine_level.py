@@ -25,32 +25,27 @@ import llvmlite
 import numba
 import numpy as np
 
-from benchmarks.single_step import SteppedCall
 from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.hardening.golden import protected_code
+from mavfi.campaign.hardening.battery import DETECTED
+from mavfi.campaign.hardening.machine import POINTS, RAYS, inject_all, reduced
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.hardening.compiled import Compiled
+from mavfi.faults.register.single_step import SteppedCall
+from mavfi.hardening.compiled import Compiled, compiled
 from mavfi.hardening.full import full_plan
-from mavfi.hardening.measure import main_function
-from mavfi.hardening.plan import Plan
-from mavfi.hardening.sources import cached_source
-from mavfi.hardening.wrapper import MESSAGE
+from mavfi.hardening.protection import Protection
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.ir.parser import parse_module
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
 ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
-RAYS, POINTS = 24, 3
 KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
-DETECTED = "detected"
 OUTCOMES = ("masked", "sdc", "crash", "hang", "exception", DETECTED)
 PROTECTED = "machine, protected"
 LEVELS = ("machine", "IR", PROTECTED)
@@ -105,11 +100,7 @@ def recorded() -> dict[str, tuple[Any, ...]]:
     fly(scenario, functions=replace(PLAIN, **counters))
     keepers = {name: Recorder(getattr(PLAIN, name), counter.calls // 2) for name, counter in counters.items()}
     fly(scenario, functions=replace(PLAIN, **keepers))
-    ranges, directions, rotation, origin, max_range, points = keepers["back_project"].args
-    fewer = ranges[:RAYS].copy(), directions[:RAYS].copy(), rotation, origin, max_range, points[:RAYS].copy()
-    counter, grid, position, points, first, *rest = keepers["time_to_collision"].args
-    ahead = counter, grid, position, points[first : first + POINTS].copy(), 0, *rest
-    return {"track": keepers["track"].args, "back_project": fewer, "time_to_collision": ahead}
+    return {name: reduced(name, keeper.args) for name, keeper in keepers.items()}
 
 
 def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
@@ -123,32 +114,17 @@ def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
 def protected(name: str, kernel: Any, args: tuple[Any, ...]) -> tuple[Compiled, int]:
     """Code of a kernel with all instructions duplicated and addresses compared, and its address."""
     signature = signature_of(args)
-    plan = Plan(functions=(full_plan(name, kernel, signature),))
-    code = protected_code(kernel, signature, plan)
-    assert code is not None  # the plan has this function
-    source = cached_source(kernel, signature)
-    return code, code.address(main_function(parse_module(source.text, source.kernel), source.wrapper).name)
-
-
-def inject_all(call: SteppedCall, n: int, tell: Callable[[str], None]) -> Counter[str]:
-    """Outcomes of n faults at machine level."""
-    found: Counter[str] = Counter()
-    for fault in call.draw(np.random.default_rng(SEED), n):
-        outcome = call.inject(fault)
-        assert outcome.activated  # a missed injection must not count as masked
-        found[DETECTED if MESSAGE in outcome.detail else outcome.how] += 1
-        tell(f"{found.total()} of {n}")
-    return found
+    return compiled(kernel, signature, Protection(full_plan(name, kernel, signature)))
 
 
 def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callable[[str], None]) -> Study:
     """Inject one call n times at each level."""
     kernel = getattr(PLAIN, function)
     call = SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
-    machine = inject_all(call, n, lambda text: tell(f"{name}, machine level: {text}"))
+    machine = inject_all(call, np.random.default_rng(SEED), n, lambda text: tell(f"{name}, machine level: {text}"))
     code, entry = protected(name, kernel, args)
     guarded = SteppedCall(lambda: digest((code(*args), args)), entry)
-    after = inject_all(guarded, n, lambda text: tell(f"{name}, {PROTECTED}: {text}"))
+    after = inject_all(guarded, np.random.default_rng(SEED), n, lambda text: tell(f"{name}, {PROTECTED}: {text}"))
     ir: Counter[str] = Counter()
     for fault in draw(kernel, n, *args, seed=SEED):
         injected = run_forked(kernel, fault, *args)

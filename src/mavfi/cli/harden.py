@@ -40,6 +40,10 @@ def harden(  # noqa: PLR0913 - one parameter per option
         bool, typer.Option("--certify", help="Test a plan with missions and faults that its choice has not seen.")
     ] = False,
     faults: Annotated[int | None, typer.Option(metavar="N", help="Per function; 400 by default.")] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(metavar="KERNEL", help="With --certify: also flip bits of registers in calls of this kernel."),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Advise which instructions of the kernels to duplicate within a budget of time, or certify such a plan.
@@ -48,7 +52,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml --html harden.html[/bold]
 
-    Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
+    Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify --machine pid[/bold]
     """
     from mavfi.campaign.hardening.study import Study
 
@@ -58,10 +62,11 @@ def harden(  # noqa: PLR0913 - one parameter per option
     if certify:
         _check_certify(plan, {"--budget": budget, "--addresses": addresses or None})
         check_file("--html", html, PAGES)
-        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, html, as_json=as_json)
+        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, html, machine, as_json=as_json)
         return
-    if faults is not None:
-        raise BadInputError(f"--faults: {faults}: allowed: with --certify")
+    for option, value in {"--faults": faults, "--machine": machine}.items():
+        if value is not None:
+            raise BadInputError(f"{option}: {value}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
     check_file("--html", html, PAGES)
     study, share = Study.open(directory, names), 0.10 if budget is None else budget
@@ -114,18 +119,18 @@ def _advise(
             out.print(Text.assemble(("wrote ", "dim"), str(path)))
 
 
-def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
+def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine: str | None, *, as_json: bool) -> None:
     from rich.text import Text
 
     from mavfi.campaign.hardening.study import certification_json, certify_plan, save_certification
     from mavfi.hardening.plan import load_plan
     from mavfi.reports.hardening.page import write_certificate
-    from mavfi.reports.hardening.plain import certificate_table, verdict_line
+    from mavfi.reports.hardening.plain import certificate_tables, verdict_line
     from mavfi.reports.terminal import show_table
 
     plan = load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))
-    found = certify_plan(study, plan, faults, _tell)
+    found = certify_plan(study, plan, faults, _tell, machine)
     written = [save_certification(found, path)]
     if html is not None:
         write_certificate(html, found, study.directory, path, study.selected)
@@ -136,7 +141,8 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_j
         out = console()
         out.print(Text(verdict_line(found), style="bold"))
         out.print()
-        show_table(certificate_table(found), out)
+        for table in certificate_tables(found):
+            show_table(table, out)
         for file in written:
             out.print(Text.assemble(("wrote ", "dim"), str(file)))
     if found.refuted:

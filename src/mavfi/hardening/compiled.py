@@ -3,8 +3,10 @@
 import ctypes
 from typing import Any
 
-from mavfi.ir.build import Source, load_code
-from mavfi.ir.module import Module
+from mavfi.hardening.sources import cached_source
+from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
+from mavfi.ir.module import Function, Module
+from mavfi.ir.parser import parse_module
 
 
 class Compiled:
@@ -38,3 +40,36 @@ class Compiled:
 def text_of(module: Module) -> str:
     """IR of a module, without its metadata."""
     return "\n".join([*module.preamble, *(function.text() for function in module.functions), *module.others, ""])
+
+
+def compiled(function: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> tuple[Compiled, int]:
+    """Machine code of a function for any x86-64 processor, and the address at which it starts.
+
+    Args:
+        function: Compiled by `kernel_jit`.
+        signature: Numba types of its arguments.
+        rewrite: Its protection; None = plain code.
+
+    Raises:
+        BadInputError: The protection was made for other code.
+    """
+    source = cached_source(function, signature)
+    module = parse_module(source.text, source.kernel)
+    if rewrite is not None:
+        module = rewrite(module)
+    code = Compiled(source, translate(text_of(module)), environment_of(function, signature))
+    return code, code.address(main_function(module, source.wrapper).name)
+
+
+def main_function(module: Module, wrapper: str) -> Function:
+    """The function that a wrapper calls.
+
+    Raises:
+        ValueError: It calls none of the module's functions.
+    """
+    for text in module.others:
+        if wrapper in text.split("\n", 1)[0]:
+            for function in module.functions:
+                if f"{function.name} (" in text or f"{function.name}(" in text:
+                    return function
+    raise ValueError(f"{wrapper}: calls no function of its module")

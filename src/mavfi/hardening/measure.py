@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.hardening.compiled import Compiled, text_of
+from mavfi.hardening.compiled import Compiled, main_function, text_of
 from mavfi.hardening.recorded import copied
 from mavfi.ir.build import Source, translate
 from mavfi.ir.module import Function, Module
@@ -57,20 +57,6 @@ class Timed(Compiled):
         self._repetitions.value = repetitions
         self(*args)
         return self._ticks.value / repetitions
-
-
-def main_function(module: Module, wrapper: str) -> Function:
-    """The function that a wrapper calls.
-
-    Raises:
-        ValueError: It calls none of the module's functions.
-    """
-    for text in module.others:
-        if wrapper in text.split("\n", 1)[0]:
-            for function in module.functions:
-                if f"{function.name} (" in text or f"{function.name}(" in text:
-                    return function
-    raise ValueError(f"{wrapper}: calls no function of its module")
 
 
 def looping(text: str, wrapper: str, main: Function) -> str:

@@ -22,6 +22,7 @@ from mavfi.hardening.plan import Coverage, Plan, load_plan, save_plan
         (("--certify", "--plan", "p.yaml", "--html", "h.txt"), "--html: h.txt: allowed ending: .html"),
         (("--certify", "--plan", "p.yaml", "--addresses"), "--addresses: True: allowed: without --certify"),
         (("--faults", "9"), "--faults: 9: allowed: with --certify"),
+        (("--machine", "pid"), "--machine: pid: allowed: with --certify"),
         (("--budget", "-1"), "--budget: -1.0: allowed: 0 to 10"),
         (("--plan", "plan.json"), "--plan: plan.json: allowed endings: .yaml, .yml"),
         ((), "holds no campaign"),
@@ -93,6 +94,7 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     assert found["golden"]["same"] == found["golden"]["flights"] == 2 and found["golden"]["alarms"] == 0
     (function,) = found["functions"]
     assert function["coverage"]["rate"] > 0.6 and function["growth"] > 1.5
+    assert found["machine"] == []
 
     boast = {"estimate": 1.0, "low": 1.0, "high": 1.0}
     little = planned.model_copy(update={"sites": planned.sites[:3], "predicted": Coverage(**boast)})

@@ -8,13 +8,11 @@ import numpy as np
 
 from mavfi.campaign.hardening.observed import entries_of
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.hardening.compiled import Compiled, text_of
+from mavfi.hardening.compiled import Compiled, compiled
 from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import protection_of
-from mavfi.hardening.sources import cached_source
 from mavfi.hosts.local import fly
-from mavfi.ir.build import environment_of, name_of, translate
-from mavfi.ir.parser import parse_module
+from mavfi.ir.build import name_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 
@@ -87,11 +85,7 @@ def protected_code(function: Any, signature: tuple[Any, ...], plan: Plan) -> Com
         BadInputError: The plan was made for other code.
     """
     protection = protection_of(plan, name_of(function), signature)
-    if protection is None:
-        return None
-    source = cached_source(function, signature)
-    module = protection(parse_module(source.text, source.kernel))
-    return Compiled(source, translate(text_of(module)), environment_of(function, signature))
+    return None if protection is None else compiled(function, signature, protection)[0]
 
 
 def check_golden(scenario: Scenario, plan: Plan, kernels: Sequence[str]) -> GoldenCheck:

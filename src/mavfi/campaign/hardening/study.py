@@ -26,6 +26,7 @@ from mavfi.campaign.hardening.certify import (
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Learn, injections_in
+from mavfi.campaign.hardening.machine import MachineLevel, check_kernel, machine_levels
 from mavfi.campaign.hardening.observed import Seen, entries_of, observe
 from mavfi.campaign.hardening.target import Target, targets_of
 from mavfi.campaign.mission import host_of
@@ -197,6 +198,7 @@ class Certification:
         golden: Flights in which all calls run protected code.
         others: Functions of the study's kernels that the plan leaves as they are.
         scope: Kernels whose silent corruptions are counted; () = all of the missions.
+        machine: Functions in which faults were injected at machine level, too.
     """
 
     plan: str
@@ -206,6 +208,7 @@ class Certification:
     golden: GoldenCheck
     others: tuple[Unprotected, ...] = ()
     scope: tuple[str, ...] = ()
+    machine: tuple[MachineLevel, ...] = ()
 
     @property
     def coverage(self) -> Rate:
@@ -218,12 +221,23 @@ class Certification:
         return not self.golden.passed or any(one.verdict == REFUTED for one in self.certificates)
 
 
-def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None) -> Certification:
+def certify_plan(
+    study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None, machine: str | None = None
+) -> Certification:
     """Certify a plan with missions and faults that its choice has not seen.
+
+    Args:
+        study: The ledger of the plan.
+        plan: The plan.
+        faults: Number per function, in plain and in protected code.
+        tell: Called with each piece of work.
+        machine: A kernel in which as many faults are injected at machine level, too.
 
     Raises:
         BadInputError: The plan was made from another ledger or for other code, or protects nothing here.
     """
+    if machine is not None:
+        check_kernel(plan, machine, study.kernels)
     check_plan(plan, "plan")
     if plan.ledger != study.digest:
         raise BadInputError(
@@ -232,6 +246,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
         )
     certificates: list[Certificate] = []
     others: list[Unprotected] = []
+    levels: list[MachineLevel] = []
     golden = GoldenCheck()
     missions: list[str] = []
     for planner, kernels in study.by_planner().items():
@@ -244,7 +259,10 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
         done = {(one.function, one.signature) for one in (*certificates, *others)}
         known = [one for one in merged(flown) if one.entry in entries_of(study.kernels)]
         fresh = [one for one in known if (name_of(one.function), one.signature_text) not in done]
-        for pair in pairs_of(fresh, plan):
+        pairs = pairs_of(fresh, plan)
+        if machine in kernels and not levels:  # kernels that several planners have are in the first flights
+            levels += machine_levels(pairs, machine, faults, tell, plan.digest)
+        for pair in pairs:
             tell(f"injecting {3 * faults} faults in {pair.planned.function}")
             certificates.append(certify(pair, faults, plan.digest))
         for one in unprotected(fresh, plan):
@@ -254,7 +272,9 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
     if not certificates:
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
     scope = () if study.complete else study.kernels
-    return Certification(plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope)
+    return Certification(
+        plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels)
+    )
 
 
 def merged(seen: Sequence[Seen]) -> list[Seen]:
@@ -291,4 +311,5 @@ def certification_json(certification: Certification) -> dict[str, Any]:
         "coverage": asdict(certification.coverage), "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],
         "unprotected": [one.to_json() for one in certification.others],
+        "machine": [one.to_json() for one in certification.machine],
     }  # fmt: skip

@@ -14,7 +14,7 @@ from mavfi.reports.hardening.drawing import curve, ways
 from mavfi.reports.hardening.plain import (
     NAMES,
     caveats,
-    certificate_table,
+    certificate_tables,
     headline,
     interval,
     rerun_line,
@@ -44,10 +44,11 @@ def write_certificate(
         BadInputError: The file cannot be written.
     """
     command = f"mavfi harden {shlex.quote(str(directory))}{_only(kernels)} --plan {shlex.quote(str(plan))} --certify"
+    machine = f" --machine {certification.machine[0].kernel}" if certification.machine else ""
     content = render(
-        "certificate.html.j2", plan=plan.name, digest=certification.plan[:12], table=certificate_table(certification),
+        "certificate.html.j2", plan=plan.name, digest=certification.plan[:12], tables=certificate_tables(certification),
         verdict=verdict_line(certification).replace(" %", "\u00a0%"), missions=", ".join(certification.missions),
-        command=f"{command} --faults {certification.faults}",
+        command=f"{command} --faults {certification.faults}{machine}",
     )  # fmt: skip
     write(path, content)
 

@@ -7,6 +7,7 @@ from typing import Any
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.hardening.battery import DETECTED, SDC
 from mavfi.campaign.hardening.certify import REFUTED, Certificate, Unprotected
 from mavfi.campaign.hardening.study import Certification
 from mavfi.campaign.hardening.ways import CUT
@@ -17,6 +18,7 @@ _TWICE = 2.0
 _SIGNIFICANT = 0.01
 NAMES = {CUT: "minimum cut", "line": "by source line", "opcode": "by opcode", "random": "at random"}
 """Ways to choose, for readers."""
+_MACHINE = ("kernel", "function", "code", "n", "SDC", "crash", "hang, exception", "detected", "instr.")
 _CERTIFICATE = (
     "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "time", "SDCs removed",
     "predicted", "", "pairs",
@@ -108,6 +110,12 @@ def verdict_line(certification: Certification) -> str:
     )
 
 
+def certificate_tables(certification: Certification) -> list[Table]:
+    """All tables of a certificate."""
+    machine = [machine_table(certification)] if certification.machine else []
+    return [certificate_table(certification), *machine]
+
+
 def certificate_table(certification: Certification) -> Table:
     """Certificates by function."""
     rows = [_certificate_row(one) for one in certification.certificates]
@@ -121,6 +129,24 @@ def certificate_table(certification: Certification) -> Table:
         "code: SDC in plain code only : in protected code only, McNemar's test",
     )
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
+
+
+def machine_table(certification: Certification) -> Table:
+    """Register faults at machine level, in plain and in protected code of a function."""
+    rows = []
+    for one in certification.machine:
+        columns = [one.rates(SDC), one.rates("crash"), one.rates("hang", "exception"), one.rates(DETECTED)]
+        for place, (code, sites) in enumerate((("plain", one.sites), ("protected", one.protected_sites))):
+            rates = [rates[place] for rates in columns]
+            name = one.function.rpartition(".")[2]
+            rows.append((one.kernel, name, code, str(rates[0].n), *map(interval_of, rates), f"{sites:,}"))
+    notes = [
+        "one bit of a destination register in one single-stepped call of each function, a fresh one; instr.: executed "
+        "machine instructions with such a register, over which faults are uniform",
+        *(f"{one.function.rpartition('.')[2]}: {interval_of(one.coverage)} of the SDCs per call removed at machine "
+          "level: 1 - SDC protected x instr. protected / (SDC plain x instr. plain)" for one in certification.machine),
+    ]  # fmt: skip
+    return Table.of_text("Machine level", _MACHINE, rows, notes)
 
 
 def _certificate_row(one: Certificate) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ from pathlib import Path
 from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.hardening.certify import Certificate, Unprotected
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.campaign.hardening.study import Certification
+from mavfi.campaign.hardening.machine import MachineLevel
+from mavfi.campaign.hardening.study import Certification, certification_json
 from mavfi.hardening.plan import Coverage
 from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, curve, ways
 from mavfi.reports.hardening.page import page, source, write_certificate
@@ -16,6 +17,7 @@ from mavfi.reports.hardening.plain import (
     advice_table,
     caveats,
     certificate_table,
+    certificate_tables,
     headline,
     interval,
     rerun_line,
@@ -114,6 +116,18 @@ def test_sentences():
     assert advice_table(advice).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
 
 
+def test_a_certificate_states_both_codes_at_machine_level(tmp_path):
+    level = MachineLevel("pid", "m.track", "f8", {"masked": 50, "sdc": 50}, {"sdc": 2, "detected": 98}, 150, 300)
+    found = Certification("ab" * 32, 100, (), (), GoldenCheck(), machine=(level,))
+    plain, protected = certificate_tables(found)[1].rows
+    assert plain[:5] == ("pid", "track", "plain", "100", "50.0 % [40.4, 59.6]") and plain[-1] == "150"
+    assert protected[4] == "2.0 % [0.6, 7.0]" and protected[-2:] == ("98.0 % [93.0, 99.4]", "300")
+    assert certification_json(found)["machine"][0]["sdc_after"]["n"] == 100
+    write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN)
+    text = (tmp_path / "c.html").read_text()
+    assert "Machine level" in text and "track: 92.0 % [" in text and "--faults 100 --machine pid" in text
+
+
 def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     one = Certificate(
         "pid", "mavfi.pid.track", "f8", 1000, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 2.4,
@@ -124,6 +138,7 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     text = (tmp_path / "c.html").read_text()
     assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
+    assert "Machine level" not in text
     assert "<td>1 : 0, p = 1</td>" in text and "<td>×1.37 (×1.34)</td>" in text
     write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN, ("pid",))
     assert "runs&#39; --kernels pid --plan plan.yaml --certify" in (tmp_path / "c.html").read_text()

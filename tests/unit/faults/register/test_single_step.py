@@ -1,7 +1,6 @@
 """The reference at machine level: execution is the same each time, strikes are seen, outcomes distinguished."""
 
 import os
-import signal
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
@@ -9,39 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.destinations import destinations, is_out_of_reach
-from benchmarks.machine_level import DETECTED, entry_of, inject_all, protected
-from benchmarks.single_step import MachineFault, SteppedCall
+from benchmarks.machine_level import entry_of, protected
+from mavfi.campaign.hardening.battery import DETECTED
+from mavfi.campaign.hardening.machine import inject_all
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.instruction.api import digest
-from mavfi.faults.register.ptrace import Tracee
+from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.registers import decode
-from mavfi.faults.register.target import check_machine, not_permitted
+from mavfi.faults.register.single_step import MachineFault, SteppedCall
 from mavfi.numerics.jit import kernel_jit
 from tests.unit.faults.instruction.kernels import LOOP, counted_down, fill, loop, raising
+from tests.unit.faults.register.tracing import require_tracing
 
 SEED = 11
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _traceable():
-    """Skip where a child must not be traced, and say why."""
-    try:
-        check_machine()
-    except BadInputError as reason:
-        pytest.skip(str(reason))
-    child = os.fork()
-    if child == 0:
-        signal.pause()
-        os._exit(0)
-    try:
-        Tracee(child).detach()
-    except PermissionError:
-        pytest.skip(f"a process may not trace its children: {not_permitted()}")
-    finally:
-        os.kill(child, signal.SIGKILL)
-        while os.WIFSTOPPED(os.waitpid(child, 0)[1]):
-            pass
+    require_tracing()
 
 
 class BriefCall(SteppedCall):
@@ -108,7 +92,7 @@ def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
     def forbidden(thread):
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr("benchmarks.single_step.Tracee", forbidden)
+    monkeypatch.setattr("mavfi.faults.register.single_step.Tracee", forbidden)
     with pytest.raises(BadInputError, match="single steps: may not trace a child") as refused:
         stepped(loop, *LOOP)
     assert "\n" not in str(refused.value)
@@ -192,10 +176,10 @@ def test_a_call_that_raises_is_an_exception():
 
 @pytest.mark.slow
 def test_protected_code_detects_what_was_silent():
-    plain = inject_all(stepped(copy_sum, VALUES, TOTAL), 40, lambda _: None)
+    plain = inject_all(stepped(copy_sum, VALUES, TOTAL), np.random.default_rng(SEED), 40, lambda _: None)
     code, entry = protected("pid", copy_sum, (VALUES, TOTAL))
     guarded = BriefCall(lambda: digest((code(VALUES, TOTAL), VALUES, TOTAL)), entry)
-    found = inject_all(guarded, 40, lambda _: None)
+    found = inject_all(guarded, np.random.default_rng(SEED), 40, lambda _: None)
     assert plain["sdc"] > 4 and plain[DETECTED] == 0
     assert found["sdc"] < plain["sdc"] / 4 and found[DETECTED] > 4
 
