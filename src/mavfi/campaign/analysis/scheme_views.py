@@ -16,6 +16,7 @@ from mavfi.campaign.plan import FI
 
 PAIR = "pair"
 """Kind of a row that joins the runs of a fault in `fi` and in an arm; columns of the arm have the prefix `dr_`."""
+_SEPARATOR = ", "
 LOST = (pl.col("kind") == PAIR) & pl.col("golden_success") & ~pl.col("success")
 """Pairs in which the fault loses the mission in `fi`."""
 LATE = (pl.col("kind") == PAIR) & (pl.col("inflation") > m.SLOWER).fill_null(value=False)
@@ -32,6 +33,25 @@ def against_base(runs: Runs) -> Runs:
     golden = runs.golden.where(pl.col("arm") != "").frame.join(bare, on="world", how="left", maintain_order="left")
     frames = [pairs.frame.rename({"fi_success": "success"}).with_columns(kind=pl.lit(PAIR)), golden]
     return replace(runs, frame=pl.concat(frames, how="diagonal"))
+
+
+def pairs_only(runs: Runs) -> Runs:
+    """As `against_base`, without golden runs."""
+    return against_base(runs).where(kind=PAIR)
+
+
+def by_duration(runs: Runs) -> Runs:
+    """As `pairs_only`, with the `duration` of the fault: what follows the comma in the name of its group.
+
+    It is that of the group, not of the fault: a burst in a flag has one bit, but belongs with the other bursts.
+    """
+    return pairs_only(runs).adding(duration=pl.col("target").str.split(_SEPARATOR).list.last())
+
+
+def _has_durations(runs: Runs) -> bool:
+    """Whether the groups of a campaign are named "fields, duration"."""
+    names = runs.injected.values("target")
+    return _schemes_on(runs, STATE) and all(name.count(_SEPARATOR) == 1 for name in names)
 
 
 def _schemes_on(runs: Runs, level: str) -> bool:
@@ -84,15 +104,20 @@ _ALARMS = (
     Measure("hours", "exposure", "number .2f h", _golden(lambda own: sum(own["flight_time_s"]) / 3600)),
     Measure("recomputed", "recomputation", SMALL, _golden(m.recomputed)),
 )  # fmt: skip
-_NOTES = (
+_LOST_NOTE = (
     "lost: missions that succeed without the fault and fail with it; brought back: of these, those that succeed under "
-    "the scheme; [95 % interval: Wilson, n reduced by the design effect of worlds], n",
-    "lost under it: missions that fail with the fault and the scheme; only it lost: missions, golden ones included, "
-    "that fail only under the scheme; late, in time: of missions that succeed > 5 % later with the fault, those "
-    "that are at most 5 % late under the scheme",
-    "false alarms: per hour of golden flight; recomputation: its modelled time / compute time, golden flights",
+    "the scheme; [95 % interval: Wilson, n reduced by the design effect of worlds], n"
 )
-
+_HARM_NOTE = (
+    "lost under it: missions that fail with the fault and the scheme; only it lost: missions{} that fail only under "
+    "the scheme; late, in time: of missions that succeed > 5 % later with the fault, those that are at most 5 % late "
+    "under the scheme"
+)
+_NOTES_OF_PAIRS = (_LOST_NOTE, _HARM_NOTE.format(" with the fault"), ONE_FAULT)
+_NOTES = (
+    _LOST_NOTE, _HARM_NOTE.format(", golden ones included,"),
+    "false alarms: per hour of golden flight; recomputation: its modelled time / compute time, golden flights",
+)  # fmt: skip
 register(
     View(
         "schemes", "Schemes on the same faults in states", ("arm",), (*_COUNTED, *_HARM, _DETECTED, *_ALARMS),
@@ -124,8 +149,13 @@ register(
         applies=lambda runs: _schemes_on(runs, INSTRUCTION), by_name=True,
     ),
     View(
-        "schemes_by_target", "Schemes, by injected site", ("target", "arm"), _COUNTED, where=against_base,
-        headings=("site", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT),
+        "schemes_by_target", "Schemes, by injected site", ("target", "arm"), (*_COUNTED, *_HARM), where=pairs_only,
+        headings=("site", "scheme"), notes=lambda _: _NOTES_OF_PAIRS,
         applies=lambda runs: len(runs.settings()) > 1, by_name=True,
+    ),
+    View(
+        "schemes_by_duration", "Schemes, by duration and width of the fault", ("duration", "arm"),
+        (*_COUNTED, *_HARM), where=by_duration, headings=("fault", "scheme"), notes=lambda _: _NOTES_OF_PAIRS,
+        applies=_has_durations, by_name=True,
     ),
 )  # fmt: skip

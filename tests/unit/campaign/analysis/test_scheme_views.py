@@ -73,3 +73,25 @@ def test_at_instruction_level_a_fault_that_meets_another_value_is_not_the_scheme
 def test_missions_that_are_lost_anyway_are_nobodys():
     own = [golden(1, flown(success=False)), golden(1, arm="one"), *pair(1, LOST, GOLDEN)]
     assert row(runs(*own))["lost"] == 0
+
+
+def lasting_scenario():
+    """One fault that comes back once and is lost for ever, one that only the scheme loses for ever; a golden loss."""
+    once, stuck = {"target": "x, once"}, {"target": "x, for ever"}
+    own = [*pair(1, LOST, flown(), **once), *pair(1, LOST, LOST, **stuck), *pair(2, flown(), LOST, **stuck)]
+    return runs(golden(1), golden(2), golden(1, flown(success=False), arm="one"), golden(2, arm="one"), *own)
+
+
+def test_faults_are_told_apart_by_their_duration():
+    entries = VIEWS["schemes_by_duration"].table(lasting_scenario()).entries()
+    keys = ("duration", "arm", "pairs", "lost", "lost_under", "newly_lost")
+    assert [tuple(entry[key] for key in keys) for entry in entries] == [
+        ("once", "one", 1, 1, 0, 0), ("for ever", "one", 2, 1, 2, 1),
+    ]  # fmt: skip
+    assert [(entry["back"].successes, entry["back"].n) for entry in entries] == [(1, 1), (0, 1)]
+    assert not VIEWS["schemes_by_duration"].applies(runs(*scenario()))  # groups without one
+
+
+def test_by_site_only_flights_with_a_fault_count():
+    entries = VIEWS["schemes_by_target"].table(lasting_scenario()).entries()
+    assert [(entry["target"], entry["newly_lost"]) for entry in entries] == [("x, once", 0), ("x, for ever", 1)]
