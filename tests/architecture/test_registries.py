@@ -135,7 +135,7 @@ def test_detectors_that_learn_are_entry_points_with_a_file_each():
     assert set(config.names("detectors")) == {*trainable(), *others} <= set(detector_names())
     assert all(settings_of(name, "tuned").gate for name in (*of_monitored_fields(), "another"))
     assert set(of_all_fields(["bench"])) - set(of_all_fields()) == {
-        "isolation_forest", "pca", "mahalanobis", "half_space_trees", "matrix_profile",
+        "isolation_forest", "pca", "mahalanobis", "half_space_trees", "gradient_boosting", "matrix_profile",
     }  # fmt: skip
     assert not any(settings_of(name, "tuned").gate for name in of_all_fields(["bench"]))
 

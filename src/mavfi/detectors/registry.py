@@ -40,6 +40,7 @@ _SHIPPED = {
     "pca": "mavfi.detectors.baselines.outliers:PcaDetector",
     "mahalanobis": "mavfi.detectors.baselines.outliers:MahalanobisDetector",
     "half_space_trees": "mavfi.detectors.baselines.half_space_trees:HalfSpaceTreesDetector",
+    "gradient_boosting": "mavfi.detectors.baselines.gradient_boosting:GradientBoostingDetector",
     "matrix_profile": "mavfi.detectors.baselines.matrix_profile:MatrixProfileDetector",
     "checksum": "mavfi.detectors.sealed:Checksum",
     "checksum_large": "mavfi.detectors.sealed:Checksum",

@@ -5,8 +5,9 @@ import pytest
 
 from mavfi.detectors import load_detector
 from mavfi.detectors.baselines import library
-from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector, columns_of
-from mavfi.detectors.baselines.library import LibraryDetector
+from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, Regressors
+from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector
+from mavfi.detectors.baselines.library import LibraryDetector, columns_of
 from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, nearest
 from mavfi.detectors.baselines.outliers import IsolationForestDetector, MahalanobisDetector, PcaDetector
 from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
@@ -89,7 +90,14 @@ def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
 @pytest.mark.long
 @pytest.mark.parametrize(
     "kind",
-    [IsolationForestDetector, PcaDetector, MahalanobisDetector, HalfSpaceTreesDetector, MatrixProfileDetector],
+    [
+        IsolationForestDetector,
+        PcaDetector,
+        MahalanobisDetector,
+        HalfSpaceTreesDetector,
+        GradientBoostingDetector,
+        MatrixProfileDetector,
+    ],
     ids=lambda kind: kind.model_kind,
 )
 def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(kind, sample):
@@ -102,7 +110,8 @@ def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(ki
 
 def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for(monkeypatch):
     monkeypatch.setattr(library, "find_spec", lambda name: None)
-    for name, package in (("pca", "pyod"), ("half_space_trees", "river"), ("matrix_profile", "stumpy")):
+    packages = {"pca": "pyod", "half_space_trees": "river", "gradient_boosting": "lightgbm", "matrix_profile": "stumpy"}
+    for name, package in packages.items():
         with pytest.raises(
             BadInputError, match=rf"{package}.*not installed; install it with: pip install 'mavfi\[bench\]'"
         ):
@@ -114,6 +123,47 @@ def test_the_columns_of_states_are_all_watched_ones_once(autopilot):
     everything = Everything(autopilot)
     columns = np.concatenate(columns_of(everything))
     assert columns.tolist() == list(range((everything.quanta > 0).sum()))
+
+
+def correlated(seed):
+    """Rows of two states: codes 0 and 1 of the first are equal up to noise, codes 2 and 3 of the second independent."""
+    random = np.random.default_rng(seed)
+    rows = random.uniform(-1.0, 1.0, (600, 4))
+    rows[:, 1] = rows[:, 0] + random.normal(0.0, 0.01, 600)
+    return rows, np.arange(600) % 2
+
+
+def test_a_code_that_does_not_agree_with_the_others_scores_high_within_its_own_range():
+    pytest.importorskip("lightgbm", exc_type=ImportError)
+    columns = [np.array([0, 1]), np.array([2, 3])]
+    judge, (rows, slots) = Regressors(*correlated(1), columns), correlated(2)
+    normal = judge.scores(rows, slots)
+    assert np.mean(normal[slots == 0] > 1.0) < 0.1 and np.mean(normal[slots == 1] > 1.0) < 0.1
+    wrong = rows.copy()
+    wrong[:, 1] = np.where(rows[:, 0] > 0.0, rows[:, 0] - 1.0, rows[:, 0] + 1.0)
+    assert judge.scores(wrong, slots)[slots == 0].min() > 4.0
+    wrong[:, :2] = rows[:, :2]
+    wrong[:, 2] = 3.0
+    struck = judge.scores(wrong, slots)
+    assert struck[slots == 1].min() > 1.5 and np.median(struck[slots == 0]) < 1.0
+
+
+def test_regressors_score_the_same_alone_together_and_fitted_again():
+    pytest.importorskip("lightgbm", exc_type=ImportError)
+    columns = [np.array([0, 1]), np.array([2, 3])]
+    rows, slots = correlated(3)
+    judge, again = Regressors(rows, slots, columns), Regressors(rows, slots, columns)
+    together = judge.scores(rows[:20], slots[:20])
+    assert together.tolist() == again.scores(rows[:20], slots[:20]).tolist()
+    assert together.tolist() == [judge.scores(rows[k : k + 1], slots[k : k + 1])[0] for k in range(20)]
+
+
+def test_a_state_with_too_few_rows_has_no_regressors():
+    pytest.importorskip("lightgbm", exc_type=ImportError)
+    rows, slots = correlated(4)
+    rare = np.where(np.arange(600) < 7, 1, 0)
+    scores = Regressors(rows, rare, [np.array([0, 1]), np.array([2, 3])]).scores(rows, slots)
+    assert (scores[slots == 1] == 0.0).all() and (scores[slots == 0] > 0.0).any()
 
 
 def test_the_nearest_stretch_is_that_of_a_naive_search():

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT
-from mavfi.detectors.baselines.library import Judge, LibraryDetector
+from mavfi.detectors.baselines.library import Judge, LibraryDetector, columns_of
 from mavfi.detectors.everything import Everything
 
 _TREES, _HEIGHT, _WINDOW = 25, 8, 100
@@ -49,10 +49,3 @@ class HalfSpaceTreesDetector(LibraryDetector):
     def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
         """See `LibraryDetector.judge`."""
         return _Forests(inputs, slots, columns_of(everything))
-
-
-def columns_of(everything: Everything) -> list[np.ndarray]:
-    """By state, the columns of its fields among all watched fields."""
-    place = np.cumsum(everything.quanta > 0.0) - 1
-    spans = [np.arange(*everything.range_of(slot)) for slot in range(len(everything.slots))]
-    return [place[own[everything.quanta[own] > 0.0]] for own in spans]

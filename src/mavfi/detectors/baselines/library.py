@@ -66,6 +66,13 @@ def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return found
 
 
+def columns_of(everything: Everything) -> list[np.ndarray]:
+    """By state, the columns of its fields among all watched fields."""
+    place = np.cumsum(everything.quanta > 0.0) - 1
+    spans = [np.arange(*everything.range_of(slot)) for slot in range(len(everything.slots))]
+    return [place[own[everything.quanta[own] > 0.0]] for own in spans]
+
+
 class LibraryDetector(AllFieldsDetector):
     """A detector from a library.
 
