@@ -22,8 +22,8 @@ from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.hosts.watching import detector_for
 
 FOLDER = "bench"
-SCORES = "scores"
-"""Name of the table of detection at any threshold."""
+SCORES, REGIMES = "scores", "regimes"
+"""Names of the tables of detection at any threshold, and of false alarms by regime."""
 SCORED = ("state",)
 """Fault levels that corrupt publications."""
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$")]
@@ -55,8 +55,8 @@ class Bench(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Bench":
-        if SCORES in self.parts:
-            raise ValueError(f"parts: {SCORES!r}: is the name of a table; allowed: any other name")
+        for taken in {SCORES, REGIMES}.intersection(self.parts):
+            raise ValueError(f"parts: {taken!r}: is the name of a table; allowed: any other name")
         for name, part in self.parts.items():
             level = load_campaign(part.campaign).sampling.level
             if part.scores and level not in SCORED:

@@ -19,6 +19,7 @@ from mavfi.campaign.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.plan import FI, Arm, arms_of
+from mavfi.campaign.regimes import Exposure, RegimeClock
 from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
 from mavfi.detectors.detector import Detector
@@ -45,6 +46,7 @@ class Scores:
         hours: Exposure (h).
         corrupted: Score of the publication corrupted by each fault; 0 if it is not scored. Shape (n,).
         harmful: Whether the fault loses the mission. Shape (n,).
+        flights: Scored publications and false alarms by regime, one for each golden flight.
     """
 
     golden: np.ndarray
@@ -52,6 +54,7 @@ class Scores:
     hours: float
     corrupted: np.ndarray
     harmful: np.ndarray
+    flights: tuple[Exposure, ...] = ()
 
     def threshold_at(self, per_hour: float) -> float | None:
         """Lowest threshold with at most this rate of false alarms; None if the exposure is too short for the rate."""
@@ -124,15 +127,16 @@ class _Kept:
     """Scores of one detector in one flight."""
 
     golden: list[float] = field(default_factory=list)
-    judged: int = 0
+    exposure: Exposure = field(default_factory=Exposure)
     corrupted: dict[int, float] = field(default_factory=dict)
 
 
 class _Scorer:
     """Recorder in which detectors score each publication, and its corrupted copies at fault sites."""
 
-    def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
+    def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault], autopilot: str) -> None:
         self._detectors: Mapping[str, Any] = detectors
+        self._regime_of = RegimeClock(autopilot)
         self._injectors = {place: StateInjector(fault) for place, fault in enumerate(faults)}
         self.kept = {name: _Kept() for name in detectors}
         for detector in detectors.values():
@@ -141,13 +145,14 @@ class _Scorer:
     def __call__(self, state: State, time_us: int) -> None:
         corrupted = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
         changed = [(place, other) for place, other in corrupted if other is not state]
+        regime = self._regime_of(state)
         for name, detector in self._detectors.items():
             kept = self.kept[name]
             for place, other in changed:
                 kept.corrupted[place] = detector.score(other, time_us) or 0.0
             found = detector.score(state, time_us)
             if found is not None:
-                kept.judged += 1
+                kept.exposure.add(regime, found)
                 if found > 0.0:
                     kept.golden.append(found)
             detector.accept(state, time_us)
@@ -172,16 +177,19 @@ def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict
     return reasons
 
 
-def _score(task: _Task) -> tuple[float, dict[str, _Kept]]:
-    """Fly a golden flight; returns its hours, and the scores by arm."""
+def _score(task: _Task) -> dict[str, _Kept]:
+    """Fly a golden flight; returns the scores by arm."""
     scenario = resolve(task.mission)
     loaded = {
         arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir)[0] for arm in task.arms
     }  # fmt: skip
     judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}
-    scorer = _Scorer(judging, task.faults)
+    scorer = _Scorer(judging, task.faults, scenario.autopilot.name)
     log = fly(scenario, recorders=[scorer]).log
-    return quality_of_flight(log).flight_time_s / 3600, scorer.kept
+    hours = quality_of_flight(log).flight_time_s / 3600
+    for kept in scorer.kept.values():
+        kept.exposure.hours = hours
+    return scorer.kept
 
 
 def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | None = None) -> dict[str, Scores]:
@@ -202,11 +210,9 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
     tasks = _tasks(directories, models_dir)
     places = {id(task): place for place, task in enumerate(tasks)}
     results = {places[id(task)]: result for task, result in map_each(executor, _score, tasks)}
-    flown = [(task, *results[place]) for place, task in enumerate(tasks)]
+    flown = [(task, results[place]) for place, task in enumerate(tasks)]
     names = dict.fromkeys(arm.name for task in tasks for arm in task.arms)
-    found = {
-        name: _joined([(task, hours, kept[name]) for task, hours, kept in flown if name in kept]) for name in names
-    }
+    found = {name: _joined([(task, kept[name]) for task, kept in flown if name in kept]) for name in names}
     return {name: own for name, own in found.items() if own.judged}
 
 
@@ -233,12 +239,13 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
     return list(tasks.values())
 
 
-def _joined(flown: Sequence[tuple[_Task, float, _Kept]]) -> Scores:
-    golden = np.sort(np.array([score for *_, kept in flown for score in kept.golden]))[::-1]
-    corrupted = [kept.corrupted.get(place, 0.0) for task, _, kept in flown for place in range(len(task.faults))]
-    harmful = [lost for task, *_ in flown for lost in task.harmful]
-    hours = sum(own for _, own, _ in flown)
-    return Scores(golden, sum(kept.judged for *_, kept in flown), hours, np.array(corrupted), np.array(harmful, bool))
+def _joined(flown: Sequence[tuple[_Task, _Kept]]) -> Scores:
+    golden = np.sort(np.array([score for _, kept in flown for score in kept.golden]))[::-1]
+    corrupted = [kept.corrupted.get(place, 0.0) for task, kept in flown for place in range(len(task.faults))]
+    harmful = [lost for task, _ in flown for lost in task.harmful]
+    flights = tuple(kept.exposure for _, kept in flown)
+    hours, judged = sum(flight.hours for flight in flights), sum(sum(flight.judged) for flight in flights)
+    return Scores(golden, judged, hours, np.array(corrupted), np.array(harmful, bool), flights)
 
 
 def table(found: Mapping[str, Scores], left_out: Mapping[str, str] | None = None) -> Table:

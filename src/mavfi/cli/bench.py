@@ -63,7 +63,8 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.campaign.bench import SCORES, entries, load_bench, scales, with_only, with_schemes
+    from mavfi.campaign import regimes
+    from mavfi.campaign.bench import REGIMES, SCORES, entries, load_bench, scales, with_only, with_schemes
     from mavfi.campaign.scores import table, unscored
     from mavfi.reports.leaderboard import leaderboard
 
@@ -88,6 +89,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     if scored:
         campaigns = (entry.campaign for entry in flown.values() if entry.part.scores)
         tables[SCORES] = table(scored, unscored(campaigns, scored))
+        tables[REGIMES] = regimes.table({name: found.flights for name, found in scored.items()})
     own = tables
     if detector or scheme:
         tables = {name: _beside(chosen, name, found, out / name, scale) for name, found in own.items()}

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from mavfi.campaign.scores import Scores, curves_csv, table, unscored
+from mavfi.campaign.scores import Scores, _Scorer, curves_csv, table, unscored
 from tests.unit.campaign.fakes import small
+from tests.unit.detectors import streams
 
 LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
 
@@ -89,3 +90,31 @@ def test_schemes_without_scores_are_named_with_the_reason():
     }
     found = Scores(np.array([3.0]), 100, 1.5, np.array([2.5]), np.array([True]))
     assert f"all: not scored: {reasons['all']}" in table({"one": found}, reasons).notes
+
+
+class CommandsAlarm:
+    """Every third command scores 2, other commands 0.5; other states have no score."""
+
+    def start(self):
+        self.count = 0
+
+    def score(self, state, time_us):
+        if state.spec.name != "control.command":
+            return None
+        self.count += 1
+        return 2.0 if self.count % 3 == 0 else 0.5
+
+    def accept(self, state, time_us):
+        pass
+
+
+def test_false_alarms_are_counted_by_regime_as_the_scores_are():
+    scorer, events = _Scorer({"one": CommandsAlarm()}, (), "published"), streams.flight(5, 300)
+    for state, time_us in events:
+        scorer(state, time_us)
+    kept = scorer.kept["one"]
+    commands = sum(state.spec.name == "control.command" for state, _ in events)
+    assert sum(kept.exposure.judged) == commands and sum(kept.exposure.alarms) == commands // 3
+    assert sum(score > 1.0 for score in kept.golden) == sum(kept.exposure.alarms)
+    points = sum(state.spec.name == "planning.waypoint" for state, _ in events)
+    assert 0 < sum(kept.exposure.judged[1:3]) <= points and kept.exposure.judged[3] == 0
