@@ -30,7 +30,9 @@ def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason
 
 
 def test_parts_by_level_and_by_name():
-    assert list(entries(BENCH, "quick", levels=["instruction"])) == ["instruction"]
+    for level in ("instruction", "memory", "sensor"):
+        found = entries(BENCH, "quick", levels=[level])
+        assert list(found) == [level] and found[level].campaign.sampling.level == level
     assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
 
 
@@ -51,7 +53,8 @@ def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
     ("ask", "message"),
     [
         ({"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
-        ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction"),
+        ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction, memory, sensor, state"),
+        ({"levels": ["message"]}, "level 'message': not known; allowed: instruction, memory, sensor, state"),
         ({"scale": "huge"}, "scale 'huge': not known"),
     ],
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
-from mavfi.campaign.analysis.flight_views import INSTRUCTION, MEMORY, ONE_FAULT, STATE
+from mavfi.campaign.analysis.flight_views import INSTRUCTION, MEMORY, ONE_FAULT, SENSOR, STATE
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
@@ -131,6 +131,15 @@ register(
         "schemes_memory", "Schemes on the same faults in memory", ("arm",), (*_COUNTED, *_HARM, *_ALARMS),
         where=against_base, headings=("scheme",), notes=lambda _: (*_NOTES, ONE_FAULT),
         applies=lambda runs: _schemes_on(runs, MEMORY), by_name=True,
+    ),
+    View(
+        "schemes_sensor", "Schemes on the same failures of sensors and motors", ("arm",),
+        (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
+        notes=lambda _: (
+            *_NOTES, "a failure lasts from its instant to the end of the flight: every message then carries what the "
+            "device gave, and its checksum and its copy agree with it", ONE_FAULT,
+        ),
+        applies=lambda runs: _schemes_on(runs, SENSOR), by_name=True,
     ),
     View(
         "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),

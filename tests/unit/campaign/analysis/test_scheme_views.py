@@ -1,6 +1,7 @@
 """Schemes on the same faults: what is lost, brought back, newly lost, detected."""
 
 from mavfi.campaign.analysis import VIEWS
+from mavfi.faults.sensor.fault import SensorFault
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, alarm, died, flown, golden, injected, runs
 
 
@@ -95,3 +96,13 @@ def test_faults_are_told_apart_by_their_duration():
 def test_by_site_only_flights_with_a_fault_count():
     entries = VIEWS["schemes_by_target"].table(lasting_scenario()).entries()
     assert [(entry["target"], entry["newly_lost"]) for entry in entries] == [("x, once", 0), ("x, for ever", 1)]
+
+
+def test_failing_sensors_have_a_view_of_their_own():
+    failing = {"fault": SensorFault("gyro", "drift", 1_000_000), "target": "gyro"}
+    own = [golden(seed, arm=arm) for seed in (1, 2, 3) for arm in ("", "one")]
+    own += [*pair(1, LOST, flown(), **failing), *pair(2, LOST, LOST, **failing), *pair(3, flown(), LOST, **failing)]
+    entry = row(runs(*own), "schemes_sensor")
+    assert (entry["pairs"], entry["lost"], entry["lost_under"], entry["newly_lost"]) == (3, 2, 2, 1)
+    assert (entry["back"].successes, entry["back"].n, entry["hours"]) == (1, 2, 3 * 50.0 / 3600)
+    assert VIEWS["schemes_sensor"].applies(runs(*own)) and not VIEWS["schemes_sensor"].applies(runs(*scenario()))
