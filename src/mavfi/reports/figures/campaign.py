@@ -12,7 +12,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import (
-    ALL_BITS,
     FAILS_OR_SLOWER,
     POPULATIONS,
     in_leading,
@@ -21,6 +20,7 @@ from mavfi.campaign.analysis.measures import (
     populations,
 )
 from mavfi.campaign.analysis.paper_views import leading_faults
+from mavfi.campaign.analysis.rows import ALL_BITS
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.views import has
