@@ -63,9 +63,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.campaign import regimes
-    from mavfi.campaign.bench import REGIMES, SCORES, entries, load_bench, scales, with_only, with_schemes
-    from mavfi.campaign.scores import table, unscored
+    from mavfi.campaign.bench import entries, load_bench, scales, with_only, with_schemes
     from mavfi.reports.leaderboard import leaderboard
 
     chosen = load_bench(bench)
@@ -86,11 +84,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         _fly(flown, out, workers, models)
         scored = _scores(flown, out, workers, models)
     tables = {name: _table(chosen, name, entry, out / name, scale) for name, entry in flown.items()}
-    if scored:
-        campaigns = (entry.campaign for entry in flown.values() if entry.part.scores)
-        tables[SCORES] = table(scored, unscored(campaigns, scored))
-        tables[REGIMES] = regimes.table({name: found.flights for name, found in scored.items()})
-    own = tables
+    own = tables = tables | _score_tables(flown, scored)
     if detector or scheme:
         tables = {name: _beside(chosen, name, found, out / name, scale) for name, found in own.items()}
     command = _command(bench, level or (), part or (), scale)
@@ -132,6 +126,21 @@ def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | N
                 entry.campaign, out / name, executor=LocalExecutor(workers), models_dir=models,
                 progress=bar.show_campaign,
             )  # fmt: skip
+
+
+def _score_tables(flown: "Mapping[str, Entry]", scored: "Mapping[str, Scores]") -> "dict[str, Table]":
+    """Tables from the scores: detection at fixed rates of false alarms, and false alarms by regime."""
+    from mavfi.campaign import regimes
+    from mavfi.campaign.bench import REGIMES, SCORES
+    from mavfi.campaign.scores import table, unscored
+
+    if not scored:
+        return {}
+    campaigns = (entry.campaign for entry in flown.values() if entry.part.scores)
+    return {
+        SCORES: table(scored, unscored(campaigns, scored)),
+        REGIMES: regimes.table({name: found.flights for name, found in scored.items()}),
+    }
 
 
 def _scores(
