@@ -1,5 +1,6 @@
 """`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -82,7 +83,7 @@ def report(  # noqa: PLR0913 - one parameter per option
         write_json(written.to_json())
         return
     show()
-    names = ", ".join(str(path.relative_to(directory)) for path in written.files)
+    names = _listed([path.relative_to(directory) for path in written.files])
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
     for line in made:
         console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
@@ -120,6 +121,13 @@ def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> N
         show_table(table, out)
     for line in (*(f"· {line}" for line in found.findings), *checks(found.runs)):
         out.print(Text(line))
+
+
+def _listed(files: Sequence[Path]) -> str:
+    """Files by name, those in folders as number per folder: "study.md, tables (17)"."""
+    folders = Counter(str(path.parent) for path in files if path.parent != Path())
+    named = [str(path) for path in files if path.parent == Path()]
+    return ", ".join([*named, *(f"{folder} ({count})" for folder, count in folders.items())])
 
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:

@@ -46,7 +46,7 @@ def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
     shutil.copytree(flown, tmp_path / "states")
     write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path, fly=False)
     text = printed(capsys, "report", tmp_path, "--no-draw-run", "--figures", tmp_path / "out")
-    assert "State level: success rates" in text and "study.md" in text
+    assert "State level: success rates" in text and "wrote study.md, study.json, tables (1) in " in text
     shutil.rmtree(tmp_path / "states")
     assert run(["report", str(tmp_path)]) == 2
     assert f"{tmp_path / 'states'}: holds no campaign" in capsys.readouterr().err
