@@ -149,14 +149,14 @@ def test_a_value_that_comes_late_displaces_no_later_one():
 
 
 def test_a_node_that_restarts_is_judged_again():
-    shadow = Shadow()
+    shadow = Shadow(resolve(MissionSpec()))
     shadow.awaited = dict.fromkeys(("planning.path", "planning.trajectory", "control.command"))
     shadow.forget("planner")
     assert list(shadow.awaited) == ["control.command"]
 
 
 def test_a_detector_that_alarms_without_end_does_not_end_its_node():
-    shadow, detector = Shadow(), Scripted(STATUS, n=1, stage="perception", times=10**6, hard=True)
+    shadow, detector = Shadow(resolve(MissionSpec())), Scripted(STATUS, n=1, stage="perception", times=10**6, hard=True)
     detector.start()
     watch = Watch(shadow, detector, ESCALATING, shadow.forget)
     for now in range(4 * MOST_ALARMS):

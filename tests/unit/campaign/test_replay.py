@@ -1,7 +1,6 @@
 import pytest
 
 from mavfi.campaign import mission as mission_module
-from mavfi.campaign import run as run_module
 from mavfi.campaign.replay import fly_again, replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
@@ -10,8 +9,7 @@ from tests.unit.campaign.fakes import BROKEN, TROUBLE, FakeDetector, OneByOne, s
 
 
 def planned_with_a_model(monkeypatch, sha):
-    for module in (mission_module, run_module):
-        monkeypatch.setattr(module, "detector_for", lambda *_: (FakeDetector(), sha))
+    monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), sha))
 
 
 @pytest.fixture(scope="module")

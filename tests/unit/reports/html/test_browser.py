@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mavfi.campaign.analysis.paper_views import by_bits
+from mavfi.campaign.analysis.paper_views import by_bits, leading_faults
 from mavfi.reports.campaign_report import report_of
 from mavfi.reports.figures import figure
 from mavfi.reports.html.flight_data import Course
@@ -152,7 +152,7 @@ def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_pat
         line.scrollIntoView({block: 'center', behavior: 'instant'});
         const place = line.getPointAtLength(0.7 * line.getTotalLength()).matrixTransform(line.getScreenCTM());
         return document.elementFromPoint(place.x, place.y).closest('a')?.getAttribute('aria-label')"""
-    n = len(runs.injected.where("judged", setting="dr_idle"))
+    n = len(leading_faults(runs).where(setting="dr_idle"))
     label = f"{n} runs: environment sparse, setting dr_idle"
     assert browser.run(on_curve, f"svg[aria-label=flight_time] a[aria-label='{label}']") == label
     assert browser.complaints() == []
