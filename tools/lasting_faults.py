@@ -7,23 +7,20 @@ python -m tools.lasting_faults out/lasting
 import sys
 from pathlib import Path
 
-from tools.campaign_page import page
-from tools.markers import GENERATED
+from tools.campaign_page import write
 
-PAGE = GENERATED / "lasting.md"
 TEXT = (
     "One bit of a field stays stuck at its flipped value, or several adjacent bits flip once (burst; a flag has one). "
     "Every duration has the same draws of field, instant and bit, so rows differ by the duration alone. How they are "
     "injected: [fault model](../fault-model.md#a-fault-is-data-an-injection-is-an-event); the schemes: "
     "[models](../models.md#recommended).\n\n"
-    "*twice*: a second fault while a recovery runs; the resent or recomputed value is hit, too. *for ever*: to the end "
-    "of the flight. *intermittent*: the same, in a fifth of the publications. `recommended` restarts a node at most "
-    "five times, away for 2.4 s together; after that, wrong values of a fault that still lasts pass, or with key "
+    "*twice*: a second fault while a recovery runs; the resent or recomputed value is hit as well. *for ever*: to the "
+    "end of the flight. *intermittent*: the same, in a fifth of the publications. `recommended` restarts a node at "
+    "most five times, away for 2.4 s together; after that, wrong values of a fault that still lasts pass, or with key "
     "`degraded` the vehicle hovers."
 )
 VIEWS = ("schemes", "schemes_by_duration", "schemes_by_target")
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(Path(sys.argv[1]), "make lasting", "Faults that last", TEXT, VIEWS), encoding="utf-8")
-    sys.stdout.write(f"wrote {PAGE.name}\n")
+    write("lasting", Path(sys.argv[1]), "Faults that last", TEXT, VIEWS)

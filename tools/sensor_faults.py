@@ -7,10 +7,8 @@ python -m tools.sensor_faults out/sensors
 import sys
 from pathlib import Path
 
-from tools.campaign_page import page
-from tools.markers import GENERATED
+from tools.campaign_page import write
 
-PAGE = GENERATED / "sensors.md"
 TEXT = (
     "Each fails from a random instant of the flight to its end, one of eight types in equal shares. What the types "
     "are, and how they are injected: [fault model](../fault-model.md#sensors-and-motors)."
@@ -19,7 +17,4 @@ VIEWS = ("by_unit", "by_failure", "by_unit_and_environment")
 
 
 if __name__ == "__main__":
-    PAGE.write_text(
-        page(Path(sys.argv[1]), "make sensors", "Failing sensors and motors", TEXT, VIEWS), encoding="utf-8"
-    )
-    sys.stdout.write(f"wrote {PAGE.name}\n")
+    write("sensors", Path(sys.argv[1]), "Failing sensors and motors", TEXT, VIEWS)

@@ -33,24 +33,33 @@ CONFIRMED, REFUTED, BETTER, UNKNOWN = "confirmed", "refuted", "better", "unknown
 
 
 @dataclass(frozen=True, slots=True)
-class _Function:
-    """A function in which fresh faults were injected.
+class FunctionResult:
+    """Result of fresh faults in one function.
 
     Attributes:
         kernel: That calls it, as in a campaign's sampling.
         function: Module and name.
         signature: Numba types of its arguments.
-        instructions: Dynamic instructions of plain code in the observed flights.
     """
 
     kernel: str
     function: str
     signature: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Counted(FunctionResult):
+    """The same, with the exposure of the function.
+
+    Attributes:
+        instructions: Dynamic instructions of plain code in the observed flights.
+    """
+
     instructions: int
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate(_Function):
+class Certificate(_Counted):
     """What fresh faults show of the protection of one function.
 
     Attributes:
@@ -114,7 +123,7 @@ class Certificate(_Function):
 
 
 @dataclass(frozen=True, slots=True)
-class Unprotected(_Function):
+class Unprotected(_Counted):
     """What fresh faults show of a function that the plan leaves as it is.
 
     Attributes:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.hardening.battery import DETECTED, SDC, Battery, counts_of
-from mavfi.campaign.hardening.certify import Pair
+from mavfi.campaign.hardening.certify import FunctionResult, Pair
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.campaign.hardening.outputs import outputs_of
 from mavfi.campaign.hardening.ratio import coverage
@@ -35,22 +35,16 @@ LONGEST = 5_000
 
 
 @dataclass(frozen=True, slots=True)
-class MachineLevel:
+class MachineLevel(FunctionResult):
     """What register faults show of the protection of one function.
 
     Attributes:
-        kernel: That calls it, as in a campaign's sampling.
-        function: Module and name.
-        signature: Numba types of its arguments.
         before: Outcomes in plain code, by number.
         after: The same in protected code.
         sites: Executed instructions with an injectable destination in plain code.
         protected_sites: The same in protected code.
     """
 
-    kernel: str
-    function: str
-    signature: str
     before: dict[str, int]
     after: dict[str, int]
     sites: int

@@ -117,7 +117,7 @@ def headline_of(report: Report) -> Headline:
 
 
 def headline_of_study(study: StudyReport) -> Headline:
-    """Headline of a study: what was flown; its campaigns are described among the remarks."""
+    """Headline of a study: environments, number of runs by level, and versions; the remarks describe each campaign."""
     campaigns = [runs.campaign for runs in study.campaigns.values()]
     done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
     levels = Counter[str]()
