@@ -9,7 +9,7 @@ import yaml
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Tag, TypeAdapter, ValidationError, field_validator
 
 from mavfi.errors import BadInputError, warn_of_older
-from mavfi.files import LARGEST_TEXT, read_file
+from mavfi.files import LARGEST_TEXT, is_file, read_file
 
 Vector = tuple[float, float, float]
 _Part = Annotated[float, Field(ge=0, le=1e6)]
@@ -388,7 +388,7 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
     if name.endswith((".yaml", ".yml")):
         return load(model, Path(name))
     path = config_root() / kind / f"{name}.yaml"
-    if not path.is_file():
+    if not is_file(path):
         allowed = ", ".join(names(kind))
         files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
         raise BadInputError(f"{kind.rstrip('s')} {name!r}: not known; allowed: {allowed}, or a path to a {files} file")

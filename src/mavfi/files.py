@@ -1,5 +1,6 @@
 """Safe reading of files from other sources: regular files of bounded size."""
 
+import os
 import stat
 from pathlib import Path
 
@@ -24,6 +25,21 @@ def read_file(path: Path, most: int) -> bytes:
     if len(content) > most:
         raise BadInputError(f"{path}: is too large; allowed: {most:,} bytes")
     return content
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a regular file; a name that no file can have (too long, with a NUL) is that of none."""
+    return os.path.isfile(path)  # noqa: PTH113 - Path.is_file raises for such a name
+
+
+def is_dir(path: Path) -> bool:
+    """Whether there is such a folder; a name that no folder can have is that of none."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
+def exists(path: Path) -> bool:
+    """Whether there is something of that name; a name that nothing can have is that of nothing."""
+    return os.path.exists(path)  # noqa: PTH110
 
 
 def check_regular(path: Path) -> None:

@@ -19,6 +19,7 @@ from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
 from mavfi.config import Config, config_root, parse, shipped
 from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.files import is_file
 from mavfi.hosts.watching import detector_for
 
 FOLDER = "bench"
@@ -200,13 +201,13 @@ def _time_of(fault: Any) -> str:
 def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
     """The shipped fault list of a part; None if there is none."""
     path = config_root() / FOLDER / bench.name / f"{part}-{scale}.csv"
-    return path.read_text(encoding="utf-8") if path.is_file() else None
+    return path.read_text(encoding="utf-8") if is_file(path) else None
 
 
 def published_rows(bench: Bench, part: str, scale: str) -> list[dict[str, str]]:
     """The shipped rows of a part's table, as text by heading; empty if there are none."""
     path = config_root() / FOLDER / bench.name / f"{part}-{scale}{ROWS}"
-    if not path.is_file():
+    if not is_file(path):
         return []
     with path.open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))

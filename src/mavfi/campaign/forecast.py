@@ -7,6 +7,7 @@ from pathlib import Path
 from mavfi.campaign.plan import Plan, golden_done
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import FILE, Store
+from mavfi.files import is_file
 
 ASSUMED: Mapping[tuple[str, str], tuple[float, float, float]] = {
     ("local", "state"): (1.0, 0.5, 2500.0),
@@ -41,7 +42,7 @@ def forecast(plan: Plan, directory: Path, workers: int, shard: Shard = WHOLE) ->
     known = ASSUMED.get((campaign.host, campaign.sampling.level))
     means = None if known is None else {True: known[0], False: known[1]}
     size, left, measured = None if known is None else known[2] * total, {True: golden, False: total - golden}, False
-    if (directory / FILE).is_file():
+    if is_file(directory / FILE):
         with Store.open(directory) as store:
             walls, counts = store.wall_times(), store.counts()
         done = sum(number for _, number, _ in counts.values())

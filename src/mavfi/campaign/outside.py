@@ -10,6 +10,7 @@ from typing import Any
 
 from mavfi.campaign.connection import connect
 from mavfi.campaign.store import FILE, LOCK, Store
+from mavfi.files import is_file
 
 _FLOCK = "hhqqi0q"  # struct flock of fcntl(2) on 64-bit Linux: type, whence, start, length, pid
 
@@ -27,7 +28,7 @@ def is_written(directory: Path) -> bool:
 
 def held(directory: Path, key: str) -> Any:
     """`Store.meta` of a ledger; None if it is absent, empty or damaged."""
-    if not (directory / FILE).is_file():
+    if not is_file(directory / FILE):
         return None
     with suppress(sqlite3.DatabaseError, ValueError), closing(connect(directory / FILE, "ro")) as connection:
         return Store(directory, connection).meta(key)

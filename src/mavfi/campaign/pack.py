@@ -28,6 +28,7 @@ from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.config import Config
 from mavfi.detectors.model import Model
 from mavfi.errors import BadInputError, writing
+from mavfi.files import exists, is_dir, is_file
 from mavfi.flight_record import canonical
 
 FORMAT = 1
@@ -95,9 +96,9 @@ def unpack(file: Path, directory: Path) -> Manifest:
     Raises:
         BadInputError: The file is not a valid pack, or the folder is not empty or cannot be written.
     """
-    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+    if exists(directory) and (not is_dir(directory) or any(directory.iterdir())):
         raise BadInputError(f"{directory}: exists already; allowed: a folder that is empty or absent")
-    if not file.is_file():
+    if not is_file(file):
         raise BadInputError(f"{file}: no such file")
     parent = directory.absolute().parent
     with writing(directory):

@@ -12,6 +12,7 @@ from mavfi.campaign.connection import connect
 from mavfi.campaign.soundness import PLANNED, TABLES, strange_schema
 from mavfi.campaign.store import FILE, SCHEMA
 from mavfi.errors import BadInputError, writing
+from mavfi.files import is_file
 from mavfi.flight_record import canonical
 
 DAMAGED = "campaign.damaged.sqlite"
@@ -34,12 +35,12 @@ def repair(directory: Path) -> Repair:
         BadInputError: The ledger is absent, its metadata are damaged, or a backup exists already.
     """
     path, damaged, whole = directory / FILE, directory / DAMAGED, directory / f"{FILE}.repaired"
-    if not path.is_file():
+    if not is_file(path):
         raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
     with closing(connect(path, "ro")) as source:
-        with suppress(sqlite3.DatabaseError):  # the schema may be damaged, too: readable rows are kept
+        with suppress(sqlite3.DatabaseError, UnicodeDecodeError):  # a damaged schema too: readable rows are kept
             if strange := strange_schema(source):
                 raise BadInputError(f"{path}: {strange}")
         meta = list(_rows(source, "SELECT key, value, checksum FROM meta"))

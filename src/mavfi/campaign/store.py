@@ -22,6 +22,7 @@ from mavfi.campaign.connection import connect
 from mavfi.campaign.plan import Flown, Row, RunSpec
 from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, damage
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
+from mavfi.files import is_file
 from mavfi.flight_record import End, FlightRecord, canonical
 from mavfi.mission import MissionStatus
 
@@ -115,7 +116,7 @@ class Store:
             BadInputError: The ledger is absent, damaged or of another version.
         """
         path = directory / FILE
-        if not path.is_file():
+        if not is_file(path):
             raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
         store = Store(directory, connect(path, "ro"))
         try:
@@ -142,7 +143,7 @@ class Store:
     def _check_disk(self) -> None:
         """Raise a `MachineError` if the file cannot be read: SQLite reports read errors as damage."""
         path = self.directory / FILE
-        if not path.is_file():  # reading a pipe or device would never end
+        if not is_file(path):  # reading a pipe or device would never end
             return
         try:
             with path.open("rb") as file:

@@ -13,6 +13,7 @@ from mavfi.cli import options
 from mavfi.cli.console import check_folder, check_number, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, writing
+from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.table import Table
@@ -110,7 +111,7 @@ def _beside(bench: "Bench", name: str, own: "Table", ledger: Path, scale: str) -
     from mavfi.reports.leaderboard import beside_published
 
     faults = ledger / "faults.csv"
-    if not faults.is_file() or faults.read_text(encoding="utf-8") != frozen_faults(bench, name, scale):
+    if not is_file(faults) or faults.read_text(encoding="utf-8") != frozen_faults(bench, name, scale):
         return own
     return beside_published(own, published_rows(bench, name, scale), bench.name)
 

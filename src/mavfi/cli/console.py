@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mavfi.errors import BadInputError, writing
+from mavfi.files import exists
 from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
@@ -92,7 +93,7 @@ def check_writable(path: Path | None) -> None:
     """Refuse a file that cannot be written, before the first flight; an existing file is not changed."""
     if path is None:
         return
-    there = path.exists()
+    there = exists(path)
     with writing(path):
         path.open("ab").close()
         if not there:

@@ -11,6 +11,7 @@ from mavfi.cli import options
 from mavfi.cli.console import check_writable, console, write_json
 from mavfi.config import Config, parse
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.files import is_dir
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
@@ -65,17 +66,17 @@ def export(
 
     Example: [bold]mavfi export out/states --to runs.parquet[/bold]
     """
-    if flight.is_dir() and not run_id and to.suffix in RUNS:
+    if is_dir(flight) and not run_id and to.suffix in RUNS:
         _export_runs(flight, to, as_json)
         return
     if to.suffix not in ENDINGS:
         raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(ENDINGS)}")
-    if flight.is_dir() and not run_id:
+    if is_dir(flight) and not run_id:
         raise BadInputError(
             f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; of all runs a table can be "
             f"written: --to runs{RUNS[0]}"
         )
-    if run_id and not flight.is_dir():
+    if run_id and not is_dir(flight):
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
     read = _recorded if to.suffix in ROS_ENDINGS else _stored

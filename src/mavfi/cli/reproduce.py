@@ -12,6 +12,7 @@ from mavfi.cli import options
 from mavfi.cli.console import check_folder, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
+from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
@@ -149,7 +150,7 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
     from mavfi.campaign.run import identity_of
     from mavfi.campaign.store import FILE, Store
 
-    if not (folder / FILE).is_file():
+    if not is_file(folder / FILE):
         return
     with Store.open(folder) as store:
         held = store.meta("identity")

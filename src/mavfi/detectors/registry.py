@@ -15,6 +15,7 @@ from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.files import is_file
 from mavfi.plugins import build, known, load_object, parameters_of
 
 GROUP = "mavfi.detectors"
@@ -184,7 +185,7 @@ def load_detector(
 
 
 def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) -> Model:
-    if not path.is_file():
+    if not is_file(path):
         raise SpecMismatchError(
             f"{path}: no model is trained for this autopilot and platform; train one (mavfi train --autopilot ... "
             "--platform ... --out FOLDER), then name the folder with --models"

@@ -18,7 +18,7 @@ from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
 from mavfi.errors import BadInputError, writing
-from mavfi.files import LARGEST_TEXT, read_file
+from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.flight_record import plain
 from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.figures import FIGURES, draw, drawing
@@ -193,7 +193,7 @@ def stored_study(folder: Path) -> tuple[Study, str] | None:
         BadInputError: The file is invalid, or was written by a version that did not store the study.
     """
     path = folder / JSON
-    if not path.is_file():
+    if not is_file(path):
         return None
     try:
         held = json.loads(read_file(path, LARGEST_TEXT))

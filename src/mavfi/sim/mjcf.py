@@ -12,7 +12,7 @@ import numpy as np
 
 from mavfi.config import VehicleConfig, parse, read_yaml, shipped
 from mavfi.errors import BadInputError
-from mavfi.files import LARGEST_TEXT, check_regular, read_file
+from mavfi.files import LARGEST_TEXT, check_regular, exists, is_file, read_file
 from mavfi.numerics.vectors import length, product
 from mavfi.sim.engine import GRAVITY, keep_quiet
 
@@ -157,7 +157,7 @@ def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
 
 
 def _read(path: Path) -> Any:
-    if not path.is_file():
+    if not is_file(path):
         raise BadInputError(f"{path}: there is no such file")
     if _copies(path, set()) > _MOST_COPIES:
         raise BadInputError(f"{path}: attributes 'count' ask for too many copies; allowed: {_MOST_COPIES:,} in all")
@@ -178,7 +178,7 @@ def _copies(path: Path, seen: set[Path]) -> float:
             product_of_counts *= float(word) if word.isdigit() else math.inf
     for name in _FILE.findall(content):
         named = path.parent / os.fsdecode(name)
-        if name and named not in seen and named.exists():
+        if name and named not in seen and exists(named):
             check_regular(named)
             product_of_counts *= _copies(named, seen) if named.suffix == ".xml" else 1.0
     return product_of_counts

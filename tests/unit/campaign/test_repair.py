@@ -86,6 +86,19 @@ def test_a_sound_ledger_stays_as_it_is(flown, tmp_path):
     assert again(tmp_path) == (flown[1], 0)
 
 
+def test_a_schema_that_is_no_text_is_mended_too(flown, tmp_path):
+    """Found by `make fuzz`: a flipped bit in the name of a column of the schema."""
+    content = flown[0].replace(b"setting TEXT NOT NULL", b"s\xe8tting TEXT NOT NULL")
+    assert content != flown[0]
+    (tmp_path / FILE).write_bytes(content)
+    try:
+        repair(tmp_path)
+    except BadInputError as error:
+        assert "its metadata are damaged" in str(error)
+    else:
+        assert again(tmp_path)[0] == flown[1]
+
+
 def test_what_cannot_be_repaired_is_one_line_and_left_as_it_is(flown, tmp_path, capsys):
     assert run(["campaign", "repair", str(tmp_path)]) == 2
     (tmp_path / FILE).write_bytes(flown[0])

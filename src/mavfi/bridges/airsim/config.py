@@ -8,6 +8,7 @@ from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.errors import BadInputError
+from mavfi.files import is_file
 
 IMAGE = "256x144"
 """Size of images unless chosen (width x height, pixels), as in AirSim's default settings."""
@@ -50,12 +51,12 @@ class ProgramConfig(Config):
             BadInputError: An image of this size is not allowed, or a file does not exist.
         """
         pixels(self.image)
-        if not Path(self.script).is_file():
+        if not is_file(Path(self.script)):
             raise BadInputError(f"{self.script}: there is no such file; allowed: a client program of AirSim")
-        if self.python and not Path(self.python).is_file():
+        if self.python and not is_file(Path(self.python)):
             raise BadInputError(f"--python: {self.python}: there is no such file; allowed: a Python interpreter")
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, with a digest of the program's text."""
-        text = Path(self.script).read_bytes() if Path(self.script).is_file() else b""
+        text = Path(self.script).read_bytes() if is_file(Path(self.script)) else b""
         return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}

@@ -17,6 +17,7 @@ from pathlib import Path
 from mavfi.bridges.firmware.betaflight import configure
 from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.faults.register.target import check_machine
+from mavfi.files import is_file
 
 VARIABLE = "MAVFI_BETAFLIGHT"
 """Environment variable: the binary, or a folder that holds it; as `mavfi firmware setup --betaflight`."""
@@ -88,7 +89,7 @@ def program() -> Path:
     named, chosen = os.environ.get(VARIABLE), cache() / "betaflight"
     if named:
         return find_binary(Path(named), VARIABLE)
-    if chosen.is_file():
+    if is_file(chosen):
         return chosen.resolve()
     try:
         return find_binary(Path(sysconfig.get_paths()["purelib"]))

@@ -10,6 +10,7 @@ import numpy as np
 
 from mavfi.config import EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
+from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
 from mavfi.plugins import load_object, parameters_of
 from mavfi.sim.environments.world import World
@@ -101,7 +102,7 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
     path = Path(path)
     if path.suffix.lower() not in SCAN_ENDINGS:
         raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(SCAN_ENDINGS)}")
-    if not path.is_file():
+    if not is_file(path):
         raise BadInputError(f"{path}: there is no such file")
     return EnvironmentConfig(
         name=path.stem,

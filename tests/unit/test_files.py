@@ -1,0 +1,42 @@
+"""Names that no file can have are those of no file, whoever asks."""
+
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.files import exists, is_dir, is_file
+
+LONG = "x" * 300  # Linux allows 255 bytes
+
+
+@pytest.mark.parametrize("name", [LONG, "a\0b", "missing"])
+def test_there_is_nothing_of_an_impossible_name(tmp_path, name):
+    assert not any(there(tmp_path / name) for there in (is_file, is_dir, exists))
+
+
+def test_files_and_folders_are_told_apart(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    assert (is_file(file), is_dir(file), exists(file)) == (True, False, True)
+    assert (is_file(tmp_path), is_dir(tmp_path), exists(tmp_path)) == (False, True, True)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "fly --environment {}", "fly --autopilot {}", "fly --vehicle {}", "fly --planner {}", "fly --protection {}",
+        "fly --detector {}.npz", "fly --save {}", "campaign run {}", "campaign run smoke --out {}",
+        "campaign status {}", "campaign repair {}", "campaign pack {}", "campaign merge {} {} --out {}", "report {}",
+        "runs {}", "explain {} 3", "shrink {} 3", "harden {} --budget 0.1", "export {} --to a.csv",
+        "export {} 3 --to a.csv", "train --out {}", "reproduce --out {}", "airsim run {}", "failures {}",
+    ],
+)  # fmt: skip
+def test_a_name_that_is_too_long_is_one_line(command, tmp_path, monkeypatch, capsys):
+    """Found by `make fuzz` as a traceback."""
+    monkeypatch.chdir(tmp_path)
+    assert run(command.replace("{}", LONG).split()) == 2
+    *before, line = capsys.readouterr().err.splitlines()
+    assert line.startswith("mavfi: ") and "xxx" in line
+    assert all(text.startswith("compiling kernels") for text in before)  # the first command in a new cache
+    assert not list(Path(tmp_path).iterdir())
