@@ -75,6 +75,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
         if cold:
             _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario)
+        if mission.copies > 1:
+            label += f", {mission.copies} copies"
         make = None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)

@@ -94,6 +94,10 @@ def test_text_for_people_names_autopilot_effect_fault_and_digest(capsys, golden_
     assert "golden" in text and "digest" in text
 
 
+def test_copies_of_a_detector_are_named(capsys):
+    assert _fly(capsys, "--detector", "acceptance", "--copies", "2")["detector"] == "acceptance, 2 copies"
+
+
 def test_a_detector_without_a_model_is_printed_without_a_profile(capsys, golden_digest):
     data = _fly(capsys, "--detector", "mavfi.detectors.registry:NoDetector")
     assert data["detector"] == "mavfi.detectors.registry:NoDetector"
