@@ -18,6 +18,8 @@ from mavfi.flight_record import canonical
 DAMAGED = "campaign.damaged.sqlite"
 """Backup of the damaged file."""
 _RUNS = f"{PLANNED}, record, note, wall_s, checksum"
+_UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)
+"""SQLite quotes a damaged schema in its message, which then is no valid text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,7 @@ def repair(directory: Path) -> Repair:
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
     with closing(connect(path, "ro")) as source:
-        with suppress(sqlite3.DatabaseError, UnicodeDecodeError):  # a damaged schema too: readable rows are kept
+        with suppress(*_UNREADABLE):  # the schema may be damaged, too: readable rows are kept
             if strange := strange_schema(source):
                 raise BadInputError(f"{path}: {strange}")
         meta = list(_rows(source, "SELECT key, value, checksum FROM meta"))
@@ -76,7 +78,7 @@ def repair(directory: Path) -> Repair:
 
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:
     """All rows up to the first unreadable one."""
-    with suppress(sqlite3.DatabaseError):
+    with suppress(*_UNREADABLE):
         connection.text_factory = lambda data: data.decode(errors="replace")
         yield from connection.execute(query)
 
