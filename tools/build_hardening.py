@@ -1,9 +1,10 @@
 """Write docs/generated/hardening.md: curves, plans and certificates of the kernels, and the required values.
 
-python -m tools.build_hardening out/hardening [--faults 200] [--fractions 0.5,1] [--flights 10] [--budget 0.10]
+python -m tools.build_hardening out/hardening [--learn 3] [--faults 200] [--fractions 0.5,1] [--flights 10]
 
-Certified are these fractions, and for functions with a bar the largest one within its time.  What is measured is kept
-in DIR/hardening.jsonl: the command continues where it was stopped, and can be repeated with more faults, fractions or
+Each choice has `--learn` times as many injections as those of `mavfi harden`, which has a minute.  Certified are these
+fractions, and for functions with a bar the largest one within its time.  What is measured is kept in
+DIR/hardening.jsonl: the command continues where it was stopped, and can be repeated with more faults, fractions or
 flights.
 """
 
@@ -42,7 +43,7 @@ PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 COMPARED_SHARE = 0.25
 """Share of the instructions of full duplication at which ways to choose are compared."""
-MORE = {"plan_rrt_connect": 8, "time_to_collision": 10}
+MORE = {"plan_rrt_connect": 8, "time_to_collision": 40}
 """Times more faults in the largest step within the time, where a lower bound is required."""
 LONG = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
@@ -50,10 +51,10 @@ Row = dict[str, Any]
 
 
 class Records:
-    """Results by key, one JSON object per line."""
+    """Results by key, one JSON object per line; `times` as many injections are learned from as by `mavfi harden`."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, times: int) -> None:
+        self._path, self._times = path, times
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         self.known: dict[str, Row] = {row.pop("key"): row for row in map(json.loads, lines)}
 
@@ -70,8 +71,10 @@ class Records:
 
     def learn(self, seen: Seen) -> list[Injected]:
         """The injections from which the protection of a function is chosen."""
-        key = f"learned {seen.variant.ir_sha256}"
-        row = self.get(key) or self.put(key, {"injections": [astuple(one) for one in injections_in(seen)]})
+        key = f"learned {self._times} {seen.variant.ir_sha256}"
+        row = self.get(key)
+        if row is None:
+            row = self.put(key, {"injections": [astuple(one) for one in injections_in(seen, times=self._times)]})
         return [Injected(*one) for one in row["injections"]]
 
 
@@ -230,13 +233,14 @@ def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("directory", type=Path)
+    parser.add_argument("--learn", type=int, default=3, help="times as many injections per choice as `mavfi harden`")
     parser.add_argument("--faults", type=int, default=200)
     parser.add_argument("--fractions", default="0.5,1")
     parser.add_argument("--flights", type=int, default=10, help="golden missions per environment")
     parser.add_argument("--budget", type=float, default=0.10)
     given = parser.parse_args()
     study = Study.open(given.directory)
-    records = Records(given.directory / "hardening.jsonl")
+    records = Records(given.directory / "hardening.jsonl", given.learn)
     advices = advise(
         study, given.budget, lambda text: print(text, flush=True), learn=records.learn, workers=os.cpu_count() or 1
     )

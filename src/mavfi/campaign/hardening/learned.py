@@ -44,10 +44,10 @@ def affordable(battery: Battery) -> int:
     return int(np.clip(_WORK / battery.counts.mean(), FEWEST, MOST))
 
 
-def injections_in(seen: Seen, faults: int | None = None, seed: int = 0) -> list[Injected]:
-    """Inject faults in the recorded calls of a function; by default fewer in long calls."""
+def injections_in(seen: Seen, faults: int | None = None, seed: int = 0, times: int = 1) -> list[Injected]:
+    """Inject faults in the recorded calls of a function: by default `times` those that take some seconds."""
     battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
-    places = battery.draw(stream(seed, "harden", name_of(seen.function)), faults or affordable(battery))
+    places = battery.draw(stream(seed, "harden", name_of(seen.function)), faults or times * affordable(battery))
     return [
         Injected(place.block, place.offset, effect == SDC, str(place.call))
         for place, effect in zip(places, battery.run(places), strict=True)
