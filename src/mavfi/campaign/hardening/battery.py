@@ -65,7 +65,7 @@ class Battery:
     @cached_property
     def counts(self) -> np.ndarray:
         """Dynamic instructions of each call. Shape (calls,)."""
-        return self.executions @ np.array(self.variant.table.sizes(), np.int64)
+        return self.executions @ self.variant.sizes
 
     @cached_property
     def _golden(self) -> list[bytes]:
@@ -76,7 +76,7 @@ class Battery:
 
     def draw(self, random: np.random.Generator, n: int) -> list[Place]:
         """Draw places, uniformly over the dynamic instructions of all calls, then over the bits of the result."""
-        sizes = np.array(self.variant.table.sizes(), np.int64)
+        sizes = self.variant.sizes
         weights = (self.executions * sizes).astype(np.float64).ravel()
         found = []
         for flat in random.choice(weights.size, size=n, p=weights / weights.sum()):

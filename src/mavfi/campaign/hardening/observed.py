@@ -45,7 +45,7 @@ class Seen:
     @property
     def instructions(self) -> int:
         """Dynamic instructions of all calls."""
-        return self.variant.table.written(self.executions)
+        return self.variant.written(self.executions)
 
     @property
     def signature_text(self) -> str:

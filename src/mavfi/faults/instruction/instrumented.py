@@ -50,7 +50,7 @@ class Profiling(Counting):
         result, times = variant.tally(*args)
         _, total = self._times.setdefault(variant.ir_sha256, (variant.table, np.zeros_like(times)))
         total += times
-        return result, variant.table.written(times)
+        return result, variant.written(times)
 
     def executed(self) -> list[tuple[str, Site, int]]:
         """All executed static instructions: digest of the IR, instruction, execution count."""

@@ -220,7 +220,7 @@ def draw_stratified(
         return passes.starts.tobytes()
 
     passes.starts[:] = np.frombuffer(apart(located), np.int64)
-    budget = budget_for(variant.table.written(times))
+    budget = budget_for(variant.written(times))
     whole = sum(sizes.values())
 
     def fault(chosen: Pick) -> InstructionFault:

@@ -93,10 +93,6 @@ class Table:
         """Number of sites of each block."""
         return [len(block) for block in self.blocks]
 
-    def written(self, times: np.ndarray) -> int:
-        """Number of values written, from the execution count of each block. Shape (blocks,)."""
-        return int(times @ np.array(self.sizes(), np.int64))
-
     def executions(self, times: np.ndarray) -> list[tuple[Site, int]]:
         """All sites with the execution counts of their blocks. Shape (blocks,)."""
         return [(site, int(number)) for block, number in zip(self.blocks, times, strict=True) for site in block]

@@ -84,6 +84,7 @@ class Variant:
 
     def __init__(self, built: Built, environment: Any) -> None:
         self.table: Table = built.table
+        self.sizes = np.array(built.table.sizes(), np.int64)  # of the blocks
         self.ir_sha256 = built.ir_sha256
         self._built, self._environment = built, environment  # the code points to the environment
         self._engine, self._function = self._load(built.code)
@@ -160,6 +161,10 @@ class Variant:
         place.value = histogram.ctypes.data
         return function(None, args, None), histogram
 
+    def written(self, times: np.ndarray) -> int:
+        """Number of values written, from the execution count of each block. Shape (blocks,)."""
+        return int(times @ self.sizes)
+
     def profile(self, *args: Any, room: int = 0) -> tuple[Any, np.ndarray, np.ndarray]:
         """Run without a fault; returns the result, execution counts of blocks, and the first `room` blocks in order."""
         histogram = np.zeros(len(self.table.blocks), np.int64)
@@ -233,7 +238,10 @@ def _plain(name: str) -> str:
 _variants: "weakref.WeakKeyDictionary[Any, dict[tuple[Any, ...], Variant]]" = weakref.WeakKeyDictionary()
 
 
+_LARGEST_INT = 1 << 63
 _types: dict[Any, Any] = {}
+_known: "weakref.WeakKeyDictionary[Any, dict[Any, Variant]]" = weakref.WeakKeyDictionary()
+"""Variants by what determines the types of their arguments: hashing Numba types takes longer than a short call."""
 
 
 def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -249,6 +257,8 @@ def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
 def _key(value: Any) -> Any:
     """What determines the Numba type of a value; None = unknown."""
     kind = type(value)
+    if kind is int and -_LARGEST_INT <= value < _LARGEST_INT:
+        return kind
     if kind is np.ndarray:
         return value.dtype, value.ndim, value.flags.num
     if kind in (float, bool):
@@ -263,8 +273,15 @@ def _key(value: Any) -> Any:
 
 def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None = None) -> Variant:
     """`variant_of` for the types of these arguments."""
-    signature = signature_of(args)
-    return variant_of(kernel, signature, None if rewriting is None else rewriting(name_of(kernel), signature))
+    if rewriting is not None:
+        signature = signature_of(args)
+        return variant_of(kernel, signature, rewriting(name_of(kernel), signature))
+    key, known = _key(args), _known.setdefault(kernel, {})
+    if key is None:
+        return variant_of(kernel, signature_of(args))
+    if key not in known:
+        known[key] = variant_of(kernel, signature_of(args))
+    return known[key]
 
 
 def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:

@@ -57,7 +57,7 @@ def paired(fault: InstructionFault, plain: Variant, protected: Variant, args: tu
     """
     times = apart(lambda: plain.tally(*args)[1])
     trace = apart(lambda: plain.profile(*args, room=int(times.sum()))[2])
-    sizes = np.array(plain.table.sizes(), np.int64)
+    sizes = plain.sizes
     ends = np.cumsum(sizes[trace])
     place = int(np.searchsorted(ends, fault.index, side="right"))
     if place == len(trace):

@@ -51,7 +51,7 @@ def test_results_and_arguments_are_the_same_bits(name):
     assert digest((again, tallied)) == digest((result, plain))
     _, oracle, blocks = variant.profile(*traced, room=total)
     assert times.tolist() == oracle.tolist()
-    assert variant.table.written(times) == total
+    assert variant.written(times) == total
     trace = [site for block in blocks for site in variant.table.blocks[block]]
     some = [*np.random.default_rng(0).integers(total, size=300).tolist(), 0, total - 1]
     assert len(trace) == total
