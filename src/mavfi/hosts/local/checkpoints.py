@@ -1,5 +1,6 @@
 """Checkpoints: complete state of a flight just before a control period; saved, restored and compared."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -97,10 +98,10 @@ def has_scratch(loop: Loop) -> bool:
     return all(kernel.scratch is not None for kernel in _kernels(loop).values())
 
 
-def fill(loop: Loop) -> None:
-    """After `put`: write the contents of the work arrays, as well."""
-    for own in _scratch(loop).values():
-        for one in own:
+def fill(loop: Loop, kernels: Collection[str]) -> None:
+    """After `put`: write the contents of the work arrays of some kernels, as well: those that faults will be in."""
+    for name, own in _scratch(loop).items():
+        for one in own if name in kernels else ():
             one.fill()
 
 

@@ -100,6 +100,7 @@ class ForksFromCheckpoints(Forks):
             if self._branch is None or start > len(record.rows):
                 self._check_prefix(own)
                 self._branch = self._jump(own, start)
+                fill(self.loop, {case.kernel for case in waiting})
             elif self.loop.status is not None:
                 break  # no call with such a bit came any more
             self.loop.run(len(record.rows) + 1)
@@ -121,7 +122,6 @@ class ForksFromCheckpoints(Forks):
         self.loop.taps.injector = start.injector.copy()
         branch.remember(start.detector)
         put(self.loop, start.here)
-        fill(self.loop)
         return branch
 
     def _check_prefix(self, own: Track) -> None:
