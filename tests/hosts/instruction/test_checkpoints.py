@@ -12,7 +12,7 @@ from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.local import fly, mission_flights
+from mavfi.hosts.local import fly, forks, mission_flights
 from mavfi.hosts.local.fast_forward import Branch, FastForward
 from mavfi.hosts.local.forks import fly_from_checkpoints
 from mavfi.hosts.local.mission_flights import LocalHost
@@ -64,6 +64,16 @@ def test_records_are_those_of_flights_from_take_off(which, arm):
     fast, slow = both_ways(drawn(which, 4), arm, ARMS[arm])
     assert fast == slow
     assert len({record.kernel.effect for record in slow}) >= 3
+
+
+def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatch):
+    request = InstructionRequest({"octomap": 24}, "all", restart_s=0.3)
+    drawn = draw_instruction_faults(scenario(), request, "test", seed=4).faults["octomap"]
+    reading = [drawn[8], drawn[17], drawn[20]]  # their wrong instructions read it
+    fast, slow = both_ways(reading)
+    assert fast == slow
+    monkeypatch.setattr(forks, "fill", lambda *_: None)
+    assert both_ways(reading)[0] != slow
 
 
 @pytest.mark.parametrize(
