@@ -115,10 +115,9 @@ class Store:
         Raises:
             BadInputError: The ledger is absent, damaged or of another version.
         """
-        path = directory / FILE
-        if not is_file(path):
+        if not is_file(directory / FILE):
             raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
-        store = Store(directory, connect(path, "ro"))
+        store = Store(directory, connect(directory / FILE, "ro"))
         try:
             store._check_schema()
             if check:

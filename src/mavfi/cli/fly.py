@@ -74,9 +74,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         scenario = resolve(mission)
         if cold:
             _compile(scenario)
-        watching, label = load_watcher(detector, profile, models, scenario)
-        if mission.copies > 1:
-            label += f", {mission.copies} copies"
+        watching, label = load_watcher(detector, profile, models, scenario, mission.copies)
         make = None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
@@ -182,16 +180,17 @@ def _is_chosen(mission: MissionSpec, key: str) -> bool:
 
 
 def load_watcher(
-    name: str, profile: str | None, models: Path | None, scenario: Scenario
+    name: str, profile: str | None, models: Path | None, scenario: Scenario, copies: int = 1
 ) -> tuple[Detector | None, str]:
-    """Load a detector; return it with its label (name, and profile if it has one)."""
+    """Load a detector; return it with its label (name, profile if it has one, and number of copies that vote)."""
     if name == "none":
         return None, ""
     from mavfi.hosts.watching import detector_for
 
     detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models)
+    several = f", {copies} copies" if copies > 1 else ""
     if model:
-        return detector, f"{name} ({profile or DEFAULT_PROFILE})"
+        return detector, f"{name} ({profile or DEFAULT_PROFILE}){several}"
     if profile is not None:
         raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
-    return detector, name
+    return detector, name + several
