@@ -84,12 +84,13 @@ def main() -> int:
     """Run the tests sequentially, and write the page."""
     share = float(os.environ.get("SHARE", "1"))
     wanted = os.environ.get("ONLY", "").split()
-    sections = _written()
+    sections = {}
     for test in TESTS:
         if not wanted or test.name in wanted:
             sys.stdout.write(f"{test.name} ...\n")
             sys.stdout.flush()
             sections[test.name] = section(test, share)
+    sections = _written() | sections  # read now: another run may have written its own
     PAGE.write_text(
         banner("make reliability") + "# Reliability\n\nLong tests of ledgers, workers and readers, each with the last "
         "lines that it printed. Short versions of all run with `make test`. What they found, and what became of it: "
