@@ -194,7 +194,7 @@ def main() -> None:
     for name in ("local", "dask"):
         for count in os.environ.get("N", "1000 10000 100000").split():
             command = [sys.executable, "-m", "benchmarks.cluster", name, count]
-            costs.append(Cost(**json.loads(subprocess.run(command, capture_output=True, check=True).stdout)))
+            costs.append(Cost(**json.loads(subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout)))
             sys.stdout.write(f"{costs[-1].row()}\n")
             sys.stdout.flush()
     here = f"{processor()}, {os.cpu_count()} cores"
