@@ -7,6 +7,7 @@ of an older mavfi have no salt, and no `BOUND` row.
 import hashlib
 import sqlite3
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 IDENTITY, BOUND = "identity", "bound"
@@ -32,4 +33,10 @@ def meta_checksum(key: str, value: str, salt: Sequence[str]) -> str:
 def salt_of(connection: sqlite3.Connection) -> tuple[str, ...]:
     """Salt of the checksums, from the campaign's identity; () = a ledger of an older mavfi, or a new one."""
     query = "SELECT value FROM meta WHERE key = ? AND EXISTS (SELECT 1 FROM meta WHERE key = ?)"
-    return tuple(checksum_of(value) for (value,) in connection.execute(query, (IDENTITY, BOUND)))
+    return tuple(_salt(identity) for (identity,) in connection.execute(query, (IDENTITY, BOUND)))
+
+
+@lru_cache(maxsize=8)
+def _salt(identity: str) -> str:
+    """Checksum of an identity, which is long, and the same for all rows."""
+    return checksum_of(identity)
