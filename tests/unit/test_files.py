@@ -1,7 +1,5 @@
 """Names that no file can have are those of no file, whoever asks."""
 
-from pathlib import Path
-
 import pytest
 
 from mavfi.cli import run
@@ -39,4 +37,4 @@ def test_a_name_that_is_too_long_is_one_line(command, tmp_path, monkeypatch, cap
     *before, line = capsys.readouterr().err.splitlines()
     assert line.startswith("mavfi: ") and "xxx" in line
     assert all(text.startswith("compiling kernels") for text in before)  # the first command in a new cache
-    assert not list(Path(tmp_path).iterdir())
+    assert not list(tmp_path.iterdir())

@@ -188,9 +188,7 @@ def load_watcher(
     from mavfi.hosts.watching import detector_for
 
     detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models)
-    several = f", {copies} copies" if copies > 1 else ""
-    if model:
-        return detector, f"{name} ({profile or DEFAULT_PROFILE}){several}"
-    if profile is not None:
+    if profile is not None and not model:
         raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
-    return detector, name + several
+    label = f"{name} ({profile or DEFAULT_PROFILE})" if model else name
+    return detector, f"{label}, {copies} copies" if copies > 1 else label

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import replicated
@@ -91,14 +91,6 @@ class MissionFlights(Protocol):
 
         An exception ends only the run that raised it, and is yielded as its result.
         """
-
-
-@runtime_checkable
-class FliesAgain(Protocol):
-    """`MissionFlights` that can use a repetition of a golden flight, e.g. for its checkpoints."""
-
-    def again(self, arm: str, functions: Mapping[str, Any]) -> FlightLog | None:
-        """Fly an arm's golden flight with instrumented functions of its kernels, by name; None if it has no use."""
 
 
 def one_by_one(

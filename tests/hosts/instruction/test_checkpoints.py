@@ -2,7 +2,7 @@
 
 import mmap
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -64,27 +64,6 @@ def test_records_are_those_of_flights_from_take_off(which, arm):
     fast, slow = both_ways(drawn(which, 4), arm, ARMS[arm])
     assert fast == slow
     assert len({record.kernel.effect for record in slow}) >= 3
-
-
-@pytest.mark.parametrize(("which", "sampling"), [("all", "uniform"), ("address", "stratified")])
-def test_the_second_flight_of_a_draw_can_be_the_one_with_checkpoints(which, sampling, monkeypatch):
-    request = InstructionRequest(dict.fromkeys(KERNELS, 2), which, sampling=sampling)
-    alone = draw_instruction_faults(scenario(), request, "test", seed=4)
-    fly_first, ended = FastForward.fly, []
-
-    def failing(self):
-        ended.append(fly_first(self).log.status)
-        raise ValueError
-
-    def drawn_with(flights):
-        return draw_instruction_faults(scenario(), request, "test", seed=4, again=partial(flights.again, ""))
-
-    flights = LocalHost().mission({"": ArmSetup(scenario())})
-    assert drawn_with(flights).faults == alone.faults
-    assert flights.again("", {}) is None  # it is known already
-    monkeypatch.setattr(FastForward, "fly", failing)
-    assert drawn_with(LocalHost().mission({"": ArmSetup(scenario())})).faults == alone.faults
-    assert ended  # in the middle of the draw
 
 
 def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatch):

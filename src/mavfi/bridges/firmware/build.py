@@ -17,7 +17,6 @@ from pathlib import Path
 from mavfi.bridges.firmware.betaflight import configure
 from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.faults.register.target import check_machine
-from mavfi.files import is_file
 
 VARIABLE = "MAVFI_BETAFLIGHT"
 """Environment variable: the binary, or a folder that holds it; as `mavfi firmware setup --betaflight`."""
@@ -89,7 +88,7 @@ def program() -> Path:
     named, chosen = os.environ.get(VARIABLE), cache() / "betaflight"
     if named:
         return find_binary(Path(named), VARIABLE)
-    if is_file(chosen):
+    if chosen.is_file():
         return chosen.resolve()
     try:
         return find_binary(Path(sysconfig.get_paths()["purelib"]))

@@ -22,13 +22,12 @@ from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.strata import pick
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import InstructionRequest, InstructionSite
-from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.instruction.protected import rewriting_of
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
+from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.ir.build import Rewriting, name_of
 from mavfi.mission import Scenario
@@ -36,8 +35,6 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, INJECTABLE
 
 _ROUNDS, _SPARE = 6, 40
-Again = Callable[[Mapping[str, Any]], FlightLog | None]
-"""See `hosts.host.FliesAgain`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +48,12 @@ class Drawn:
 
 def draw_instruction_faults(
     scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: Detector | None = None,
-    recovery: Recovery = INLINE, again: Again = lambda _: None,
+    recovery: Recovery = INLINE,
 ) -> Drawn:  # fmt: skip
     """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
     The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
-    A detector, with its recovery, is flown only if the faults are in its own instructions.  `again` flies the second
-    golden flight with instrumented functions, by name, if somebody has a use for it; it must not have a detector.
+    A detector, with its recovery, is flown only if the faults are in its own instructions.
 
     Raises:
         BadInputError: A kernel, class or fault model is unknown.
@@ -74,12 +70,6 @@ def draw_instruction_faults(
         golden = fly(scenario, None, detector, recovery=recovery, functions=table)
 
     def fly_again(made: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
-        known = again(made) if detector is None else None
-        if known is not None:
-            GoldenPrefix(known.rows, known.status).check(golden.log)
-            return
-        for function in made.values():
-            function.begin()  # the other flight may have ended with an error
         with _instrumented(detector, made) as table, np.errstate(all="ignore"):
             loop = new_loop(scenario, functions=table)
             watch(loop, detector, recovery)

@@ -7,7 +7,6 @@ differ in its copies alone, in each of these.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
@@ -20,7 +19,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.host import ArmSetup, FliesAgain, MissionFlights
+from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.states import DETECTORS, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 
@@ -90,7 +89,6 @@ class InstructionSampler:
         drawn = draw_instruction_faults(
             scenario, request, environment, seed=scenario.seed, recovery=setup.recovery,
             detector=setup.detector(),
-            again=partial(flights.again, arm) if isinstance(flights, FliesAgain) else lambda _: None,
         )  # fmt: skip
         flights.know(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {name: faults for name, faults in drawn.faults.items() if faults})

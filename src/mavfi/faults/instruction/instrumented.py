@@ -73,10 +73,6 @@ class Locating:
     ) -> None:  # fmt: skip
         self._function, self._rewriting = function, rewriting
         self._wanted = wanted
-        self.begin()
-
-    def begin(self) -> None:
-        """Start with the first call."""
         self._passes: dict[str, Passes] = {}
         self._calls = 0
 
@@ -107,10 +103,6 @@ class Resolving:
     ) -> None:  # fmt: skip
         self._function, self._rewriting = function, rewriting
         self._wanted = wanted
-        self.begin()
-
-    def begin(self) -> None:
-        """Start with the first call."""
         self._calls = 0
         self.sites: dict[tuple[int, int], Site | None] = {}
 

@@ -93,11 +93,6 @@ class ForkingFunction:
         self._loop = loop
         loop.record.calls[self._name] = 0
 
-    def replace(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Call another function from now on; returns the present one."""
-        present, self._function = self._function, function
-        return present
-
     def __call__(self, *args: Any) -> Any:
         """Call the function, with the fault if a child forked at this call."""
         loop, forks = self._loop, self.forks

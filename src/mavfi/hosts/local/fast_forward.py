@@ -8,8 +8,7 @@
   publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
@@ -128,16 +127,6 @@ class FastForward:
         self.share.flights += 1
         self.share.ticks += len(track.rows)
         return Flight(track.log, self._profile if fault is None and detector is None else None)
-
-    @contextmanager
-    def instrumented(self, functions: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
-        """Call these in the place of functions of the kernels; results must be the same, bit for bit."""
-        plain = {name: self.functions[name].replace(function) for name, function in functions.items()}
-        try:
-            yield
-        finally:
-            for name, function in plain.items():
-                self.functions[name].replace(function)
 
     def golden(self, detector: Detector | None = None, arm: str = "") -> Track:
         """The golden flight, flown on first use."""

@@ -1,11 +1,10 @@
 """In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
-from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
@@ -65,20 +64,6 @@ class LocalFlights(ArmFlights):
         """See `MissionFlights.know`: faults in instructions follow."""
         super().know(arm, flight)
         self._scratch = True
-
-    def again(self, arm: str, functions: Mapping[str, Any]) -> FlightLog | None:
-        """See `FliesAgain.again`: it is the one that takes checkpoints; None if these exist or are not taken."""
-        key = self._arms[arm].scenario.key()
-        if not self._fast or key in self._forward or self._detector(arm) is not None:
-            return None
-        self._scratch = True
-
-        def fly_first(forward: FastForward, name: str) -> FlightLog:
-            del name
-            with forward.instrumented(functions):
-                return forward.fly().log
-
-        return self._forwarded(arm, fly_first)
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `MissionFlights.injected`: faults in instructions come last, by arm."""
