@@ -39,17 +39,19 @@ class Log:
     def __init__(self, directory: Path) -> None:
         self._path = directory / FILE
         self._unknown = 0
+        self._whole = False  # whether the last line was written completely
 
     def note(self, event: str, **fields: Any) -> None:
         """Append a line; a line truncated by a full disk remains separate."""
         texts = {key: value[:_LONGEST_TEXT] if isinstance(value, str) else value for key, value in fields.items()}
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        line = json.dumps({"time": now, "event": event, **texts}).encode()
-        with suppress(OSError), self._path.open("a+b") as file:
-            if file.tell():
+        line = json.dumps({"time": now, "event": event, **texts}).encode() + b"\n"
+        whole, self._whole = self._whole, False
+        with suppress(OSError), self._path.open("a+b", buffering=0) as file:
+            if not whole and file.tell():
                 file.seek(-1, os.SEEK_END)
                 line = line if file.read(1) == b"\n" else b"\n" + line
-            file.write(line + b"\n")
+            self._whole = file.write(line) == len(line)
 
     def following(
         self, batches: Iterable[tuple[MissionPlan, Sequence[R]]]

@@ -138,10 +138,7 @@ class _Session:
         with closing(executor.map(function, missions)) as batches:
             for mission, items in self.log.following(batches):
                 self.flying.add(mission.world)
-                for planned in items:
-                    if isinstance(planned, Planned):
-                        self._plan(mission, planned)
-                self._write(mission, [item for item in items if isinstance(item, Flown)])
+                self._write(mission, items)
                 last = items[-1]
                 if isinstance(last, (Done, Lost)):
                     self.flying.discard(mission.world)
@@ -150,14 +147,17 @@ class _Session:
                 if isinstance(last, Lost):
                     yield mission, last
 
-    def _plan(self, mission: MissionPlan, planned: Planned) -> None:
-        for row in self.store.plan(planned.rows):
+    def _write(self, mission: MissionPlan, items: Sequence[object]) -> None:
+        """Store plans and results of a mission, in one transaction."""
+        planned = [item for item in items if isinstance(item, Planned)]
+        with self.store.writing():
+            new = self.store.plan(row for item in planned for row in item.rows)
+            if any(item.last for item in planned):
+                self.store.end_plan(mission.world)
+            done = self.store.write(item for item in items if isinstance(item, Flown))
+        for row in new:
             self._count(row.setting, 1, 0, 0)
-        if planned.last:
-            self.store.end_plan(mission.world)
-
-    def _write(self, mission: MissionPlan, flown: Sequence[Flown]) -> None:
-        for setting, item in self.store.write(flown) if flown else ():
+        for setting, item in done:
             self._count(setting, 0, 1, item.success)
             self.pace.note(time.perf_counter(), mission.world, is_golden(setting), item.wall_s)
             self.flown += 1
@@ -192,7 +192,7 @@ class _Session:
         if lost.signal in FROM_OUTSIDE:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
         self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
-        self._plan(mission, Planned.of(self.plan.golden(*mission.world), last=True))
+        self._write(mission, [Planned.of(self.plan.golden(*mission.world), last=True)])
         for spec in [run.spec for run in self.store.runs(done=False, world=mission.world)]:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
             flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)

@@ -1,8 +1,7 @@
 """The ledger of a campaign: one SQLite file, one row per run, written by one process.
 
 Every row has a checksum, salted with its campaign, and every mission a checksum over its planned runs; a ledger with a
-mismatch is refused.
-Every writing process has a generation number; an older process that lost its lock can no longer write.
+mismatch is refused.  Every writing process has a generation number; one that lost its lock can no longer write.
 """
 
 import errno
@@ -198,12 +197,15 @@ class Store:
             self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
-        """A transaction; failures of disk and memory are raised as `MachineError`.
+    def writing(self) -> Iterator[None]:
+        """A transaction, or part of the surrounding one; failures of disk and memory are raised as `MachineError`.
 
         Raises:
             MavfiError: Another process has taken over the ledger, or the rows conflict with stored ones.
         """
+        if self._generation and self._connection.in_transaction:
+            yield
+            return
         try:
             with self._connection:
                 if not self._connection.in_transaction:  # a new ledger's tables and identity share one
@@ -230,14 +232,14 @@ class Store:
 
     def write_meta(self, items: Mapping[str, Any]) -> None:
         """Store plain data by key."""
-        with self._writing():
+        with self.writing():
             rows = [self.meta_row(key, value) for key, value in items.items()]
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
     def plan(self, rows: Iterable[Row]) -> list[Row]:
         """Store planned runs; those already stored are left unchanged, the new ones are returned."""
         query = "SELECT 1 FROM runs WHERE run_id = ?"
-        with self._writing():
+        with self.writing():
             salt = salt_of(self._connection)
             new = [row for row in rows if self._connection.execute(query, (row.run_id,)).fetchone() is None]
             self._connection.executemany(
@@ -248,7 +250,7 @@ class Store:
 
     def end_plan(self, world: tuple[str, int]) -> None:
         """Mark a mission as completely planned."""
-        with self._writing():
+        with self.writing():
             row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
@@ -324,7 +326,7 @@ class Store:
             MavfiError: A run is not planned: its mission drew other faults when repeated.
         """
         found = []
-        with self._writing():
+        with self.writing():
             salt = salt_of(self._connection)
             for item in flown:
                 query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
@@ -384,10 +386,8 @@ class Store:
     @property
     def complete(self) -> bool:
         """Whether every run of every mission is stored and flown."""
-        missions = self.meta("missions")
-        stored = self._connection.execute("SELECT COUNT(*) FROM missions").fetchone()[0]
         left = self._connection.execute("SELECT 1 FROM runs WHERE record IS NULL LIMIT 1").fetchone()
-        return stored == missions and left is None
+        return left is None and len(self.planned()) == self.meta("missions")
 
     def digest(self) -> str:
         """SHA-256 over plan and records, independent of order of completion, workers, stops and resumes.

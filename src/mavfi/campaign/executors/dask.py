@@ -115,7 +115,7 @@ class _Ticket:
 
     mission: Any
     future: "Future"
-    ended: float = 0.0  # end of its task; its last items may still be in transit
+    ended: float = 0.0  # when its task was seen to have ended; its last items may still be in transit
 
 
 class _Flights:
@@ -125,7 +125,7 @@ class _Flights:
         self._client = client
         self._topic = f"mavfi-{uuid.uuid4().hex}"
         self._order = dumps((function, fingerprint(), allowed_names(), self._topic))
-        self._news: SimpleQueue[tuple[str, Sequence[Any] | None]] = SimpleQueue()
+        self._news: SimpleQueue[tuple[str, Sequence[Any]]] = SimpleQueue()
         self._tickets: dict[str, _Ticket] = {}
         self._threads, self._looked = 1, -_LOOK_EVERY_S
 
@@ -135,8 +135,7 @@ class _Flights:
         self._submit(missions)
         while self._tickets:
             with contextlib.suppress(Empty):
-                key, items = self._news.get(timeout=_LOOK_EVERY_S)
-                yield from self._ended(key) if items is None else self._items(key, items)
+                yield from self._items(*self._news.get(timeout=_LOOK_EVERY_S))
             self._submit(missions)
             if time.monotonic() - self._looked > _LOOK_EVERY_S:
                 yield from self._look()
@@ -149,7 +148,7 @@ class _Flights:
     def _submit(self, missions: Iterator[Any]) -> None:
         """Submit missions to free workers, in large batches if there are many workers."""
         free = _AHEAD * self._threads - len(self._tickets)
-        if free < self._threads and self._tickets:
+        if 2 * free < _AHEAD * self._threads and self._tickets:
             return
         given = {f"{self._topic}-{uuid.uuid4().hex}": mission for mission in itertools.islice(missions, free)}
         if not given:
@@ -159,7 +158,6 @@ class _Flights:
         )
         for (key, mission), future in zip(given.items(), futures, strict=True):
             self._tickets[key] = _Ticket(mission, future)
-            future.add_done_callback(lambda done: self._news.put((done.key, None)))
 
     def _items(self, key: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
         if key not in self._tickets:
@@ -174,34 +172,15 @@ class _Flights:
             yield mission, items[:-1]
         raise last.error
 
-    def _ended(self, key: str) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """Handle the end of a task, which may arrive before its last items.
-
-        Raises:
-            MachineError: The scheduler has lost or cancelled the task.
-            MavfiError: The task failed on its Dask worker.
-        """
-        from distributed import KilledWorker
-
-        ticket = self._tickets.get(key)
-        if ticket is None:
-            return
-        ticket.ended = time.monotonic()
-        if ticket.future.status == "finished":
-            return
-        error = ticket.future.exception() if ticket.future.status == "error" else None
-        if error is None:
-            raise MachineError(f"{_GONE}, or has cancelled a mission")
-        if not isinstance(error, KilledWorker):
-            raise MavfiError(f"a Dask worker failed: {error!r}")
-        del self._tickets[key]
-        yield ticket.mission, [Lost("its Dask workers died", died=True, signal="SIGKILL")]
-
     def _look(self) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """Count the worker threads, and give up missions whose last items were lost in transit.
+        """Count the worker threads, and give up missions that were lost.
+
+        A task may end before its last items arrive.  Callbacks of futures would tell ends sooner, for a tenth of the
+        processor time of this process.
 
         Raises:
-            MachineError: The scheduler does not respond.
+            MachineError: The scheduler does not respond, or has lost or cancelled a task.
+            MavfiError: A task failed on its Dask worker.
         """
         self._looked = time.monotonic()
         try:
@@ -209,9 +188,28 @@ class _Flights:
         except OSError as error:
             raise MachineError(f"{_GONE} ({error})") from None
         for key, ticket in list(self._tickets.items()):
-            if ticket.ended and self._looked - ticket.ended > _PATIENCE_S:
+            lost = self._loss(ticket)
+            if lost:
                 del self._tickets[key]
-                yield ticket.mission, [Lost("its last items were lost on the way", died=False)]
+                yield ticket.mission, [lost]
+
+    def _loss(self, ticket: _Ticket) -> Lost | None:
+        """How a mission was lost; None if it was not."""
+        from distributed import KilledWorker
+
+        status = ticket.future.status
+        if status == "pending":
+            return None
+        if status == "finished":
+            ticket.ended = ticket.ended or self._looked
+            late = self._looked - ticket.ended > _PATIENCE_S
+            return Lost("its last items were lost on the way", died=False) if late else None
+        error = ticket.future.exception() if status == "error" else None
+        if error is None:
+            raise MachineError(f"{_GONE}, or has cancelled a mission")
+        if not isinstance(error, KilledWorker):
+            raise MavfiError(f"a Dask worker failed: {error!r}")
+        return Lost("its Dask workers died", died=True, signal="SIGKILL")
 
 
 _THREAD = threading.local()
