@@ -25,7 +25,7 @@ REGISTERS = ("all", "general", "fp")
 
 def stops(pid: int, registers: str, walk: int, count: int) -> tuple[np.ndarray, int]:
     """Stop time of the target at each injection (ms, shape (count,)), and number of distinct instructions."""
-    found = inject(pid, RegisterFault(registers=registers, walk=walk, null=True, timeout=30.0), count)
+    found = inject(pid, RegisterFault(registers, "either", walk=walk, null=True, timeout=30.0), count)
     stopped = [injection.details["stopped_us"] for injection in found]
     return 1e-3 * np.array(stopped), len({injection.details["address"] for injection in found})
 

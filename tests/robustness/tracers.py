@@ -2,8 +2,8 @@
 
     python -m tests.robustness.tracers        (N=200 kills of each target, SEED=1)
 
-This holds without single-stepping.  A target that is being single-stepped dies with its tracer; the share of these
-cases is printed.
+This holds without single-stepping, the default where no function is named.  A target that is being single-stepped dies
+with its tracer; the share of these cases is printed.
 """
 
 import os
@@ -15,15 +15,15 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from mavfi.faults.fault import RegisterFault
+from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
 from mavfi.faults.register.injector import inject_once
 from mavfi.faults.register.registers import decode
 from tests.robustness.chaos import say
 from tests.unit.faults.register.conftest import Targets
 
 TARGETS = ("spin", "threads")
-STEPLESS = RegisterFault(walk=1, access="read", null=True)
-STEPPING = RegisterFault(null=True)
+STEPLESS = RegisterFault(null=True)
+STEPPING = RegisterFault(access="either", walk=DEFAULT_WALK, null=True)
 LONGEST_S = 0.15
 """Of a tracer's life; an injection takes a tenth of it."""
 _PATIENCE_S = 2.0

@@ -26,12 +26,20 @@ def inject(  # noqa: PLR0913 - one parameter per option
     ] = "",
     registers: Annotated[str, typer.Option(help="general (with the flags), fp (XMM, YMM), or all.")] = "all",
     access: Annotated[
-        str, typer.Option(help="Inject what the next instruction reads, or what it has written: read, write, either.")
-    ] = "either",
+        str,
+        typer.Option(
+            help="Inject what the next instruction reads, or what it has written: read, write, either.",
+            show_default="either with --symbol, otherwise read",
+        ),
+    ] = "",
     thread: Annotated[int, typer.Option(help="Thread id; 0 = the busiest, or the first to call --symbol.")] = 0,
     walk: Annotated[
-        int, typer.Option(help="From the stop on, fewer than this many instructions are executed before the injection.")
-    ] = DEFAULT_WALK,
+        int,
+        typer.Option(
+            help="From the stop on, fewer than this many instructions are executed before the injection.",
+            show_default=f"{DEFAULT_WALK} with --symbol, otherwise 1",
+        ),
+    ] = 0,
     count: Annotated[int, typer.Option(help="How many injections.")] = 1,
     interval: Annotated[float, typer.Option(help="Between two injections, s.")] = 0.0,
     timeout: Annotated[float, typer.Option(help="Longest wait for an injection, s.")] = 10.0,

@@ -23,8 +23,8 @@ RESTART_S = 0.57
 REGISTERS = ("all", "general", "fp")
 ACCESSES = ("either", "read", "write")
 DEFAULT_WALK = 16
-"""Longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop the
-target for longer (docs/ros-attach.md)."""
+"""With a symbol.  Longer than the loops at whose few instructions stops occur.  Longer walks spread injections no
+further, and stop the target for longer (docs/ros-attach.md)."""
 LIFETIME = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
 """Defaults of the duration and width of a `StateFault`."""
 LONGEST_WALK = 100_000
@@ -297,12 +297,13 @@ class RegisterFault(Planned):
     Attributes:
         registers: "general" (including flags), "fp" (XMM and YMM), or "all".
         access: "read": a register that the next instruction reads, injected before it; "write": one that it writes,
-            injected after it; or "either".
+            injected after it; or "either".  "" = "either" with a symbol, "read" without.
         symbol: Function at whose next call the target is stopped: its exact name, or a unique part of it.  "" = stop
             at the current instruction.
         thread: Thread; 0 = the busiest, or with a symbol the first to call it.
         walk: A random number of instructions below this is single-stepped between stop and injection.  Stops between
             system calls occur at few instructions, always the same (skid); the walk spreads them.  1 = none.
+            0 = 16 (`DEFAULT_WALK`) with a symbol, 1 without.
         timeout: Longest wait (s).
         null: Do everything but flip the bit.
         node: ROS node that owns the process; "" = the process is given by its pid.
@@ -317,10 +318,10 @@ class RegisterFault(Planned):
 
     level: ClassVar[Literal["register"]] = "register"
     registers: str = "all"
-    access: str = "either"
+    access: str = ""
     symbol: str = ""
     thread: int = 0
-    walk: int = DEFAULT_WALK
+    walk: int = 0
     timeout: float = 10.0
     null: bool = False
     node: str = ""
@@ -330,12 +331,15 @@ class RegisterFault(Planned):
     seed: int = 0
 
     def __post_init__(self) -> None:
+        # A target that is single-stepped dies with its tracer: no steps unless there is a breakpoint anyway.
+        object.__setattr__(self, "access", self.access or ("either" if self.symbol else "read"))
+        object.__setattr__(self, "walk", self.walk or (DEFAULT_WALK if self.symbol else 1))
         if self.registers not in REGISTERS:
             raise BadInputError(f"registers: {self.registers!r}: allowed: {', '.join(REGISTERS)}")
         if self.access not in ACCESSES:
             raise BadInputError(f"access: {self.access!r}: allowed: {', '.join(ACCESSES)}")
         if not 1 <= self.walk <= LONGEST_WALK:
-            raise BadInputError(f"walk: {self.walk}: allowed: 1 to {LONGEST_WALK} instructions")
+            raise BadInputError(f"walk: {self.walk}: allowed: 0 to {LONGEST_WALK} instructions")
         if not 0.0 < self.timeout <= LONGEST_TIMEOUT:
             raise BadInputError(f"timeout: {self.timeout}: allowed: above 0, to {LONGEST_TIMEOUT:g} s")
         if self.thread < 0:

@@ -154,7 +154,7 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
         (lambda: MessageFault("t", "f", rate=0.0), "rate: 0.0: allowed: above 0, to 1"),
         (lambda: RegisterFault("vector"), "registers: 'vector': allowed: all, general, fp"),
         (lambda: RegisterFault(access="both"), "access: 'both': allowed: either, read, write"),
-        (lambda: RegisterFault(walk=0), "walk: 0: allowed: 1 to 100000"),
+        (lambda: RegisterFault(walk=-1), "walk: -1: allowed: 0 to 100000"),
         (lambda: RegisterFault(timeout=0.0), "timeout: 0.0: allowed: above 0, to 3600 s"),
         (lambda: RegisterFault(thread=-1), "thread: -1: allowed"),
         (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, memory"),

@@ -1,11 +1,12 @@
 """One injection: stop the target, find an instruction, flip a bit, release the target.
 
 Killing the tracer while it single-steps the target kills the target as well: the kernel leaves single-stepping on (in
-`__ptrace_unlink`), and nobody handles the SIGTRAP.  Without steps (`RegisterFault.steps`) the target survives.
+`__ptrace_unlink`), and nobody handles the SIGTRAP.  Without steps (`RegisterFault.steps`), the default where no
+breakpoint is set, the target survives.
 
 The stop determines the location of the flip.  A stop from outside occurs at few instructions, always the same (skid);
-so a random number of instructions is single-stepped before the injection.  This spreads injections over the code near
-the stop, not over the program: for rates per instruction use the level `instruction`.
+with `RegisterFault.walk` a random number of instructions is single-stepped before the injection.  This spreads
+injections over the code near the stop, not over the program: for rates per instruction use the level `instruction`.
 """
 
 import os
@@ -114,7 +115,8 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
             if search.is_over():
                 raise TracerTimeoutError(
                     f"pid {pid}: found no instruction that {_VERBS[fault.access]} {_NOUNS[fault.registers]} "
-                    f"({attempts} stops in {fault.timeout:g} s, system calls excluded)"
+                    f"({attempts} stops in {fault.timeout:g} s, system calls excluded"
+                    f"{'' if fault.steps else '; --walk looks further'})"
                 )
             time.sleep(search.choices.uniform(*_PAUSES))
     except TargetGoneError as error:

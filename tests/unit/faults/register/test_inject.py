@@ -3,6 +3,7 @@
 import ctypes
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -15,8 +16,11 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.fault import RegisterFault
+from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
 from mavfi.faults.register import inject
+from mavfi.faults.register.injector import inject_once
+from mavfi.faults.register.ptrace import Tracee
+from tests.robustness.tracers import strike
 
 
 def tracer_of(pid):
@@ -66,8 +70,9 @@ def test_an_injection_of_a_vector_register_is_seen_by_the_target(targets):
     assert seen == {False, True}
 
 
-def test_a_null_fault_changes_nothing_and_says_so(spin):
-    for injection in inject(spin.pid, RegisterFault(null=True), count=20):
+@pytest.mark.parametrize("walk", [1, 16])
+def test_a_null_fault_changes_nothing_and_says_so(spin, walk):
+    for injection in inject(spin.pid, RegisterFault(null=True, access="either", walk=walk), count=20):
         assert injection.activated and injection.before == injection.after
     assert spin.poll() is None
 
@@ -94,11 +99,25 @@ def test_registers_and_access_are_those_asked_for(spin):
             assert injection.site.startswith(("xmm", "ymm")) == (registers == "fp")
 
 
+def test_without_a_symbol_nothing_is_single_stepped(spin, monkeypatch):
+    monkeypatch.setattr(Tracee, "step", lambda *_: pytest.fail("the target dies if its tracer dies here"))
+    for number in range(5):
+        assert inject_once(spin.pid, RegisterFault(null=True), number, 0, bool).details["walked"] == 0
+    stepping = RegisterFault(symbol="work")
+    assert (stepping.access, stepping.walk, stepping.steps) == ("either", DEFAULT_WALK, True)
+
+
+@pytest.mark.slow
+def test_targets_survive_tracers_that_are_killed(targets):
+    wrong, hits = strike(targets, "spin", 20, random.Random(7), RegisterFault(null=True))
+    assert not wrong and hits > 10
+
+
 @pytest.mark.slow
 def test_a_walk_cures_the_skid_of_stops(spin):
     """Stops come at few instructions; after a walk all of the loop are injected."""
-    there = RegisterFault(null=True, walk=1)
-    walked = RegisterFault(null=True, walk=64)
+    there = RegisterFault(null=True, access="either", walk=1)
+    walked = RegisterFault(null=True, access="either", walk=64)
     stood = Counter(injection.details["address"] for injection in inject(spin.pid, there, count=80))
     spread = Counter(injection.details["address"] for injection in inject(spin.pid, walked, count=80))
     assert len(spread) >= 6
@@ -109,7 +128,7 @@ def test_a_walk_cures_the_skid_of_stops(spin):
 def test_a_target_in_a_system_call_is_left_alone(targets):
     target, _ = targets.start("reader")
     with pytest.raises(
-        MavfiError, match=r"that reads or writes a register \(\d+ stops in 0.5 s, system calls excluded\)"
+        MavfiError, match=r"that reads a register \(\d+ stops in 0.5 s, system calls excluded; --walk looks further\)"
     ):
         only(target.pid, timeout=0.5)
     out, _ = target.communicate("abc", timeout=10)
@@ -160,7 +179,7 @@ def test_no_signal_is_lost(targets):
     target, _ = targets.start("signals")
     injected = []
     with suppress(MavfiError):  # it has ended meanwhile
-        inject(target.pid, RegisterFault(null=True), count=1_000, tell=injected.append)
+        inject(target.pid, RegisterFault(null=True, access="either", walk=16), count=1_000, tell=injected.append)
     assert len(injected) > 20
     assert target.communicate(timeout=60)[0].strip() == "0"
 
@@ -254,7 +273,7 @@ class TestRefusals:
             only(spin.pid, thread=1)
 
     @pytest.mark.parametrize(
-        ("name", "value"), [("registers", "mmx"), ("access", "execute"), ("walk", 0), ("timeout", 0.0), ("thread", -1)]
+        ("name", "value"), [("registers", "mmx"), ("access", "execute"), ("walk", -1), ("timeout", 0.0), ("thread", -1)]
     )
     def test_a_fault_that_makes_no_sense(self, name, value):
         with pytest.raises(BadInputError, match=f"{name}: .*allowed:"):
