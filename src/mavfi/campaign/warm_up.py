@@ -9,8 +9,9 @@ from pathlib import Path
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
-from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, scenarios_of
+from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, model_hashes, scenarios_of
 from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
+from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.compiling import STAGES, compile_stage
 from mavfi.hosts.watching import detector_for
@@ -57,7 +58,13 @@ class _Mission:
     campaign: Campaign
 
     def compile(self) -> None:
-        warm_up(MissionPlan(self.campaign, self.campaign.environments[0], self.campaign.first_seed))
+        campaign = self.campaign
+        scenarios = scenarios_of(campaign, arms_of(campaign))
+        try:
+            models = model_hashes(campaign, scenarios, None)
+        except BadInputError:  # no model is shipped: the campaign compiles it
+            return
+        warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
 
 
 _Task = _Stage | _Detector | _Mission
@@ -67,7 +74,7 @@ def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
     """Compile the code of several campaigns in an executor's processes; nothing if that was done before.
 
     First come the stages of a flight, then instrumented kernels and detectors, last what only a whole mission calls.
-    Instrumented detectors are left out: their models may not exist yet.
+    Instrumented detectors have the shipped models: the code of other models is the same.
 
     Raises:
         BadInputError: A campaign cannot be flown.
@@ -97,8 +104,7 @@ def compile_flight(scenario: Scenario, executor: Executor) -> None:
 
 def is_compiled(campaign: Campaign) -> bool:
     """Whether the cache has all of a campaign's code, by `compile_ahead` or on a machine that flew it."""
-    instrumented = isinstance(campaign.sampling, InstructionSampling) and campaign.sampling.kernels
-    return _done(campaign).exists() and not set(instrumented or ()).intersection(DETECTORS)
+    return _done(campaign).exists()
 
 
 def _compile(task: _Task) -> None:
@@ -123,10 +129,10 @@ def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
 
 
 def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
-    """Campaigns with faults in instructions of one kernel each; planners take longest."""
+    """Campaigns with faults in instructions of one kernel or detector each; planners take longest."""
     found = [
         (kernel, _with_kernels(campaign, (kernel,)))
-        for campaign in map(_bare, campaigns)
+        for campaign in campaigns
         if isinstance(campaign.sampling, InstructionSampling)
         for kernel in campaign.sampling.kernels
     ]
@@ -146,16 +152,25 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
 
 def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
-    bare = campaign.model_copy(update={"arms": {name: arm for name, arm in campaign.arms.items() if not arm.detector}})
-    sampling = campaign.sampling
-    if not isinstance(sampling, InstructionSampling):
-        return bare
-    return _with_kernels(bare, tuple(kernel for kernel in sampling.kernels if kernel not in DETECTORS))
+    if isinstance(campaign.sampling, InstructionSampling):
+        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in DETECTORS))
+    return _with_arms(campaign, ())
 
 
 def _with_kernels(campaign: Campaign, kernels: tuple[str, ...]) -> Campaign:
-    """The campaign with faults in other kernels."""
-    return campaign.model_copy(update={"sampling": campaign.sampling.model_copy(update={"kernels": kernels})})
+    """The campaign with faults in other kernels, and only those of its detectors that are among them."""
+    sampling = campaign.sampling.model_copy(update={"kernels": kernels})
+    return _with_arms(campaign.model_copy(update={"sampling": sampling}), kernels)
+
+
+def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
+    """The campaign with only those arms that have no detector or one of these."""
+    arms = {
+        name: arm
+        for name, arm in campaign.arms.items()
+        if not arm.detector or any(is_named(arm.detector, one) for one in detectors)
+    }
+    return campaign.model_copy(update={"arms": arms})
 
 
 def fly_mission_anywhere(mission: MissionPlan) -> Iterator[Planned | Flown]:

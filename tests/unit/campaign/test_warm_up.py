@@ -64,12 +64,17 @@ def test_nothing_is_compiled_twice(compiled):
     assert len(compiled) == known, "found in the cache"
 
 
-def test_campaigns_of_the_paper_need_no_models(compiled):
+def test_only_detectors_with_faults_need_models(compiled):
     campaigns = load_study("paper").campaigns_at("quick").values()
     warm_up.compile_ahead(campaigns, Inline())
+    watched = {}
     for task in compiled:
         if isinstance(task, warm_up._Mission):
-            assert not task.campaign.arms and plan_of(task.campaign, {}, {}).count()
+            campaign = task.campaign
+            if campaign.arms:
+                (watched[campaign.sampling.kernels],) = ([arm.detector for arm in campaign.arms.values()],)
+            assert plan_of(campaign, dict.fromkeys(campaign.arms, "model"), {}).count()
+    assert watched == {(name,): [name] for name in ("gaussian", "autoencoder")} | {("acceptance",): ["recommended"]}
 
 
 def test_a_detector_without_a_shipped_model_is_left_out():
@@ -95,13 +100,22 @@ def test_nodes_of_other_programs_have_no_code(compiled):
     assert compiled == []
 
 
-def test_detectors_with_faults_are_compiled_by_their_campaign(compiled):
-    campaigns = {name: load_campaign(name) for name in ("table1_instructions", "failure_rate")}
-    assert not any(map(warm_up.is_compiled, campaigns.values()))
-    warm_up.compile_ahead(campaigns.values(), Inline())
-    assert {name: warm_up.is_compiled(one) for name, one in campaigns.items()} == {
-        "table1_instructions": True, "failure_rate": False
-    }  # fmt: skip
+def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, monkeypatch):
+    flown = []
+    monkeypatch.setattr(warm_up, "warm_up", flown.append)
+    warm_up.compile_ahead([load_campaign("failure_rate")], Inline())
+    for task in compiled:
+        task.compile()
+    arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
+    assert arms == [(("gaussian",), "gaussian"), (("autoencoder",), "autoencoder"), (("acceptance",), "recommended")]
+    assert warm_up.is_compiled(load_campaign("failure_rate"))
+
+
+def test_a_detector_with_faults_but_without_a_shipped_model_is_left_to_its_campaign(compiled, monkeypatch):
+    monkeypatch.setattr(warm_up, "warm_up", pytest.fail)
+    campaign = load_campaign("failure_rate")
+    elsewhere = campaign.model_copy(update={"mission": {**campaign.mission, "platform": "cortex-a57"}})
+    warm_up._Mission(warm_up._with_kernels(elsewhere, ("gaussian",))).compile()
 
 
 def test_a_flight_is_compiled_by_stages(compiled):
