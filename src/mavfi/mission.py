@@ -33,8 +33,10 @@ LARGEST_SEED = 2**63 - 1
 TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
-DeadNode = Literal["end", "fresh", "latched", "readback", "recompute"]
+DeadNode = Literal["end", "fresh", "latched", "readback", "recompute", "checkpoint", "standby"]
 """Restart policy of a node that dies, see `hosts.loop.restarts`."""
+FROM_MEMORY: tuple[DeadNode, ...] = ("recompute", "checkpoint", "standby")
+"""Policies that continue from the node's memory before the step that died."""
 
 
 class MissionStatus(Enum):
@@ -126,7 +128,8 @@ class MissionSpec(Config):
     dead_node: DeadNode = Field(
         "fresh",
         description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
-        "(fresh, gets an unanswered alarm again), readback (latched, reads its last outputs), recompute (the step).",
+        "(fresh, gets an unanswered alarm again), readback (latched, reads its last outputs), recompute (the step), "
+        "checkpoint (continues from the memory before the step), standby (as checkpoint, after 20 ms).",
     )
     protection: str = Field("", description="Plan of protected kernels: a name, or a YAML file; none by default.")
     alarm: Literal["one_shot", "repeated"] | None = Field(

@@ -77,7 +77,14 @@ def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatc
 
 
 @pytest.mark.parametrize(
-    "policy", ["readback", *(pytest.param(name, marks=pytest.mark.long) for name in ("end", "latched", "recompute"))]
+    "policy",
+    [
+        "readback",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("end", "latched", "recompute", "checkpoint", "standby")
+        ),
+    ],
 )
 def test_nodes_that_die_come_back_as_after_a_flight_from_take_off(policy):
     dying = [fault for fault in drawn("address", 4) if fault.kernel in ("rrt_connect", "collision_check", "pid")]

@@ -63,7 +63,14 @@ def test_plans_of_a_fresh_planner_have_old_counters_and_are_refused(died):
 
 @pytest.mark.parametrize(
     ("policy", "label"),
-    [("latched", "success"), ("readback", "success"), ("recompute", "success"), ("end", "node_died")],
+    [
+        ("latched", "success"),
+        ("readback", "success"),
+        ("recompute", "success"),
+        ("checkpoint", "success"),
+        ("standby", "success"),
+        ("end", "node_died"),
+    ],
 )
 def test_other_policies_have_the_same_deaths_and_other_ends(faults, died, policy, label):
     logs = crashed(faults, policy)

@@ -11,7 +11,7 @@ from mavfi.cli import run
 from mavfi.errors import BadInputError, OlderNameWarning
 from mavfi.hosts.ros1 import finder, install
 from mavfi.hosts.ros1.host import Ros1Host
-from mavfi.mission import MissionSpec
+from mavfi.mission import FROM_MEMORY, MissionSpec
 from tests.architecture.source import ROOT
 from tests.hosts.ros1.needs import ros
 
@@ -81,14 +81,15 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert text.count("\n") == 1 and message in text
 
 
-def test_a_campaign_on_ros_refuses_that_a_dead_step_is_repeated_too():
+@pytest.mark.parametrize("policy", FROM_MEMORY)
+def test_a_campaign_on_ros_refuses_that_a_dead_step_is_repeated_too(policy):
     host = Ros1Host()
     with pytest.warns(OlderNameWarning):
         assert host.resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
     with pytest.raises(
-        BadInputError, match="dead_node: 'recompute': on ROS, .*; allowed: end, fresh, latched, readback$"
+        BadInputError, match=f"dead_node: '{policy}': on ROS, .*; allowed: end, fresh, latched, readback$"
     ):
-        host.resolve(MissionSpec(dead_node="recompute"))
+        host.resolve(MissionSpec(dead_node=policy))
 
 
 def test_packages_are_named_once_and_leave_the_big_ones_out():

@@ -86,7 +86,10 @@ def test_every_key_says_what_it_is(name):
         ({"map_resolution": 0.0}, "--map-resolution: 0.0: allowed: 0.02 to 5"),
         ({"localization": "gps"}, "--localization: 'gps': allowed: truth, estimator"),
         ({"coupling": "tight"}, "--coupling: 'tight': allowed: inline, observer"),
-        ({"dead_node": "warm"}, "--dead-node: 'warm': allowed: end, fresh, latched, readback, recompute"),
+        (
+            {"dead_node": "warm"},
+            "--dead-node: 'warm': allowed: end, fresh, latched, readback, recompute, checkpoint, standby",
+        ),
         ({"alarm": "twice"}, "--alarm: 'twice': allowed: one_shot, repeated"),
         ({"epoch_liveness": -1.0}, "--epoch-liveness: -1.0: allowed: 0 to 1e+06"),
         ({"start": (float("nan"), 0.0, 1.0)}, "--start: nan 0.0 1.0: allowed: three finite numbers (m)"),

@@ -14,6 +14,7 @@ from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.mission import FROM_MEMORY
 from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.words import change, words_of
 from mavfi.states import State
@@ -46,8 +47,8 @@ class MemoryInjector:
     def __init__(self, loop: Loop, fault: MemoryFault) -> None:
         self._loop, self._fault = proxy(loop), fault  # the loop owns this object
         policy = loop.scenario.dead_node
-        # no recomputation: it would use the corrupted memory
-        self._restarts = Restarts(loop, "fresh" if policy == "recompute" else policy)
+        # not from memory: it is corrupted
+        self._restarts = Restarts(loop, "fresh" if policy in FROM_MEMORY else policy)
         self._injection: Injection | None = None
         self.effect: KernelEffect | None = None
         if fault.has_site:

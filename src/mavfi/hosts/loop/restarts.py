@@ -6,6 +6,9 @@
 - `latched`: as `fresh`, and it also receives the last alarm if the way-point in force does not answer that yet.
 - `readback`: as `latched`, and it reads back its own last outputs as consumers received them (`Kernel.resume`).
 - `recompute`: the step is recomputed at once from the memory before it; its result is published one latency later.
+- `checkpoint`: after the down time the node continues from the memory before that step, which is recomputed; its inputs
+  are queued meanwhile, and timers run on.
+- `standby`: as `checkpoint`, but a replica with the same inputs takes over after `TAKE_OVER_US`.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,6 +28,9 @@ from mavfi.states import PERIODIC, STATES, State, in_node
 CHANGES = "perception.map_update"
 """State that carries increments instead of whole values: a restarted node receives all of them."""
 
+TAKE_OVER_US = 20_000
+"""Time until a standby notices the death of its node: one control period (us)."""
+
 
 class Restarts:
     """Terminates and restarts the nodes of a flight under a policy; constructed before the flight starts."""
@@ -39,7 +45,7 @@ class Restarts:
         loop.taps.recorders.append(self.keep)
         self._back = f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
         loop.actions[self._back] = self._restart
-        loop.actions["again"] = self._again
+        loop.actions["again"], loop.actions["continue"] = self._again, self._continue
 
     def keep(self, state: State, now: int) -> None:
         """Note a publication as consumers receive it: what a restarted node receives depends on all of them."""
@@ -65,17 +71,22 @@ class Restarts:
             return  # already down; the restart is scheduled
         elif self._policy == "recompute":
             self.recompute(kernel, now, lost)
+        elif self._policy in ("checkpoint", "standby"):
+            self._lose(kernel)
+            away_us = TAKE_OVER_US if self._policy == "standby" else after_us
+            self._loop.at(now + away_us, "continue", kernel, list(lost))
         else:
-            self._lose(kernel, now, after_us)
+            self._lose(kernel)
+            self._loop.at(now + after_us, self._back, kernel)
 
     def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
         """Terminate the detector at this instant; publications pass unchecked and the flight continues.
 
-        Policy `end`: the detector does not return.  `recompute`: its call is repeated, without effect on the flight.
-        Otherwise it restarts with initialized memory after the down time and receives the last publication of each
-        state, as any restarted node.  Of several copies only the injected one dies; the others go on voting.
+        Policy `end`: the detector does not return.  `recompute`, `standby`: its call is repeated, without effect on the
+        flight.  Otherwise it restarts with initialized memory after the down time and receives the last publication of
+        each state, as any restarted node.  Of several copies only the injected one dies; the others go on voting.
         """
-        if self._policy == "recompute":
+        if self._policy in ("recompute", "standby"):
             return
         if isinstance(detector, Replicated):
             detector.lose()
@@ -103,7 +114,7 @@ class Restarts:
         self._loop.awaited.clear()  # recomputations finished during the down time
         self._loop.taps.detector = tap
 
-    def _lose(self, kernel: str, now: int, after_us: int) -> None:
+    def _lose(self, kernel: str) -> None:
         loop, names = self._loop, in_node(kernel)
         loop.down.update(names)
         for name in names:
@@ -112,18 +123,18 @@ class Restarts:
         for state in list(loop.awaited):
             if STATES[state].writer in names:
                 del loop.awaited[state]  # the recomputation died with the node: its next publication is checked
-        loop.at(now + after_us, self._back, kernel)
 
     # ---- recomputation of the step ----------------------------------------------------------------------------------
     def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
         """Publish the results of a kernel's repeated step one latency later, under any policy."""
-        loop = self._loop
-        cost = loop.latency[name]
-        if cost == 0:
-            return  # a result without latency is published as in the error-free case
+        if self._loop.latency[name] > 0:  # a result without latency is published as in the error-free case
+            self._loop.busy[name] = None
+            self._repeat(name, now, states)
+
+    def _repeat(self, name: str, now: int, states: Sequence[State]) -> None:
+        loop, cost = self._loop, self._loop.latency[name]
         loop.record.recompute_us[loop.kernels[name].stage.value] += cost
         loop.down.add(name)
-        loop.busy[name] = None
         loop.at(now + cost, "again", name, list(states))
 
     def _again(self, now: int, name: str, states: list[State]) -> None:
@@ -131,7 +142,24 @@ class Restarts:
         loop.down.discard(name)
         waiting = loop.busy.pop(name)
         loop.finish(loop.kernels[name], states, now, loop.latency[name])
-        loop.busy[name] = waiting
+        if name in loop.busy:
+            loop.busy[name] = waiting
+        elif waiting is not None:
+            self._go_on(name, waiting, now)
+
+    # ---- checkpoint and standby -------------------------------------------------------------------------------------
+    def _continue(self, now: int, kernel: str, states: list[State]) -> None:
+        """Continue a node from its memory, with the inputs that arrived meanwhile, and repeat the step that died."""
+        loop = self._loop
+        for name in in_node(kernel):
+            loop.down.discard(name)
+            if name != kernel and (waiting := loop.busy.pop(name, None)) is not None:
+                self._go_on(name, waiting, now)
+        self._repeat(kernel, now, states)
+
+    def _go_on(self, name: str, waiting: State, now: int) -> None:
+        if self._loop.kernels[name].receive(waiting, now) and name not in PERIODIC:
+            self._loop.start(self._loop.kernels[name], now)
 
     # ---- restart ----------------------------------------------------------------------------------------------------
     def _restart(self, now: int, kernel: str) -> None:

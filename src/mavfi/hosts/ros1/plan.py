@@ -12,7 +12,7 @@ from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
-from mavfi.mission import DeadNode, MissionSpec, Scenario
+from mavfi.mission import FROM_MEMORY, DeadNode, MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
 
@@ -35,8 +35,8 @@ def check_supported(spec: MissionSpec) -> None:
         raise BadInputError(f"copies: {spec.copies}: on ROS, the detector is one node; allowed: 1")
     if spec.degraded != "none":
         raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
-    if spec.dead_node == "recompute":
-        allowed = ", ".join(policy for policy in get_args(DeadNode) if policy != spec.dead_node)
+    if spec.dead_node in FROM_MEMORY:
+        allowed = ", ".join(policy for policy in get_args(DeadNode) if policy not in FROM_MEMORY)
         raise BadInputError(
             f"dead_node: {spec.dead_node!r}: on ROS, what a process computes dies with it; allowed: {allowed}"
         )

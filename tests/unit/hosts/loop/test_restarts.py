@@ -23,7 +23,6 @@ class Kernel:
         self.received, self.resumed, self.marks = [], None, 0
 
     def receive(self, state, time_us):
-        assert time_us == SECOND
         self.received.append(state)
         return state.spec.name == "perception.map_update"
 
@@ -58,12 +57,16 @@ class Loop:
 
     def finish(self, kernel, states, now, latency_us):
         self.finished.append((kernel.name, states, now, latency_us))
-        self.busy[kernel.name] = None
+        if latency_us:
+            self.busy[kernel.name] = None
+
+    def next(self):
+        time_us, action, *arguments = self.queue.pop(0)
+        self.actions[action](time_us, *arguments)
 
     def run(self):
-        (found,) = self.queue
-        time_us, action, *arguments = found
-        self.actions[action](time_us, *arguments)
+        assert len(self.queue) == 1
+        self.next()
         return self.kernels["planner"]
 
 
@@ -156,7 +159,36 @@ def test_a_step_that_takes_no_time_is_as_without_the_fault():
     assert not loop.down and not loop.queue
 
 
-@pytest.mark.parametrize("policy", ["fresh", "latched", "readback", "recompute"])
+@pytest.mark.parametrize(("policy", "away_us"), [("checkpoint", 600_000), ("standby", 20_000)])
+@pytest.mark.parametrize("waiting", [None, QUIET])
+def test_a_node_continues_from_its_memory(policy, away_us, waiting):
+    loop = dead(policy, *UPDATES)
+    kernels, back = dict(loop.kernels), 400_000 + away_us
+    assert loop.queue == [(back, "continue", "planner", [OUTPUT])]
+    assert loop.down == set(loop.busy) == {"planner", "trajectory"}
+    loop.busy.update(planner=waiting, trajectory=waiting)
+    loop.next()
+    assert loop.kernels == kernels and kernels["planner"].resumed is None
+    assert kernels["trajectory"].received == ([] if waiting is None else [QUIET])
+    assert loop.down == {"planner"} and loop.record.recompute_us == {"planning": 80_000}
+    assert loop.queue == [(back + 80_000, "again", "planner", [OUTPUT])]
+    loop.next()
+    assert loop.finished == [("planner", [OUTPUT], back + 80_000, 80_000)]
+    assert not loop.down and loop.busy == {"planner": waiting}
+
+
+def test_a_repeated_step_that_takes_no_time_leaves_its_kernel_idle():
+    loop = Loop()
+    restarts = Restarts(loop, "standby")
+    restarts.die("trajectory", 0, 600_000, [OUTPUT])
+    loop.next()
+    loop.busy["trajectory"] = UPDATES[0]  # an input arrives while it is down
+    loop.next()
+    assert loop.finished == [("trajectory", [OUTPUT], 20_000, 0)]
+    assert loop.started == [("trajectory", 20_000)] and not loop.busy and not loop.down
+
+
+@pytest.mark.parametrize("policy", ["fresh", "latched", "readback", "recompute", "checkpoint", "standby"])
 def test_a_node_that_is_away_does_not_die_again(policy):
     loop = Loop()
     restarts = Restarts(loop, policy)
