@@ -1,10 +1,16 @@
 """The folder of a flight: files, environment, and the script `join` with which another terminal joins the ROS graph."""
 
+import fcntl
 import json
 import os
+import shutil
 import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from mavfi.errors import MavfiError
 from mavfi.flight_log import Injection
 from mavfi.hosts.ros1 import finder
 
@@ -14,6 +20,7 @@ MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join"
 FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
 INJECTIONS = "injections.json"
 LAUNCH_FILE, PACKAGE, EXECUTABLE = "flight.launch", "mavfi", "node"
+_PREFIX, _OWNER = "mavfi-ros-", "owner"
 _CORE = "roscore.xml"
 _PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
 _EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
@@ -22,6 +29,33 @@ _EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE
 def flight_folder() -> Path:
     """Folder of the flight to which this process belongs."""
     return Path(os.environ[FOLDER_VARIABLE])
+
+
+@contextmanager
+def new_folder() -> Iterator[Path]:
+    """Create the folder of a flight, which is removed at its end; one with the logs of a failed flight remains.
+
+    Folders of processes that were killed are removed, too: nobody holds the lock of their owner.
+
+    Raises:
+        MavfiError: As in the context, with the folder of the logs.
+    """
+    for owner in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_OWNER}"):
+        with suppress(OSError), owner.open() as file:  # in use, of another user, or being removed
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(owner.parent, ignore_errors=True)
+    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    with (folder / _OWNER).open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield folder
+        except MavfiError as error:
+            (folder / _OWNER).unlink()
+            raise MavfiError(f"{error}; logs: {folder / LOG}") from None
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_file(name: str, content: bytes) -> None:

@@ -3,9 +3,7 @@
 import json
 import os
 import shlex
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -77,20 +75,12 @@ def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None
         nodelets.require()
     command = isolation(allow_bind_all)
     began = time.time()
-    folder = Path(tempfile.mkdtemp(prefix="mavfi-ros-"))
-    try:
+    with files.new_folder() as folder:
         _prepare(plan, folder, command)
         prepared = time.time()
         _run(folder, command, tell)
         flight = _result(folder, plan)
-        times = _spent(folder, began, prepared)
-    except MavfiError as error:
-        raise MavfiError(f"{error}; logs: {folder / files.LOG}") from None
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    shutil.rmtree(folder, ignore_errors=True)
-    return RosFlight(flight, times)
+        return RosFlight(flight, _spent(folder, began, prepared))
 
 
 def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
