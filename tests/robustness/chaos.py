@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import yaml
@@ -133,11 +134,9 @@ def lives(pid, start):
 def children(pid):
     """Processes that a process has started; of threads too."""
     found = []
-    for path in Path(f"/proc/{pid}/task").glob("*/children"):
-        try:
+    with suppress(OSError):  # it has ended
+        for path in Path(f"/proc/{pid}/task").glob("*/children"):
             found += [int(word) for word in path.read_text(encoding="ascii").split()]
-        except OSError:
-            continue
     return found
 
 

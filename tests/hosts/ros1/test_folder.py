@@ -6,7 +6,7 @@ import tempfile
 
 import pytest
 
-from mavfi.errors import MavfiError
+from mavfi.errors import MachineError, MavfiError
 from mavfi.hosts.ros1.folder import LOG, new_folder
 
 KILLED = """
@@ -45,6 +45,7 @@ def test_the_logs_of_a_failed_flight_remain(folders):
         raise MavfiError("it failed")
     with new_folder():
         assert failed in folders()
-    with pytest.raises(KeyboardInterrupt), new_folder():
-        raise KeyboardInterrupt
+    for error in (KeyboardInterrupt, MachineError("it was killed")):
+        with pytest.raises((KeyboardInterrupt, MachineError)), new_folder():
+            raise error
     assert folders() == [failed]

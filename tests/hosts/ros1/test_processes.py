@@ -3,20 +3,27 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
-from mavfi.errors import MavfiError
+from mavfi.errors import MachineError, MavfiError
 from mavfi.hosts.ros1 import template
+from mavfi.hosts.ros1.folder import PID
+from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox
 from mavfi.hosts.ros1.processes import isolate
 from mavfi.hosts.ros1.remote import Counter, Watchdog
 from mavfi.hosts.ros1.roll_call import is_alive
+from mavfi.hosts.ros1.session import configure, fly
 from mavfi.hosts.ros1.supervisor import children
+from tests.hosts.ros1.flights import short
 from tests.hosts.ros1.needs import ABSENT
 
 ORPHANS = """
@@ -108,6 +115,22 @@ def test_a_thread_keeps_its_template_until_the_interpreter_is_another_one(tmp_pa
     with pytest.raises(MavfiError, match="has ended"):
         absent.begin(tmp_path, [])
     assert not absent.usable()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(ABSENT), reason="ROS is not installed")
+@pytest.mark.parametrize("hit", ["supervisor", "template"])
+def test_a_flight_whose_processes_are_killed_is_a_failure_of_the_machine(tmp_path, hit):
+    mine = template.template_of_thread(tmp_path / "log")
+
+    def kill(folder):
+        os.kill(int((folder / PID).read_text()) if hit == "supervisor" else mine._process.pid, signal.SIGKILL)
+
+    before = set(Path(tempfile.gettempdir()).glob("mavfi-ros-*"))
+    scenario = short()
+    with pytest.raises(MachineError, match="^ROS: the process that starts the nodes was killed$"):
+        fly(Plan(scenario, configure(scenario)), tell=kill)
+    assert set(Path(tempfile.gettempdir()).glob("mavfi-ros-*")) <= before
 
 
 def test_without_a_command_a_process_stays_where_it_is():

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from mavfi.errors import MavfiError
+from mavfi.errors import MachineError, MavfiError
 from mavfi.flight_log import Injection
 from mavfi.hosts.ros1 import finder
 
@@ -49,10 +49,10 @@ def new_folder() -> Iterator[Path]:
         fcntl.flock(file, fcntl.LOCK_EX)
         try:
             yield folder
-        except MavfiError as error:
-            (folder / _OWNER).unlink()
-            raise MavfiError(f"{error}; logs: {folder / LOG}") from None
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, MavfiError) and not isinstance(error, MachineError):
+                (folder / _OWNER).unlink()
+                raise MavfiError(f"{error}; logs: {folder / LOG}") from None
             shutil.rmtree(folder, ignore_errors=True)
             raise
         shutil.rmtree(folder, ignore_errors=True)

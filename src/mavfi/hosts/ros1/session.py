@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.compose import pipeline_config
@@ -20,7 +20,7 @@ from mavfi.hosts.ros1.generate import generate, name_definitions, package_xml
 from mavfi.hosts.ros1.graph import IMAGE, INFO, POINTS, WORLD
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.supervisor import private_network
-from mavfi.hosts.ros1.template import template_of_thread
+from mavfi.hosts.ros1.template import KILLED, template_of_thread
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.sim.camera import pixel_directions
@@ -135,7 +135,11 @@ def _write_foreign(executable: Path, folder: Path) -> None:
 
 
 def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) -> None:
-    """Start the supervisor, and wait until the flight and all its processes have ended."""
+    """Start the supervisor, and wait until the flight and all its processes have ended.
+
+    Raises:
+        MachineError: The supervisor or the template was killed, as no fault can.
+    """
     template = template_of_thread(folder / files.LOG / "template")
     supervision = template.begin(folder, command)
     try:
@@ -148,6 +152,10 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
             supervision.stop()
             if not supervision.wait(_LAST_WORDS_S):
                 template.end()
+    if supervision.killed:
+        raise MachineError(KILLED)
+    if supervision.lost:
+        raise template.failure()
 
 
 def _result(folder: Path, plan: Plan) -> Flight:

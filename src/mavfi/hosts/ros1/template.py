@@ -20,14 +20,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-from mavfi.errors import MavfiError
+from mavfi.errors import MachineError, MavfiError
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1 import folder as files
 from mavfi.hosts.ros1.processes import end_with_parent, isolate, set_environment, write_to
 
 ROOM = 1 << 11
 """Length of the template's command line: forked nodes overwrite it with their own."""
+KILLED = "ROS: the process that starts the nodes was killed"
+_ENDED, _KILLED = b"ended", b"killed"
 _LONGEST = 1 << 20
+_PATIENCE_S = 5.0
 _NODES = ("world", "kernels", "taps", "node", "free", "supervisor", "launcher", "nodelet_cloud")
 _ROS = ("rospy", "rosmaster", "roslaunch", "genpy", "std_srvs.srv", "geometry_msgs.msg", "sensor_msgs.msg")
 
@@ -55,7 +58,7 @@ class Template:
         return self._process.poll() is not None
 
     def begin(self, folder: Path, network: list[str]) -> "Supervision":
-        """Start the flight of a folder in a network, see `processes.isolate`; `MavfiError` on failure."""
+        """Start the flight of a folder in a network, see `processes.isolate`; raises `failure` if it has ended."""
         variables = {**os.environ, "PYTHONPATH": files.own_path(), files.FOLDER_VARIABLE: str(folder)}
         reply = b""
         with suppress(OSError):  # the template has exited
@@ -66,9 +69,16 @@ class Template:
                 self.end()
                 raise
         if not reply:
-            self.end()  # its socket can be closed before its process has exited
-            raise MavfiError("ROS: the process that starts the nodes has ended")
+            raise self.failure()
         return Supervision(self._channel, int(reply))
+
+    def failure(self) -> MavfiError:
+        """Why it has ended: a `MachineError` if it was killed."""
+        with suppress(subprocess.TimeoutExpired):  # its socket can be closed before its process has exited
+            if self._process.wait(_PATIENCE_S) < 0:
+                return MachineError(KILLED)
+        self.end()
+        return MavfiError("ROS: the process that starts the nodes has ended")
 
     def end(self) -> None:
         """Terminate it together with its flights."""
@@ -78,19 +88,30 @@ class Template:
 
 
 class Supervision:
-    """A flight in progress; `pid` is its supervisor."""
+    """A flight in progress; `pid` is its supervisor, which may be `killed`, or `lost` with its template."""
 
     def __init__(self, channel: socket.socket, pid: int) -> None:
         self.pid = pid
         self._channel = channel
-        self._ended = False
+        self._end: bytes | None = None
 
     def wait(self, seconds: float) -> bool:
         """Wait for the end of the flight; returns whether it has ended."""
-        if not self._ended and select.select([self._channel], [], [], seconds)[0]:
-            self._channel.recv(_LONGEST)
-            self._ended = True
-        return self._ended
+        if self._end is None and select.select([self._channel], [], [], seconds)[0]:
+            self._end = b""
+            with suppress(OSError):
+                self._end = self._channel.recv(_LONGEST)
+        return self._end is not None
+
+    @property
+    def killed(self) -> bool:
+        """Whether its supervisor was killed from outside."""
+        return self._end == _KILLED
+
+    @property
+    def lost(self) -> bool:
+        """Whether its template has ended."""
+        return self._end == b""
 
     def stop(self) -> None:
         """Request termination of all its processes."""
@@ -140,8 +161,8 @@ def main() -> None:
             channel.close()
             _become(*json.loads(request))
         channel.send(str(pid).encode())
-        os.waitpid(pid, 0)
-        channel.send(b"ended")
+        _, status = os.waitpid(pid, 0)
+        channel.send(_KILLED if os.WIFSIGNALED(status) else _ENDED)
 
 
 def warm() -> None:
