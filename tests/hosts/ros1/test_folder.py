@@ -1,5 +1,6 @@
 """Folders of flights: none is left by a process that was killed, and none is taken from one that lives."""
 
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,6 +33,19 @@ def test_the_folder_of_a_killed_process_is_removed_by_the_next_flight(folders):
     with new_folder() as own:
         assert folders() == [own] and own != left
     assert folders() == []
+
+
+def test_a_removal_that_is_cut_short_is_completed_by_the_next_flight(folders, monkeypatch):
+    def cut_short(path, **_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt), new_folder() as cut:
+        (cut / "a").touch()
+        (cut / "messages" / "msg").mkdir(parents=True)
+        patch.setattr(shutil, "rmtree", cut_short)
+    assert cut.is_dir()
+    with new_folder():
+        assert not cut.exists()
 
 
 def test_the_folder_of_a_flight_in_progress_is_left_alone(folders):

@@ -43,19 +43,31 @@ def new_folder() -> Iterator[Path]:
     for owner in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_OWNER}"):
         with suppress(OSError), owner.open() as file:  # in use, of another user, or being removed
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(owner.parent, ignore_errors=True)
+            remove_folder(owner.parent)
     folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
-    with (folder / _OWNER).open("w") as file:
+    with (folder / f"new-{_OWNER}").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
+        os.rename(file.name, folder / _OWNER)  # never seen without its lock
         try:
             yield folder
         except BaseException as error:
             if isinstance(error, MavfiError) and not isinstance(error, MachineError):
                 (folder / _OWNER).unlink()
                 raise MavfiError(f"{error}; logs: {folder / LOG}") from None
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_folder(folder)
             raise
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_folder(folder)
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove the folder of a flight, its owner last: if that is cut short, the next flight removes the rest."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != _OWNER:
+                path.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_file(name: str, content: bytes) -> None:

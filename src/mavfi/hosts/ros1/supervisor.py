@@ -5,7 +5,6 @@ Orphans become its children, so that every process of the flight can be found an
 
 import fcntl
 import os
-import shutil
 import signal
 import socket
 import struct
@@ -47,7 +46,7 @@ def main() -> None:
     finally:
         end_all()
         if os.getppid() != parent:  # no process is left to read the results
-            shutil.rmtree(folder, ignore_errors=True)
+            files.remove_folder(folder)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
