@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import dataclass
 
+from mavfi.hosts.ros1 import finder
 from tools.markers import GENERATED, banner
 
 PAGE = GENERATED / "reliability.md"
@@ -23,11 +24,12 @@ class Long:
     tries: int
     unit: str
     asks: str
+    only: str = ""
 
     @property
     def module(self) -> str:
-        """Module of the test."""
-        return f"tests.robustness.{self.name}"
+        """Module of the test; `only` names a part of it."""
+        return f"tests.robustness.{self.name.partition('-')[0]}"
 
 
 TESTS = (
@@ -37,6 +39,7 @@ TESTS = (
         "signals",
         "Do campaigns that are killed, hung up and stopped leave the ledger of undisturbed ones?",
     ),
+    Long("chaos-ros", 100, "signals", "Do campaigns on ROS, treated like that?", "ros"),
     Long("failures", 200, "failures", "Is a disk that is full, or a lack of memory or file handles, ever a result?"),
     Long("damage", 1000, "flipped bits and other damage", "Is a damaged ledger ever read as a sound one?"),
     Long(
@@ -51,7 +54,8 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
     """Run a test and show its output as it comes; returns it, the exit code and the duration (s)."""
     tries = max(1, round(test.tries * share))
     started = time.monotonic()
-    environment = {key: value for key, value in os.environ.items() if key != "ONLY"} | {"N": str(tries)}
+    environment = {key: value for key, value in os.environ.items() if key != "ONLY"}
+    environment |= {"N": str(tries)} | ({"ONLY": test.only} if test.only else {})
     command = [sys.executable, "-m", test.module]
     output = ""
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
@@ -86,7 +90,9 @@ def main() -> int:
     wanted = os.environ.get("ONLY", "").split()
     sections = {}
     for test in TESTS:
-        if not wanted or test.name in wanted:
+        if test.only == "ros" and finder.missing():
+            sys.stdout.write(f"{test.name}: ROS is not installed\n")
+        elif not wanted or test.name in wanted:
             sys.stdout.write(f"{test.name} ...\n")
             sys.stdout.flush()
             sections[test.name] = section(test, share)
