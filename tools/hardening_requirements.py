@@ -6,7 +6,7 @@ from typing import Any
 from mavfi.campaign.analysis.pairs import Paired
 from mavfi.campaign.hardening.advise import Curve, Step
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.reports.hardening.plain import interval
+from mavfi.reports.hardening.plain import interval, interval_of
 from mavfi.reports.text import percent
 
 HEADINGS = ("what", "requirement", "measured", "met", "what limits")
@@ -69,9 +69,17 @@ def _gap(curve: Curve, most: float) -> str:
     return "" if above is None else f"no step between ×{below:.2f} and ×{above:.2f} was tried"
 
 
+def _next(curve: Curve, most: float) -> str:
+    """The cheapest step that takes longer than is allowed."""
+    step = min((step for step in curve.steps if step.time > most), key=lambda step: step.time)
+    return f"the next step takes ×{step.time:.2f}, predicted: {interval_of(step.coverage)}; {_full(curve)}"
+
+
 _LIMITS: dict[str, Callable[[Curve, Row, float], str]] = {
     "plan_rrt_connect": lambda curve, row, most: (
         f"n = {row['sdc_after']['n']} faults cannot reach a lower bound of 94 %: more faults would help; {_full(curve)}"
+        if row["coverage"]["rate"] >= REQUIRED["plan_rrt_connect"][1]
+        else _next(curve, most)
     ),
     "time_to_collision": lambda curve, row, most: (
         f"`floor` is a call of libm in code for every CPU: code for newer ones would help; {_full(curve)}"
