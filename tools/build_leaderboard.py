@@ -3,7 +3,7 @@
 python -m tools.build_leaderboard out/bench [quick|paper]
 
 Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  A bench without the paper's detectors
-leaves engineers.md and README.md as they are.
+leaves engineers.md and README.md as they are; sections of the page that it did not fly remain, with their date.
 """
 
 import csv
@@ -27,6 +27,7 @@ RULES = {
 """Rule of the page that protects each site of the part `sites`."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
+_FLOWN = "Flown on "
 
 
 def rules(sites: Path, instructions: Path) -> str:
@@ -46,8 +47,8 @@ def rules(sites: Path, instructions: Path) -> str:
     return "\n".join(lines)
 
 
-def headline(sites: Path) -> str:
-    """Missions recovered by the paper's detectors and by the recommended scheme, in one paragraph.
+def headline(sites: Path, page: str = "leaderboard") -> str:
+    """Missions recovered by the paper's detectors and by the recommended scheme, in one paragraph that names the page.
 
     Raises:
         BadInputError: The folder holds no ledger.
@@ -62,7 +63,7 @@ def headline(sites: Path) -> str:
         f"**And what brings them back?** Of {lost} missions lost to one flipped bit in the values that kernels hand to "
         f"each other, in the fields that lose most, the paper's Gaussian detector brings back {back[PAPERS]}, its "
         f"autoencoder {back[PAPERS_OTHER]}, and `--detector recommended` {back[OURS]}: rules of physics and protocol, "
-        "nothing trained. [Leaderboard](docs/generated/leaderboard.md); [five rules](docs/engineers.md) for a stack of "
+        f"nothing trained. [Leaderboard](docs/generated/{page}.md); [five rules](docs/engineers.md) for a stack of "
         "your own."
     )
 
@@ -99,6 +100,19 @@ def publish(page: str, scale: str) -> None:
                 csv.writer(file, lineterminator="\n").writerows(rows)
 
 
+def with_earlier(page: str, earlier: str) -> str:
+    """The page with the sections of an earlier one that it lacks, each with the line that says when it was flown."""
+    head, *sections = earlier.partition("\n![")[0].rstrip().split("\n## ")
+    flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
+    titles = {section.partition("\n")[0] for section in page.split("\n## ")[1:]}
+    for section in sections:
+        title, _, rest = section.partition("\n")
+        if title not in titles:
+            when = "" if _FLOWN in rest else f"\n{flown}\n"
+            page = f"{page.rstrip()}\n\n## {title}\n{when}{rest.rstrip()}\n"
+    return page
+
+
 def main(arguments: list[str]) -> int:
     """Write the pages; returns the exit code."""
     if len(arguments) not in (1, 2):
@@ -110,8 +124,9 @@ def main(arguments: list[str]) -> int:
         compared = load(bench / "sites").values("arm")
         worth = recovery = ""
         if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared):
-            worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
-        page = (bench / "leaderboard.md").read_text(encoding="utf-8")
+            worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench / "sites", name)
+        page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
+        page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "")
         freeze(bench, scale)
         publish(page, scale)
     except (BadInputError, OSError) as error:
@@ -122,7 +137,7 @@ def main(arguments: list[str]) -> int:
         image = name.replace("leaderboard", "curves")
         picture = f"\n![Detection against false alarms](../images/{image}.png)\n"
         shutil.copy(bench / "curves.png", IMAGES / f"{image}.png")
-    (GENERATED / f"{name}.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
+    file.write_text(banner(COMMAND) + page + picture, encoding="utf-8")
     if worth:
         fill(DOCS / "engineers.md", {"rules": worth})
         fill(ROOT / "README.md", {"recovery": recovery})

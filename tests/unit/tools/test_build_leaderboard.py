@@ -8,7 +8,7 @@ import pytest
 from mavfi.campaign.bench import load_bench
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, died, flown, golden, injected, runs
 from tools import build_leaderboard
-from tools.build_leaderboard import NAME, RULES, headline, main, publish, rules
+from tools.build_leaderboard import NAME, RULES, headline, main, publish, rules, with_earlier
 
 
 @pytest.fixture
@@ -64,3 +64,12 @@ def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
     publish(page + "\n## Other\n\n| scheme |\n| --- |\n| c |\n", "quick")
     assert [path.name for path in frozen.glob("*.rows.csv")] == ["sites-quick.rows.csv"]
     assert (frozen / "sites-quick.rows.csv").read_text() == 'scheme,lost\na b,"3 [1, 5]"\n'
+
+
+def test_sections_that_were_not_flown_again_remain_with_their_date():
+    earlier = "top\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n- n\n\n## b\n\n| 2 |\n\n![picture](p.png)\n"
+    page = with_earlier("top\n\nFlown on 2.\n\n## b\n\n| 3 |\n", earlier)
+    assert page == "top\n\nFlown on 2.\n\n## b\n\n| 3 |\n\n## a\n\nFlown on 1.\n\n| 1 |\n\n- n\n"
+    assert with_earlier(page, page) == page and with_earlier(page, "") == page
+    again = with_earlier("top\n\nFlown on 3.\n\n## b\n\n| 4 |\n", page)
+    assert "## a\n\nFlown on 1.\n\n| 1 |" in again and again.count("Flown on") == 2
