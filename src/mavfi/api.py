@@ -29,7 +29,7 @@ from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
-from mavfi.states import DETECTORS
+from mavfi.states import WATCHING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -195,7 +195,7 @@ def _fly_fault(
         return FlightResult(setup.scenario, flight, own, fault)
     flight, own = _flown(setup, fault, None, own_host)
     known = golden if bare == setup.scenario else None
-    of_detector = getattr(fault, "kernel", "") in DETECTORS  # such faults exist only with the detector
+    of_detector = getattr(fault, "kernel", "") in WATCHING  # such faults exist only with the detector
     alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, own_host)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 

@@ -117,8 +117,9 @@ class MissionSpec(Config):
     answer_s: float = Field(
         0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."
     )
-    degraded: Literal["none", "hover"] = Field(
-        "none", description="Where restarts do not help: none (fly on), or hover (commands are withheld from then on)."
+    degraded: Literal["none", "hover", "hold", "back"] = Field(
+        "none",
+        description="Where restarts do not help: none (fly on), hover, hold (the position), or back (along the path).",
     )
     copies: int = Field(
         1, ge=1, le=3,

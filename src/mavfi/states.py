@@ -104,8 +104,13 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     ),
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
+    "physics_gate": ("judge_gate",),
 }  # fmt: skip
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
+RECOVERY = "recovery"
+"""What recovery remembers between alarms: a target of memory faults in flights with a detector."""
+WATCHING = (*DETECTORS, RECOVERY)
+"""Targets of memory faults that exist only in flights with a detector."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""

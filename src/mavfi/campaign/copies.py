@@ -2,7 +2,10 @@
 
 from collections.abc import Mapping
 
-from mavfi.campaign.config import ArmConfig
+from mavfi.campaign.config import ArmConfig, Campaign
+from mavfi.detectors.registry import is_named
+from mavfi.errors import BadInputError
+from mavfi.states import RECOVERY
 
 
 def lead_of(arms: Mapping[str, ArmConfig], name: str) -> str:
@@ -11,6 +14,26 @@ def lead_of(arms: Mapping[str, ArmConfig], name: str) -> str:
     if own is None or not own.detector:
         return name
     return next(other for other, arm in arms.items() if _but_copies(arm) == _but_copies(own))
+
+
+def watched_in(campaign: Campaign, detector: str) -> str:
+    """The arm in which a detector, also as a named configuration (`recommended`), or recovery is injected.
+
+    Raises:
+        BadInputError: There is no such arm, or several differ in more than copies.
+    """
+    found = [
+        name
+        for name, arm in campaign.arms.items()
+        if arm.detector and (detector == RECOVERY or is_named(arm.detector, detector))
+    ]
+    leads = list(dict.fromkeys(lead_of(campaign.arms, name) for name in found))
+    if len(leads) != 1:
+        raise BadInputError(
+            f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm, or "
+            "of arms that differ in copies alone"
+        )
+    return leads[0]
 
 
 def _but_copies(arm: ArmConfig) -> ArmConfig:

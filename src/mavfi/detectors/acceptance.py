@@ -198,7 +198,7 @@ class AcceptanceTest:
         """Memory between publications, see `Detector`."""
         known.settle(self.record)
         own = self.record[0]
-        stored = zip(own["blocks"][: own["stored"]], own["counts"], strict=False)
+        stored = zip(own["blocks"][: known.used(int(own["stored"]), 0, known.KEPT)], own["counts"], strict=False)
         trajectories = tuple(self.blocks[place, :count].tobytes() for place, count in stored)
         vehicle = floats(self.odometry, _VEHICLE_FLOATS).tobytes()
         return self.record.view(np.uint8)[known.MEMORY].tobytes(), vehicle, trajectories
@@ -213,6 +213,15 @@ class AcceptanceTest:
             found = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
             self.make_room(len(found))
             self.blocks[place, : len(found)] = found
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name, see `Detector`."""
+        known.settle(self.record)
+        self.odometry = self.odometry.copy()  # it belongs to the publication
+        stored = known.used(int(self.record[0]["stored"]), 0, known.KEPT)
+        places = zip(self.record[0]["blocks"][:stored], self.record[0]["counts"], strict=False)
+        points = {f"trajectories[{index}]": self.blocks[place, :count] for index, (place, count) in enumerate(places)}
+        return {**known.named(self.record), "vehicle": floats(self.odometry, _VEHICLE_FLOATS), **points}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""

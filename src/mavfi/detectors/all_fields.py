@@ -24,7 +24,7 @@ class CodeScorer(Scorer):
     """
 
     def __init__(self, everything: Everything) -> None:
-        self.everything, self.kept = everything, (everything.known,)
+        self.everything, self.kept = everything, {"known": everything.known}
         self.fields, self.stages = everything.fields, everything.stages
         size = len(self.fields)
         self._codes = np.zeros(size, np.int16)
@@ -93,7 +93,7 @@ class HoldingScorer(CodeScorer):
     def __init__(self, everything: Everything) -> None:
         super().__init__(everything)
         self._held = np.zeros_like(self._codes)
-        self.kept += (self._held,)
+        self.kept = {**self.kept, "held": self._held}
 
     def vector(self, slot: int) -> np.ndarray:
         """Codes of all states, with the current ones of one state. Shape (n,)."""

@@ -127,7 +127,7 @@ class AutoencoderScorer(DeltaScorer):
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
         held = np.zeros(len(preprocessor.fields), np.int16)
         super().__init__(preprocessor, network, held)
-        self.kept += (held,)
+        self.kept = {**self.kept, "held": held}
 
 
 class AutoencoderDetector(ScoringDetector):

@@ -81,7 +81,7 @@ class SumScorer(CodeScorer):
         super().__init__(everything)
         self._centre, self._deviation, self._slack = centre, deviation, slack
         self._sums, self._after = np.zeros((len(self.fields), 2)), np.zeros((len(self.fields), 2))
-        self.kept += (self._sums,)
+        self.kept = {**self.kept, "sums": self._sums}
 
     def measure(self, slot: int, regime: int) -> None:
         """See `CodeScorer.measure`."""

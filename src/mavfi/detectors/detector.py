@@ -43,6 +43,9 @@ class Detector(Protocol):
     A detector may have `states`, the names of the states that it reads; a host need not pass it any others.  If absent
     or None, the detector receives all states.
 
+    A detector whose memory can be injected has `arrays()`: the arrays that it remembers between publications, by name,
+    not copies; without the parameters of its model, and called between publications only.
+
     A detector may also have `memory()` and `restore(memory)`: its memory as plain data that `==` compares bit for bit,
     and the inverse.  A host that restores a checkpoint copies a detector without these methods as a whole.
     """

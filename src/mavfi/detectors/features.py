@@ -113,9 +113,9 @@ def integer_at(content: np.ndarray, offset: int) -> int:
 
 @kernel_jit
 def _regime(content: np.ndarray, place: np.ndarray, memory_row: np.ndarray, last: np.ndarray) -> int:
-    offset = place[TRAJECTORY]
-    if offset < 0:
-        return int(memory_row[REGIME])
+    offset, largest = place[TRAJECTORY], memory_row[REGIME]
+    if offset < 0:  # compared, not converted: a corrupted number must not become an index
+        return NEW_TRAJECTORY if largest == NEW_TRAJECTORY else SWITCH if largest == SWITCH else PLAIN
     if memory_row[SEEN] == 0.0 or integer_at(content, offset) != integer_at(last, offset):
         return NEW_TRAJECTORY
     return SWITCH

@@ -1,7 +1,8 @@
 """Physics gate: checks against what a vehicle of this kind can do, without training; a separate alarm source."""
 
 import math
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,6 +32,12 @@ _SLOTS = {name: slot for slot, name in enumerate(STATES_JUDGED)}
 _STATUS, _WAYPOINT, _COMMAND = range(3)
 _COUNTER, _COUNTED, _NUMBER, _NUMBERED, _POSITION = range(5)
 _ACCEPTED = 7
+_NAMED = {
+    "future_collision_seq": slice(_COUNTER, _COUNTED), "counted": slice(_COUNTED, _NUMBER),
+    "trajectory_seq": slice(_NUMBER, _NUMBERED), "numbered": slice(_NUMBERED, _POSITION),
+    "position": slice(_POSITION, _ACCEPTED),
+}  # fmt: skip
+"""Names of the memory."""
 
 
 def _places(slot: int, *names: str) -> list[int]:
@@ -161,17 +168,24 @@ class PhysicsGate:
 
     Attributes:
         states: Names of the states that it reads.
+        compiled: Compiled functions that can be instrumented, by name; see `detector.part_of`.
     """
 
-    states = frozenset(STATES_JUDGED)
+    source, states = SOURCE, frozenset(STATES_JUDGED)
+    compiled: ClassVar[dict[str, Callable[..., Any]]] = {"judge_gate": judge}
 
     def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
         self._given = v_max, arena
         self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
         self._kept, self._then = np.zeros(_ACCEPTED), np.zeros(_ACCEPTED + 1)
         self._candidate: State | None = None
+        self.instrument({})
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace the compiled function, see `detector.part_of`."""
         content = bytes_of(new_state(STATES_JUDGED[_WAYPOINT]).header)
-        self._judge = entry(judge, content, _WAYPOINT, self._limits, self._kept, self._then)
+        plain = entry(judge, content, _WAYPOINT, self._limits, self._kept, self._then)
+        self._judge: Callable[..., int] = made.get("judge_gate", plain)
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -214,6 +228,11 @@ class PhysicsGate:
         """Inverse of `memory`."""
         self.start()
         self._kept[:] = np.frombuffer(memory)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name, see `Detector`."""
+        self.memory()
+        return {name: self._kept[place] for name, place in _NAMED.items()}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""

@@ -116,7 +116,7 @@ class OnlineScorer(DeltaScorer):
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
         self._trained, self._statistics = statistics, statistics.copy()
         super().__init__(preprocessor, self._statistics, min_count)
-        self.kept += (self._statistics,)
+        self.kept = {**self.kept, "statistics": self._statistics}
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""

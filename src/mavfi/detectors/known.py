@@ -77,6 +77,19 @@ def new_record(limits: MissionLimits) -> np.ndarray:
     return known
 
 
+def named(known: np.ndarray) -> dict[str, np.ndarray]:
+    """The memory by name, headers by field: the arrays themselves, not copies."""
+    found: dict[str, np.ndarray] = {}
+    for name in KNOWN.names[_FIRST:_END] if KNOWN.names else ():
+        array = known[name].reshape(-1)
+        if name in _HEADERS:
+            header = array.view(_HEADERS[name])
+            found |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
+        else:
+            found[name] = array
+    return found
+
+
 def forget(known: np.ndarray) -> None:
     """Reset the memory at the start of a flight."""
     known.view(np.uint8)[MEMORY] = 0
@@ -113,10 +126,16 @@ def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
 
 
 @kernel_jit
+def used(count: int, least: int, most: int) -> int:
+    """A number of entries within its bounds: a corrupted one must not become an index."""
+    return min(max(count, least), most)
+
+
+@kernel_jit
 def note_status(header: np.ndarray, now: int, known: np.ndarray) -> None:
     """Record a collision status published at `now` (us)."""
     own = known[0]
-    counter, count = int(header[0]["future_collision_seq"]), own["changes"]
+    counter, count = int(header[0]["future_collision_seq"]), used(own["changes"], 1, COUNTERS)
     times, counters = own["times"], own["counters"]
     if counter != counters[count - 1]:
         if count == COUNTERS:
@@ -133,10 +152,11 @@ def answerable(now: int, known: np.ndarray) -> np.ndarray:
     own = known[0]
     began = now - own["planning_us"]
     found, count = np.zeros(COUNTERS + 1, np.int64), 0
-    for index in range(own["changes"]):
+    changes = used(own["changes"], 1, COUNTERS)
+    for index in range(changes):
         if own["times"][index] <= began:
             found[0], count = own["counters"][index], 1
-    for index in range(own["changes"]):
+    for index in range(changes):
         if own["times"][index] > began - _JITTER_US:
             found[count] = own["counters"][index]
             count += 1
@@ -160,7 +180,7 @@ def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, b
     own["last_trajectory"][:] = header.view(np.uint8)
     if len(points) == 0:
         return
-    number, stored, places = int(header[0]["trajectory_seq"]), own["stored"], own["blocks"]
+    number, stored, places = int(header[0]["trajectory_seq"]), used(own["stored"], 0, KEPT), own["blocks"]
     drop = 0 if stored == KEPT else stored
     for index in range(stored):
         if own["numbers"][index] == number:
@@ -178,7 +198,7 @@ def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, b
 def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Points of a stored trajectory. Shape (n, 11); (0, 11) if unknown."""
     own = known[0]
-    for index in range(own["stored"]):
+    for index in range(used(own["stored"], 0, KEPT)):
         if own["numbers"][index] == number:
             return blocks[own["blocks"][index], : own["counts"][index]]
     return blocks[0, :0]
@@ -187,5 +207,5 @@ def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 @kernel_jit
 def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Points of the latest stored trajectory. Shape (n, 11); (0, 11) if there is none."""
-    last = known[0]["stored"] - 1
+    last = used(known[0]["stored"], 0, KEPT) - 1
     return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]

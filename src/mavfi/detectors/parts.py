@@ -59,7 +59,7 @@ class Scorer(ABC):
         fields: Watched fields, "state.field".
         stages: Stage of each.
         states: Names of the states that it reads; None = all.
-        kept: Memory of a flight, as arrays; 0 at its start.
+        kept: Memory of a flight, as arrays by name; 0 at its start.
         adapts: Whether `accept` needs the verdict on the publication.
         threshold: Converts readings to scores.
     """
@@ -67,7 +67,7 @@ class Scorer(ABC):
     fields: tuple[str, ...]
     stages: tuple[str, ...]
     states: frozenset[str] | None = None
-    kept: tuple[np.ndarray, ...] = ()
+    kept: Mapping[str, np.ndarray] = {}
     adapts = False
     threshold: "Threshold"
     _judged: "tuple[Reading, Verdict]"
@@ -108,17 +108,21 @@ class Scorer(ABC):
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        for part in self.kept:
+        for part in self.kept.values():
             part[...] = 0
 
     def memory(self) -> tuple[bytes, ...]:
         """Memory between publications."""
-        return tuple(part.tobytes() for part in self.kept)
+        return tuple(part.tobytes() for part in self.kept.values())
 
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
-        for part, content in zip(self.kept, memory, strict=True):
+        for part, content in zip(self.kept.values(), memory, strict=True):
             part[...] = np.frombuffer(content, part.dtype).reshape(part.shape)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name: the arrays themselves, not copies."""
+        return dict(self.kept)
 
 
 @kernel_jit
@@ -244,14 +248,14 @@ class ScoringDetector:
         scorer.use(threshold)
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
-        self._persists = False
+        self._persists = np.zeros(1, np.bool_)
         self._adapts, self._accept = scorer.adapts, scorer.accept
         self._scored: State | None = None
         self._score: float | None = None
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        self._scored, self._persists = None, False
+        self._scored, self._persists[0] = None, False
         self.scorer.start()
 
     def score(self, state: State, time_us: int) -> float | None:
@@ -272,13 +276,13 @@ class ScoringDetector:
         found = self.threshold.standing_out(reading, verdict, lacking)
         names = tuple(self.scorer.fields[index] for index in found)
         alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(score), fields=names)
-        return self.policy(alarm, state, self._persists)
+        return self.policy(alarm, state, bool(self._persists[0]))
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
         if self._counts_waypoints and state.spec.name == _WAYPOINT:
             score = self.score(state, time_us)
-            self._persists = self._persists if score is None else not score <= 1.0
+            self._persists[0] = self._persists[0] if score is None else not score <= 1.0
         verdict = None
         if self._adapts and self.score(state, time_us) is not None:
             verdict = self.scorer.judged()[1]
@@ -297,13 +301,18 @@ class ScoringDetector:
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """Memory between publications, see `Detector`."""
-        return self.scorer.memory(), self._persists
+        return self.scorer.memory(), bool(self._persists[0])
 
     def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
         """Inverse of `memory`."""
         self._scored = None
-        kept, self._persists = memory
+        kept, self._persists[0] = memory
         self.scorer.restore(kept)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name, see `Detector`."""
+        self._scored = None
+        return {**self.scorer.arrays(), "persists": self._persists}
 
 
 class Chain:

@@ -81,6 +81,7 @@ class Preprocessor:
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
         self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
+        self._specs = tuple(specs.values())
         size = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.Watch(
             places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
@@ -93,13 +94,22 @@ class Preprocessor:
         self.states = frozenset(self.slots).union(ODOMETRY.values() if predicts else ())
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
-        """All arrays of the memory."""
-        return self.watch.memory, self.watch.last, self.watch.vehicle
+    def kept(self) -> dict[str, np.ndarray]:
+        """All arrays of the memory, by name."""
+        return {"memory": self.watch.memory, "last": self.watch.last, "vehicle": self.watch.vehicle}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The memory, the last publications by state and field."""
+        memory, last = self.watch.memory, self.watch.last
+        found = {"seen": memory[:, features.SEEN], "regime": memory[:, features.REGIME], "vehicle": self.watch.vehicle}
+        for slot, spec in enumerate(self._specs):
+            header = last[slot, : spec.header_dtype.itemsize].view(spec.header_dtype)
+            found |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
+        return found
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        for part in self.kept:
+        for part in self.kept.values():
             part[...] = 0
 
     def range_of(self, slot: int) -> tuple[int, int]:
@@ -230,6 +240,13 @@ class DeltaScorer(Scorer):
             self.settle(*self._tables)
         self._see()
         return super().memory()
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name: the arrays themselves, not copies."""
+        self.memory()  # commits the publication judged last
+        self._candidate = None
+        own = {name: array for name, array in self.kept.items() if name not in self.features.kept}
+        return {**self.features.arrays(), **own}
 
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""

@@ -14,7 +14,7 @@ from mavfi.faults import strata
 from mavfi.faults.planned import NO_SITE as NO_SITE
 from mavfi.faults.planned import Planned
 from mavfi.faults.sensor.fault import SensorFault
-from mavfi.states import KERNELS, STATES, find_state
+from mavfi.states import KERNELS, STATES, WATCHING, find_state
 
 Model = Literal["one_bit", "bits", "random", "zero"]
 MODELS: tuple[Model, ...] = get_args(Model)
@@ -122,7 +122,7 @@ class MemoryFault(Planned):
     """One bit of a word in a kernel's memory, at an instant.
 
     Attributes:
-        kernel: As in `states.KERNELS`.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector, or recovery.
         field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
@@ -148,7 +148,7 @@ class MemoryFault(Planned):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for value, allowed in ((self.kernel, KERNELS), (self.dtype, strata.WORD_BITS)):
+        for value, allowed in ((self.kernel, (*KERNELS, *WATCHING)), (self.dtype, strata.WORD_BITS)):
             if value not in allowed:
                 raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")
         bits = strata.WORD_BITS[self.dtype]

@@ -14,7 +14,7 @@ from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
-from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
+from mavfi.states import KERNELS, STATES, WATCHING, Field, StateSpec, states_with
 
 FORM = (
     "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
@@ -104,7 +104,7 @@ class MemoryRequest:
     """A fault in the memory of a kernel as requested by the user; anything not given is drawn by exposure.
 
     Attributes:
-        kernel: As in `states.KERNELS`.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`.
         field: Name of words, or a part of it, with an optional index (see `pipeline.words.Words.named`); "" = all.
         bit: None = drawn from the whole word.
         time_us: None = drawn from the golden run.
@@ -249,7 +249,7 @@ def _parse_memory(text: str, rest: str, localization: str) -> MemoryRequest:
     if match is None:
         _not_understood(text, rest, localization)
     kernel, _, field = match["path"].partition(".")
-    known = [spec.name for spec in KERNELS.values() if spec.only_with in ("", localization)]
+    known = [*(spec.name for spec in KERNELS.values() if spec.only_with in ("", localization)), *WATCHING]
     if kernel not in known:
         raise BadInputError(f"fault {text!r}: no kernel {kernel!r}; allowed: {', '.join(known)}")
     bit = None if match["bit"] is None else int(match["bit"])

@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
-from mavfi.campaign.copies import lead_of
+from mavfi.campaign.copies import lead_of, watched_in
 from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
-from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
@@ -45,7 +44,7 @@ class InstructionSampler:
                 f"sampling.kernels: {others[0]!r}: detectors are trained with one planner; allowed with arms: kernels "
                 f"of missions with planner {planner!r}"
             )
-        self._watched = {name: _arm_with(campaign, name) for name in self._sampling.kernels if name in DETECTORS}
+        self._watched = {name: watched_in(campaign, name) for name in self._sampling.kernels if name in DETECTORS}
         _check_arms(campaign, self._sampling.kernels, {"planner": planner, "map": "octomap"})
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
@@ -102,18 +101,6 @@ class InstructionSampler:
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
         """Not supported at this level."""
         raise BadInputError("null runs: allowed with faults in states")
-
-
-def _arm_with(campaign: Campaign, detector: str) -> str:
-    """The arm whose detector is injected, under its own name or as a named configuration (`recommended`)."""
-    found = [name for name, arm in campaign.arms.items() if is_named(arm.detector, detector)]
-    leads = list(dict.fromkeys(lead_of(campaign.arms, name) for name in found))
-    if len(leads) != 1:
-        raise BadInputError(
-            f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm, or "
-            "of arms that differ in copies alone"
-        )
-    return leads[0]
 
 
 def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:

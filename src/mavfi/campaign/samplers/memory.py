@@ -7,28 +7,32 @@ golden flight suffices, and none of its states are stored.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from mavfi.campaign.config import Campaign, MemorySampling
+from mavfi.campaign.copies import watched_in
 from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled, TargetBlocks
+from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import MemoryRequest
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
-from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.instruction.case import check_watched
+from mavfi.hosts.local.memory_faults import memory_of
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US, Loop
 from mavfi.mission import Scenario
-from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.words import Words, words_of
-from mavfi.states import KERNELS
+from mavfi.states import KERNELS, WATCHING
 
 _ACTION = "exposure"
 Site = tuple[str, str]
-"""A kernel, and a name of its words (see `Words.named`)."""
+"""A kernel, a detector or recovery, and a name of its words (see `Words.named`)."""
 _Place = tuple[str, Words, range]
 
 
@@ -51,6 +55,7 @@ class Exposure:
         bit: A single bit number; None = all of the stratum.
         drawings: The faults to be drawn.
         seen: Exposed bits x instants so far; `whole`: the same count for whole words.
+        latest: The latest words, by kernel.
     """
 
     sites: tuple[Site, ...]
@@ -59,10 +64,11 @@ class Exposure:
     drawings: list[_Drawing] = field(default_factory=list)
     seen: int = 0
     whole: int = 0
+    latest: Mapping[str, Sequence[Words]] = field(default_factory=dict)
 
     def look(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
         """Update the drawings with the words at an instant (us)."""
-        places = self._places(remembered)
+        self.latest, places = remembered, self._places(remembered)
         sizes = [len(indices) * len(self._bits(words)) for _, words, indices in places]
         here = sum(sizes)
         self.seen += here
@@ -104,13 +110,17 @@ class Exposure:
         return [replace(one.chosen or nothing, weight=weight, seed=one.seed) for one in self.drawings]
 
 
-def fly_exposed(scenario: Scenario, exposures: Sequence[Exposure], time_us: int | None = None) -> Flight:
-    """Fly the golden flight, and draw from its kernels' memory at an instant (us), or at every control period."""
+def fly_exposed(
+    scenario: Scenario, exposures: Sequence[Exposure], time_us: int | None = None, detector: Detector | None = None,
+    recovery: Recovery = INLINE,
+) -> Flight:  # fmt: skip
+    """Fly the golden flight, and draw from its memory at an instant (us), or at every control period."""
     loop = new_loop(scenario, profile=True)
-    kernels = dict.fromkeys(kernel for exposure in exposures for kernel, _ in exposure.sites)
+    watch(loop, detector, recovery)
+    targets = dict.fromkeys(target for exposure in exposures for target, _ in exposure.sites)
 
     def look(now: int) -> None:
-        remembered = {name: list(words_of(_kernel(loop, name))) for name in kernels if name in loop.kernels}
+        remembered = {name: _words(loop, name, detector) for name in targets}
         for exposure in exposures:
             exposure.look(remembered, now)
 
@@ -120,22 +130,32 @@ def fly_exposed(scenario: Scenario, exposures: Sequence[Exposure], time_us: int 
     return loop.fly()
 
 
-def _kernel(loop: Loop, name: str) -> Remembers:
-    return cast(Remembers, loop.kernels[name])  # all kernels of this process implement it
+def _words(loop: Loop, target: str, detector: Detector | None) -> list[Words]:
+    holder = memory_of(loop, target, detector)
+    return [] if holder is None else list(words_of(holder))
 
 
-def draw_memory(scenario: Scenario, request: MemoryRequest, seed: int) -> tuple[MemoryFault, Flight]:
+def draw_memory(
+    scenario: Scenario, request: MemoryRequest, seed: int, detector: Detector | None = None,
+    recovery: Recovery = INLINE,
+) -> tuple[MemoryFault, Flight]:  # fmt: skip
     """Draw the fault of a user's request; also returns the golden flight of the draw.
 
+    A detector, with its recovery, is flown only if the fault is in the memory of one of them.
+
     Raises:
-        BadInputError: The kernel's memory has no such word, or none with such a bit, at that instant.
+        BadInputError: The target's memory has no such word, or none with such a bit, at that instant.
     """
+    if request.kernel in WATCHING:
+        check_watched(request.kernel, detector)
+    else:
+        detector = None
     random = stream(seed, "memory", request.kernel)
     exposure = Exposure(((request.kernel, request.field),), "", request.bit, [_Drawing(random, seed)])
-    golden = fly_exposed(scenario, [exposure], request.time_us)
+    golden = fly_exposed(scenario, [exposure], request.time_us, detector, recovery)
     (fault,) = exposure.faults()
     if not fault.has_site:
-        names = dict.fromkeys(words.name for words in words_of(cast(Remembers, golden.pipeline[request.kernel])))
+        names = dict.fromkeys(words.name for words in exposure.latest.get(request.kernel, ()))
         when = "" if request.time_us is None else f" at {1e-6 * request.time_us:g} s"
         bit = "" if request.bit is None else f" with a bit {request.bit}"
         raise BadInputError(
@@ -145,10 +165,13 @@ def draw_memory(scenario: Scenario, request: MemoryRequest, seed: int) -> tuple[
 
 
 class MemorySampler:
-    """Draws one bit of a word in a kernel's memory.
+    """Draws one bit of a word in the memory of a kernel, a detector or recovery.
+
+    Faults in a detector or recovery are drawn from the golden run of its arm, and injected in that arm alone; with arms
+    that differ in its copies alone, in each of these.
 
     Raises:
-        BadInputError: The sampling names a kernel that is not part of the mission.
+        BadInputError: The sampling names a target that is not part of the mission, or of one arm.
     """
 
     variants: Mapping[str, Mapping[str, Any]] = {}
@@ -160,7 +183,9 @@ class MemorySampler:
         self._campaign, self._sampling = campaign, campaign.sampling
         self._known = [name for name, row in KERNELS.items() if row.only_with in ("", spec.localization)]
         self._targets = self._find_targets()
-        self._blocks = TargetBlocks(campaign, dict.fromkeys(self._targets, self._sampling.strata or {"": 1.0}))
+        self._watched = {name: self._flown_in(sites) for name, sites in self._targets.items()}
+        shares = dict.fromkeys(self._targets, self._sampling.strata or {"": 1.0})
+        self._blocks = TargetBlocks(campaign, shares, variants=self._watched)
 
     def _find_targets(self) -> dict[str, tuple[Site, ...]]:
         sampling = self._sampling
@@ -172,9 +197,16 @@ class MemorySampler:
         else:
             targets = {"memory": tuple((kernel, "") for kernel in kernels)}
         for kernel, _ in (site for sites in targets.values() for site in sites):
-            if kernel not in self._known:
-                raise BadInputError(f"sampling: no kernel {kernel!r}; allowed: {', '.join(self._known)}")
+            if kernel not in (*self._known, *WATCHING):
+                raise BadInputError(f"sampling: no kernel {kernel!r}; allowed: {', '.join((*self._known, *WATCHING))}")
         return targets
+
+    def _flown_in(self, sites: tuple[Site, ...]) -> str:
+        """The arm in whose golden runs faults of a target are drawn; "" = the campaign's own mission."""
+        arms = {watched_in(self._campaign, name) if name in WATCHING else "" for name, _ in sites}
+        if len(arms) != 1:
+            raise BadInputError(f"sampling: {', '.join(name for name, _ in sites)}: allowed: targets of one arm")
+        return arms.pop()
 
     def blocks(self, environment: str) -> Sequence[Block]:
         """One block per target."""
@@ -184,16 +216,18 @@ class MemorySampler:
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
         """Fly the golden run, and draw its faults."""
+        if arm and not draws:
+            return Sampled(flights.golden(arm))
         exposures: dict[tuple[str, str], Exposure] = {}
         for draw in draws:
             number = draw.index // self._campaign.missions
             random = stream(draw.seed, "memory", draw.target, environment, number)
             self._exposure(exposures, draw.target, draw.stratum).drawings.append(_Drawing(random, draw.seed))
-        if self._campaign.nulls:
+        if self._campaign.nulls and not arm:
             seed = setup.scenario.seed
             every = exposures[NULL, ""] = Exposure(tuple((kernel, "") for kernel in self._known))
             every.drawings.append(_Drawing(stream(seed, "memory", NULL, environment), seed))
-        golden = fly_exposed(setup.scenario, list(exposures.values()))
+        golden = fly_exposed(setup.scenario, list(exposures.values()), None, setup.detector(), setup.recovery)
         flights.know(arm, golden)
         return Sampled(golden, faults={"/".join(key): exposure.faults() for key, exposure in exposures.items()})
 
@@ -203,8 +237,7 @@ class MemorySampler:
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """The faults drawn by `golden`, in order; None for each fault of a failed golden run."""
         del environment
-        faults = golden[""].faults if "" in golden else {}
-        waiting = {key: iter(found) for key, found in faults.items()}
+        waiting = {key: iter(found) for sampled in golden.values() for key, found in sampled.faults.items()}
         return [next(waiting.get(f"{d.target}/{d.stratum}", iter(())), None) for d in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:

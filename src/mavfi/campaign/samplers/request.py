@@ -12,7 +12,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.mission import Scenario
-from mavfi.states import DETECTORS
+from mavfi.states import DETECTORS, WATCHING
 
 
 def draw_request(
@@ -21,7 +21,7 @@ def draw_request(
 ) -> tuple[Fault, Flight | None]:  # fmt: skip
     """Draw a fault; also returns the golden flight (without a detector) if one was flown for the draw.
 
-    The detector is flown only if the fault is in one of its own instructions.
+    The detector is flown only if the fault is in its own instructions or memory.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -31,7 +31,8 @@ def draw_request(
     if isinstance(request, StateRequest):
         return draw_state(scenario, request, seed)
     if isinstance(request, MemoryRequest):
-        return draw_memory(scenario, request, seed)
+        in_memory, flown = draw_memory(scenario, request, seed, detector, recovery)
+        return in_memory, None if request.kernel in WATCHING else flown
     if isinstance(request, SensorRequest):
         return draw_sensor(scenario, request, seed)
     own = detector if request.kernel in DETECTORS else None

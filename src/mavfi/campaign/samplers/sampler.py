@@ -55,12 +55,15 @@ class TargetBlocks:
         campaign: Campaign with `faults` per target.
         shares: Shares of the strata, by target.
         orders: Name that seeds the order of a target's strata, by target; default: the target's own name.
+        variants: Arm in whose golden runs the faults of a target are drawn, by target; default: the campaign's mission.
     """
 
     def __init__(
-        self, campaign: Campaign, shares: Mapping[str, Mapping[str, float]], orders: Mapping[str, str] | None = None
-    ) -> None:
+        self, campaign: Campaign, shares: Mapping[str, Mapping[str, float]], orders: Mapping[str, str] | None = None,
+        variants: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
         self._campaign, self._shares, self._orders = campaign, shares, orders or {}
+        self._variants = variants or {}
         self._known: dict[str, Sequence[Block]] = {}
 
     def of(self, environment: str) -> Sequence[Block]:
@@ -74,7 +77,8 @@ class TargetBlocks:
         strata = share_out(self._shares[name], campaign.faults, campaign.first_seed, environment, order)
 
         def draw_one(index: int) -> Draw:
-            return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
+            seed, variant = campaign.first_seed + index % campaign.missions, self._variants.get(name, "")
+            return Draw(name, index, seed, variant, strata[index])
 
         return Block(campaign.faults, draw_one, place * campaign.faults)
 

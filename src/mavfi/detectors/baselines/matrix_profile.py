@@ -51,7 +51,7 @@ class StretchScorer(StateScorer):
         self._last = np.zeros((len(everything.slots), LENGTH - 1))
         self._published = np.zeros(len(everything.slots))
         self._new = 0.0
-        self.kept += (self._last, self._published)
+        self.kept = {**self.kept, "last": self._last, "published": self._published}
 
     def value(self, slot: int) -> float:
         """The newest value of a state's series."""

@@ -18,7 +18,7 @@ from mavfi.hosts.host import Flight
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers
-from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, State
+from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, RECOVERY, State
 
 WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
@@ -102,9 +102,7 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
             monitor the mission.
     """
     if kernel in DETECTORS:
-        if part_of(detector, kernel) is None:
-            names = ", ".join(name for name in detector_names() if is_named(name, kernel))
-            raise BadInputError(f"kernel {kernel!r}: this detector does not watch the mission; allowed: with {names}")
+        check_watched(kernel, detector)
         return
     if kernel not in INJECTABLE:
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
@@ -112,6 +110,13 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
         raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
+
+
+def check_watched(target: str, detector: Detector | None) -> None:
+    """Check that a detector, or recovery, is part of a flight with `detector`; `BadInputError` if not."""
+    if part_of(detector, target) is None and not (target == RECOVERY and detector is not None):
+        names = ", ".join(name for name in detector_names() if is_named(name, target)) or "a detector"
+        raise BadInputError(f"kernel {target!r}: this detector does not watch the mission; allowed: with {names}")
 
 
 def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> Case:

@@ -48,10 +48,10 @@ def fly(  # noqa: PLR0913 - each is independent
             protection is for other code.
     """
     loop = new_loop(scenario, profile=profile, functions=functions, make_plant=make_plant)
+    in_memory = MemoryInjector(loop, fault, detector) if isinstance(fault, MemoryFault) else None
     try:
         if isinstance(fault, StateFault):
             loop.taps.injector = StateInjector(fault)
-        in_memory = MemoryInjector(loop, fault) if isinstance(fault, MemoryFault) else None
         loop.taps.injector = in_memory or loop.taps.injector
         inject_sensor_fault(loop, fault)
         watch(loop, detector, recovery)
@@ -62,6 +62,8 @@ def fly(  # noqa: PLR0913 - each is independent
         check_flown(scenario.protection)
     finally:
         loop.plant.close()
+        if in_memory is not None:
+            in_memory.release()
     if in_memory is not None and in_memory.effect is not None:
         flight.log = replace(flight.log, kernel=in_memory.effect)
     return flight

@@ -1,6 +1,7 @@
-"""Injection of faults into a kernel's persistent memory, as the first action of the loop at the fault's instant.
+"""Injection of faults into persistent memory, as the first action of the loop at the fault's instant.
 
-A kernel that subsequently raises an exception terminates its node, under the mission's policy for dead nodes.
+Targets are kernels and, in flights with a detector, the detector and recovery.  A kernel or detector that subsequently
+raises an exception terminates its node, under the mission's policy for dead nodes.
 """
 
 from collections.abc import Callable
@@ -9,15 +10,17 @@ from weakref import proxy
 
 import numpy as np
 
+from mavfi.detectors.detector import Detector, part_of
+from mavfi.detectors.replicas import INJECTED
 from mavfi.errors import BadInputError, machine_failure
 from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import FROM_MEMORY
-from mavfi.pipeline.memory import Remembers
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import State
+from mavfi.states import DETECTORS, RECOVERY, State
 
 _ACTION = "memory_fault"
 _RESTART_US = round(1e6 * RESTART_S)
@@ -25,6 +28,33 @@ _ANSWERS: dict[str, Callable[[], Any]] = {
     "receive": bool, "step": list, "rollback": lambda: None, "again": lambda: None, "stop": list, "abandon": list,
 }  # fmt: skip
 """Return value of each method of a kernel that has crashed."""
+_CHECKS: dict[str, Callable[[], Any]] = {"check": lambda: None, "accept": lambda: None}
+"""Return value of each method of a detector that has crashed."""
+
+
+class DetectorMemory(Remembers):
+    """The memory of a detector, as that of a kernel: all of it is in arrays."""
+
+    def __init__(self, part: Any) -> None:  # noqa: ANN401 - a detector with `arrays`
+        self.memory, self.keepers = Memory(), (part,)
+
+
+def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Remembers | None:
+    """What holds the memory of a target at this instant; None = the mission has no such target, or its node is dead.
+
+    Args:
+        loop: The flight.
+        target: A kernel, or one of `states.WATCHING`.
+        detector: The detector of the flight.
+    """
+    if target not in (*DETECTORS, RECOVERY):
+        return None if target in loop.down else cast("Remembers | None", loop.kernels.get(target))
+    if loop.taps.detector is None or INJECTED in getattr(detector, "dead", ()):
+        return None
+    if target == RECOVERY:
+        return cast(Remembers, loop.taps.detector)  # `Watch`
+    part = part_of(detector, target)
+    return None if part is None else DetectorMemory(part)
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:
@@ -38,14 +68,19 @@ def flip_bit(word: np.ndarray, bit: int | None) -> None:
 class MemoryInjector:
     """Injector tap of a flight that has not started; publications pass unchanged.
 
+    Args:
+        loop: The flight.
+        fault: The fault.
+        detector: The detector of the flight.
+
     Attributes:
-        effect: How the kernel crashed after the fault; None = it did not.
+        effect: How the kernel or detector crashed after the fault; None = it did not.
     """
 
     spent = True
 
-    def __init__(self, loop: Loop, fault: MemoryFault) -> None:
-        self._loop, self._fault = proxy(loop), fault  # the loop owns this object
+    def __init__(self, loop: Loop, fault: MemoryFault, detector: Detector | None = None) -> None:
+        self._loop, self._fault, self._detector = proxy(loop), fault, detector  # the loop owns this object
         policy = loop.scenario.dead_node
         # not from memory: it is corrupted
         self._restarts = Restarts(loop, "fresh" if policy in FROM_MEMORY else policy)
@@ -62,38 +97,53 @@ class MemoryInjector:
 
     def _inject(self, now: int) -> None:
         fault, loop = self._fault, self._loop
-        if fault.kernel not in loop.kernels or fault.kernel in loop.down:
+        holder = memory_of(loop, fault.kernel, self._detector)
+        if holder is None:
             return  # the memory does not exist at this instant
-        kernel = loop.kernels[fault.kernel]
-        types = {words.dtype for words in words_of(cast(Remembers, kernel)) if words.name == fault.field}
+        types = {words.dtype for words in words_of(holder) if words.name == fault.field}
         if types - {fault.dtype}:
             raise BadInputError(f"fault in {fault.site}: dtype {fault.dtype!r}; allowed: {', '.join(sorted(types))}")
-        values = change(
-            cast(Remembers, kernel), fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit)
-        )  # fmt: skip
+        values = change(holder, fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit))
         if values is not None:
             self._injection = Injection(fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True)
-            self._guard(kernel)
+            self._guard()
 
-    def _guard(self, kernel: Any) -> None:
-        """Make exceptions of a kernel terminate its node instead of the flight."""
-        for name, answer in _ANSWERS.items():
-            if hasattr(kernel, name):
-                setattr(kernel, name, self._guarded(kernel.name, getattr(kernel, name), answer))
+    def _guard(self) -> None:
+        """Make exceptions of a kernel or detector terminate its node instead of the flight."""
+        target = self._fault.kernel
+        if target == RECOVERY:
+            return  # bounded operations on numbers
+        part: Any = part_of(self._detector, target) if target in DETECTORS else self._loop.kernels[target]
+        for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
+            if hasattr(part, name):
+                setattr(part, name, self._guarded(getattr(part, name), answer))
 
-    def _guarded(self, kernel: str, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
+    def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
             try:
                 return method(*arguments)
-            except Exception as error:  # any exception type: kernels operate on corrupted memory
+            except Exception as error:  # any exception type: the memory is corrupted
                 if machine_failure(error):
                     raise
-                if kernel not in self._loop.down:
+                if memory_of(self._loop, self._fault.kernel, self._detector) is not None:
                     self.effect = KernelEffect("exception", f"{type(error).__name__}: {error}", None)
-                    self._restarts.die(kernel, self._loop.now, _RESTART_US)
+                    self._die()
                 return answer()
 
         return call
+
+    def _die(self) -> None:
+        target, now = self._fault.kernel, self._loop.now
+        if self._detector is not None and target in DETECTORS:
+            self._restarts.detector_dies(self._detector, now, _RESTART_US)
+        else:
+            self._restarts.die(target, now, _RESTART_US)
+
+    def release(self) -> None:
+        """Remove the guard of a detector, which outlives the flight."""
+        if self._fault.kernel in DETECTORS:
+            for name in _CHECKS:
+                vars(part_of(self._detector, self._fault.kernel)).pop(name, None)
 
     @property
     def injections(self) -> list[Injection]:

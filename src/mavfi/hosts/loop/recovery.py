@@ -4,25 +4,26 @@ Coupling `inline`: the detector is a gate.  A rejected value is withheld, the ke
 is repeated at once; the result is published and accepted, even if it is the same value.  With `same_twice: escalate` it
 is checked again: a rule violated twice on the same inputs indicates corrupted node memory, and the node is restarted.
 With `grain: message` the producer's copy is retransmitted first, which repairs a value corrupted in transit; a value
-that was computed incorrectly is rejected again and then recomputed.  If a restart does not help, `degraded: hover`
-withholds all further commands: the flight controller hovers when the last one has expired.
+that was computed incorrectly is rejected again and then recomputed.  If a restart does not help, a degraded mode
+replaces all further commands, see `degraded`.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
 of the alarm, so the kernel is restored at its next step: at the next control period for planning and control, at the
 next image for perception, at the next IMU sample for the state estimator.
 """
 
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 from weakref import proxy
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
-from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, repeats
+from mavfi.hosts.loop.degraded import Degraded, Setpoints, Trail
+from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
 from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.pipeline.memory import Memory
 from mavfi.states import STAGE_KERNELS, STATES, Stage, State, StateSpec
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 Coupling = Literal["inline", "observer"]
 Grain = Literal["stage", "kernel", "message"]
 SameTwice = Literal["accept", "escalate"]
-Degraded = Literal["none", "hover"]
 COMMAND = "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
 """Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
@@ -59,11 +59,11 @@ class Recovery:
         answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
             0 = none.
         degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
-            continues the mission, `hover` withholds all further commands.
+            continues the mission, all others give it up, see `degraded.Setpoints`.
         copies: Number of copies of the detector that vote on an alarm, see `detectors.replicas`.
 
     Raises:
-        BadInputError: `degraded: hover` with coupling `observer`, which cannot withhold commands.
+        BadInputError: A degraded mode with coupling `observer`, which cannot withhold commands.
     """
 
     coupling: Coupling = "inline"
@@ -103,7 +103,7 @@ class Action:
 
     Attributes:
         kind: "recompute"; a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
-            the node of `kernel`; "resend" the value from its producer's copy; or "hover" from now on.
+            the node of `kernel`; "resend" the value from its producer's copy; or "degrade" from now on.
         stage: The stage whose latency is charged.
         kernel: The kernel whose step is repeated; "" = none, only the latency is charged.
         restores: Kernels whose memory is restored first, in this order.
@@ -112,7 +112,7 @@ class Action:
         alone: Whether only `kernel` is repeated, on its previous inputs and with its own latency.
     """
 
-    kind: Literal["recompute", "abandon", "stop", "restart", "resend", "hover"]
+    kind: Literal["recompute", "abandon", "stop", "restart", "resend", "degrade"]
     stage: Stage
     kernel: str = ""
     restores: tuple[str, ...] = ()
@@ -153,7 +153,7 @@ def decide(
     stage, gated = Stage(alarm.stage), recovery.coupling == "inline"
     if after == "recompute" or uncured:
         restart = Action("restart", spec.stage, spec.writer, withholds=gated)
-        return Action("hover", Stage.CONTROL) if uncured else restart
+        return Action("degrade", Stage.CONTROL) if uncured else restart
     if alarm.stop or alarm.abandon_waypoint:
         kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
         return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
@@ -180,6 +180,31 @@ def _never(kernel: str, now: int, after_us: int) -> None:
     raise AssertionError("no node is restarted under this policy")
 
 
+@dataclass(slots=True)
+class Remembered(Memory):
+    """What recovery remembers between alarms.
+
+    Attributes:
+        restarts_left: Remaining number of node restarts.
+        degraded: Whether it is in degraded mode: it replaces every command and checks nothing.
+        silenced: Whether the detector is disabled as faulty.
+        first_us: First instant of a contiguous series of hard alarms (us).
+        last_us: Its last instant (us).
+        hard: Instants of the latest hard alarms (us).
+        waiting: The wait for a path.
+        trail: Positions for the degraded mode.
+    """
+
+    restarts_left: int = MOST_RESTARTS
+    degraded: bool = False
+    silenced: bool = False
+    first_us: int = 0
+    last_us: int = -GAP_US
+    hard: list[int] = field(default_factory=list)
+    waiting: Waiting = field(default_factory=Waiting)
+    trail: Trail = field(default_factory=Trail)
+
+
 class Watch:
     """Connects a detector to a loop as a tap, and executes the response to its alarms.
 
@@ -192,13 +217,15 @@ class Watch:
         restart: Restarts the node of a kernel; arguments: kernel, instant (us), down time (us).
 
     Attributes:
-        restarts_left: Remaining number of node restarts.
+        memory: What it remembers between alarms.
+        keepers: None.
         alarm: The alarm on the last value, None = none.
         action: The response to it.
-        degraded: Whether it is in degraded mode: it withholds every command and checks nothing.
         seals: Whether it needs each value before injection, as sent by the producer.
         states: Names of the states that it needs to see; None = all.
     """
+
+    keepers = ()
 
     def __init__(
         self, loop: "Loop", detector: Detector, recovery: Recovery = INLINE,
@@ -206,20 +233,19 @@ class Watch:
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
-        self.restarts_left = MOST_RESTARTS
+        self.memory = Remembered()
         self.alarm: Alarm | None = None
         self.action: Action | None = None
-        self.degraded = False
-        self._hard_us = (0, -GAP_US)  # first and last instant of a contiguous series of hard alarms
         states = getattr(detector, "states", None)
         always = {WAYPOINT}.union(Answer.states if recovery.answer_s else ())  # required even without a model
-        always |= set() if recovery.degraded == "none" else {COMMAND}
+        self._setpoints = None
+        if recovery.degraded != "none":
+            self._setpoints = Setpoints(recovery.degraded, loop.scenario.v_max)
+            always |= {COMMAND} | self._setpoints.states
         self.states = None if states is None else always.union(states)
         self._sent: State | None = None
         self._seal = getattr(detector, "seal", None)
         self.seals = self._seal is not None or recovery.grain == "message"
-        self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants of the latest hard alarms (us)
-        self._silenced = False
         self._answer = None
         if recovery.answer_s:
             self._answer = Answer(recovery.answer_s, repeated=repeats(loop.scenario.autopilot))
@@ -235,13 +261,15 @@ class Watch:
         loop, detector, recovery = self._loop, self._detector, self._recovery
         awaited = loop.awaited.pop(state.spec.name, None)
         self.alarm = self.action = None
-        if self.degraded:
-            return None if state.spec.name == COMMAND else state
-        asks = not self._silenced and (awaited is None or recovery.same_twice == "escalate")
+        if self._setpoints is not None and state.spec.name in self._setpoints.states:
+            self._setpoints.note(self.memory.trail, state, flown=not self.memory.degraded)
+        if self._setpoints is not None and self.memory.degraded:
+            return self._setpoints.command(self.memory.trail, state) if state.spec.name == COMMAND else state
+        asks = not self.memory.silenced and (awaited is None or recovery.same_twice == "escalate")
         alarm = detector.check(state, now) if asks else None
         after = self._after(awaited)
         uncured = alarm is not None and self._is_uncured(alarm, now, again=after == "recompute")
-        given_up = after == "recompute" and self.restarts_left == 0
+        given_up = after == "recompute" and not self._may_restart
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
             alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error
         if alarm is None or recovery.coupling == "observer":
@@ -258,8 +286,12 @@ class Watch:
         self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._execute(action, state, now)
-        withheld = action.withholds or (action.kind == "hover" and state.spec.name == COMMAND)
+        withheld = action.withholds or (action.kind == "degrade" and state.spec.name == COMMAND)
         return None if withheld else state
+
+    @property
+    def _may_restart(self) -> bool:
+        return self.memory.restarts_left > 0
 
     def _after(self, awaited: Awaited | None) -> Literal["", "resend", "recompute"]:
         """The action that produced a value; any action other than a retransmission counts as a recomputation."""
@@ -271,16 +303,20 @@ class Watch:
         """Whether a degraded mode is configured, and starts with this alarm."""
         if not alarm.hard or self._recovery.degraded == "none":
             return False
-        first, last = self._hard_us
-        self._hard_us = first, last = (now if now - last > GAP_US else first), now
-        used_up = again and self._recovery.restarts and self.restarts_left == 0
-        return used_up or last - first > PERSISTS_US
+        memory = self.memory
+        if now - memory.last_us > GAP_US:
+            memory.first_us = now
+        memory.last_us = now
+        used_up = again and self._recovery.restarts and not self._may_restart
+        return used_up or now - memory.first_us > PERSISTS_US
 
     def _count(self, now: int) -> None:
         """Count a hard alarm; disable a detector with too many of them as faulty."""
-        self._hard.append(now)
-        if len(self._hard) == MOST_ALARMS and now - self._hard[0] < ALARMS_WITHIN_US:
-            self._silenced = True
+        hard = self.memory.hard
+        hard.append(now)
+        del hard[:-MOST_ALARMS]
+        if len(hard) == MOST_ALARMS and now - hard[0] < ALARMS_WITHIN_US:
+            self.memory.silenced = True
             self._loop.record.note(now, "detector_silenced", {"alarms": MOST_ALARMS})
 
     def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
@@ -290,18 +326,20 @@ class Watch:
             passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
             outcome = passed if alarm is None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
-            if outcome == "repaired" and self._hard:
-                self._hard.pop()  # a repaired value confirms the alarm
+            if outcome == "repaired" and self.memory.hard:
+                self.memory.hard.pop()  # a repaired value confirms the alarm
 
     def _execute(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
-        if action.kind == "hover":
-            self.degraded = True
+        if action.kind == "degrade":
+            assert self._setpoints is not None  # a mode is configured
+            self._setpoints.begin(self.memory.trail)
+            self.memory.degraded = True
             return
         if action.kind == "restart":
-            away_us = RESTART_US * BACK_OFF ** (MOST_RESTARTS - self.restarts_left)
-            self.restarts_left -= 1
-            self._restart(action.kernel, now, away_us)
+            left = min(max(self.memory.restarts_left, 1), MOST_RESTARTS)  # a corrupted number must not stall the flight
+            self.memory.restarts_left = left - 1
+            self._restart(action.kernel, now, RESTART_US * BACK_OFF ** (MOST_RESTARTS - left))
             return
         if action.awaited:
             loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)
@@ -328,9 +366,9 @@ class Watch:
         if answer is None or state.spec.name not in answer.states:
             return
         away = recovery.degraded != "none" and STATES[PATH].writer in self._loop.down
-        waited = answer.overdue(state, now, away=away)
-        if waited is not None and (self.restarts_left or recovery.degraded != "none"):
+        waited = answer.overdue(self.memory.waiting, state, now, away=away)
+        if waited is not None and (self._may_restart or recovery.degraded != "none"):
             alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
-            action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=self.restarts_left == 0)
+            action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=not self._may_restart)
             self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
             self._execute(action, state, now)

@@ -8,9 +8,11 @@ judge: there the planner is needed.
 """
 
 import math
+from dataclasses import dataclass
 
 from mavfi.config import AutopilotConfig
 from mavfi.detectors.rules import NO_COLLISION
+from mavfi.pipeline.memory import Memory
 from mavfi.states import State
 
 COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "planning.waypoint"
@@ -19,6 +21,23 @@ COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "pla
 def repeats(autopilot: AutopilotConfig) -> bool:
     """Whether every scan re-evaluates the trajectory, so that an alarm can be withdrawn."""
     return autopilot.alarm == "repeated" or autopilot.replanning == "every_map"
+
+
+@dataclass(slots=True)
+class Waiting(Memory):
+    """What a wait remembers.
+
+    Attributes:
+        since: Instant of the unanswered alarm (us); None = none.
+        asked: Sequence number of the unanswered alarm.
+        raised: Sequence number of the last alarm since.
+        waypoint: The way-point in force.
+    """
+
+    since: int | None = None
+    asked: int = 0
+    raised: int = 0
+    waypoint: State | None = None
 
 
 class Answer:
@@ -33,48 +52,46 @@ class Answer:
 
     def __init__(self, limit_s: float, *, repeated: bool = False) -> None:
         self._limit_us, self._repeated = 1e6 * limit_s, repeated
-        self._since: int | None = None  # instant of the unanswered alarm (us); None = none
-        self._asked = self._raised = 0  # sequence numbers of the unanswered alarm, and of the last one since
-        self._waypoint: State | None = None
 
-    def overdue(self, state: State, now: int, *, away: bool = False) -> float | None:
+    def overdue(self, memory: Waiting, state: State, now: int, *, away: bool = False) -> float | None:
         """Take note of an accepted publication; returns the duration of a wait beyond the deadline (s), and ends it.
 
         Args:
+            memory: What it remembers; updated.
             state: Collision status, path or way-point.
             now: Instant of the publication (us).
             away: Whether the planner is restarting; the deadline restarts when it is back.
         """
         if state.spec.name == WAYPOINT:
-            self._waypoint = state
+            memory.waypoint = state
             return None
         number = int(state.header["future_collision_seq"][0])
         if state.spec.name == PATH:
-            if self._since is not None and number >= self._asked:
-                self._since = None
+            if memory.since is not None and number >= memory.asked:
+                memory.since = None
             return None
         raised = bool(state.header["collision"][0])
         if raised:
-            self._raised = number
-        if self._since is None:
+            memory.raised = number
+        if memory.since is None:
             if raised:
-                self._since, self._asked = now, number
-        elif self._withdrawn(state, number):
-            self._since = None
+                memory.since, memory.asked = now, number
+        elif self._withdrawn(memory, state, number):
+            memory.since = None
         elif away:
-            self._since = now
-        elif now - self._since > self._limit_us:
-            waited, self._since = now - self._since, None
+            memory.since = now
+        elif now - memory.since > self._limit_us:
+            waited, memory.since = now - memory.since, None
             return 1e-6 * waited
         return None
 
-    def _withdrawn(self, status: State, number: int) -> bool:
+    def _withdrawn(self, memory: Waiting, status: State, number: int) -> bool:
         """Whether a status says that the trajectory in force is free, under the number of the last alarm."""
-        header, waypoint = status.header[0], self._waypoint
+        header, waypoint = status.header[0], memory.waypoint
         return (
             self._repeated
             and not header["collision"]
-            and number == self._raised
+            and number == memory.raised
             and header["time_to_collision"] == NO_COLLISION
             and header["distance_to_blocked"] == math.inf
             and waypoint is not None
