@@ -1,6 +1,7 @@
 """Faults in what kernels remember, in whole flights: the right bit, the right instant, and nothing else."""
 
 import dataclasses
+import pickle
 from functools import partial
 
 import numpy as np
@@ -8,17 +9,21 @@ import pytest
 
 import mavfi
 from mavfi.campaign.samplers.memory import draw_memory
+from mavfi.detectors.detector import part_of
+from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.faults.fault import MemoryFault
 from mavfi.faults.spec import MemoryRequest
 from mavfi.hosts.local import fly
-from mavfi.hosts.local.memory_faults import MemoryInjector, flip_bit
+from mavfi.hosts.local.memory_faults import DetectorMemory, MemoryInjector, flip_bit
 from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.recovery import Recovery, Watch
+from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import KERNELS
+from mavfi.states import DETECTORS, KERNELS, new_state
 from tests.hosts.missions import golden, mission
 
 pytestmark = pytest.mark.slow
@@ -163,3 +168,111 @@ def test_a_fault_of_another_type_than_the_word_is_refused():
 def test_there_is_no_word_before_the_first():
     fault = MemoryFault("planner", "decisions.acted_seq", -1, "i4", AT, 20)
     assert not fly(mission(), fault).log.injections[0].activated
+
+
+# ---- detectors and recovery --------------------------------------------------------------------------------------
+WATCHED = {"acceptance": ("acceptance", "paper"), "gaussian": ("gaussian", "paper"),
+           "autoencoder": ("autoencoder", "paper"), "physics_gate": ("gaussian", "tuned")}  # fmt: skip
+"""A detector with each part, and its profile."""
+LAST_COMMAND = MemoryFault("acceptance", "last_command.vx", None, "f8", AT, 62)
+
+
+def detector(name, profile="paper", copies=1):
+    return replicated(detector_for(mission(), name, profile)[0], copies)
+
+
+def content(part):
+    return {name: array.tobytes() for name, array in part.arrays().items()}
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name):
+    watching = detector(*WATCHED[name])
+    fly(mission(), None, watching)
+    part = part_of(watching, name)
+    holder, kept = DetectorMemory(part), part.memory()
+    every = list(words_of(holder))
+    assert {words.dtype for words in every} <= set(strata.WORD_BITS) and len(every) >= 4
+    for words in every:
+        for index in {0, words.count - 1} if words.count else ():
+            flip = partial(flip_bit, bit=strata.WORD_BITS[words.dtype] - 1)
+            before = content(part)
+            assert change(holder, words.name, index, flip) is not None
+            after = content(part)
+            changed = [word for word in before if before[word] != after.get(word)]
+            whole = [word for word in changed if not word.startswith("trajectories") or words.name == word]
+            assert whole == [words.name], "a corrupted length changes what counts as stored, too"
+            change(holder, words.name, index, flip)
+    assert content(part) == before
+    assert repr(part.memory()) == repr(kept)
+    assert content(pickle.loads(pickle.dumps(part))) == content(part)
+
+
+def test_a_published_message_is_not_changed_with_what_a_detector_remembers_of_it():
+    watching = detector("acceptance")
+    odometry = new_state("sensor.odometry")
+    watching.start()
+    watching.accept(odometry, 0)
+    change(DetectorMemory(watching), "vehicle", 0, partial(flip_bit, bit=62))
+    assert odometry.header["x"][0] == 0.0 != watching.odometry["x"][0]
+
+
+def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
+    watching = detector("acceptance")
+    recovery = Recovery(grain="message")
+    clean = fly(mission(), None, watching, recovery=recovery).log
+    log = fly(mission(), LAST_COMMAND, watching, recovery=recovery).log
+    (injection,) = log.injections
+    assert (injection.level, injection.site) == ("memory", "memory:acceptance.last_command.vx")
+    assert injection.activated and injection.time_s == 4.0
+    assert [alarm.state for alarm in log.alarms] == ["control.command"], "it compares with what it remembers"
+    assert log.status is MissionStatus.SUCCESS and clean.alarms == []
+    assert fly(mission(), None, watching, recovery=recovery).log.digest() == clean.digest()
+    assert fly(mission(), LAST_COMMAND, detector("acceptance", copies=3), recovery=recovery).log.alarms == []
+    assert fly(mission(), LAST_COMMAND).log.injections[0].activated is False, "there is no detector"
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_a_detector_that_raises_dies_and_comes_back_without_the_fault(copies):
+    watching = detector("acceptance", copies=copies)
+    part, spoilt, calls = part_of(watching, "acceptance"), [], []
+    judge = part._at_ticks["control.command"]
+
+    def raising(header, record):
+        calls.append(header)
+        if record[0]["changes"] > 1 << 20:
+            spoilt.append(header)
+            raise IndexError("of such a number")
+        return judge(header, record)
+
+    part._at_ticks["control.command"] = raising
+    log = fly(mission(), MemoryFault("acceptance", "changes", None, "i8", AT, 40), watching).log
+    assert (log.kernel.effect, log.kernel.detail) == ("exception", "IndexError: of such a number")
+    assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS
+    missed = round(0.57 / 0.02)
+    flown = round(log.column("time")[-1] / 0.02)
+    assert flown - missed - 3 <= len(calls) <= flown - missed + 3, "it returns after its restart"
+    assert "check" not in vars(part) and "accept" not in vars(part)
+
+
+def test_what_recovery_remembers_can_be_struck():
+    watching, recovery = detector("acceptance"), Recovery(grain="message", same_twice="escalate", degraded="hold")
+    names = {words.name for words in words_of(Watch(new_loop(mission()), watching, recovery))}
+    assert {"restarts_left", "degraded", "silenced", "first_us", "last_us", "waiting.asked"} <= names
+    fault = MemoryFault("recovery", "degraded", None, "?", AT, 0)
+    log = fly(mission(), fault, watching, recovery=recovery).log
+    assert log.injections[0].after is True and log.status is MissionStatus.TIMEOUT, "a false belief ends the mission"
+    assert fly(mission(), fault, watching, recovery=Recovery(grain="message")).log.status is MissionStatus.SUCCESS
+
+
+def test_faults_in_detectors_are_drawn_from_flights_with_them():
+    watching = detector("acceptance")
+    fault, flown = draw_memory(mission(), MemoryRequest("acceptance", "last_command", None, AT), 3, watching)
+    assert fault.kernel == "acceptance" and fault.field.startswith("last_command.") and fault.time_us == AT
+    assert flown.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
+    assert draw_memory(mission(), MemoryRequest("recovery", "restarts_left"), 3, watching)[0].dtype == "i4"
+    with pytest.raises(BadInputError, match=r"memory:acceptance.nothing: no such word.*allowed: .*last_command.vx"):
+        draw_memory(mission(), MemoryRequest("acceptance", "nothing"), 3, watching)
+    for target, allowed in (("gaussian", "gaussian"), ("physics_gate", "autoencoder, gaussian"), ("recovery", "a det")):
+        with pytest.raises(BadInputError, match=f"{target}.*does not watch the mission; allowed: with {allowed}"):
+            draw_memory(mission(), MemoryRequest(target), 3, None if target == "recovery" else watching)

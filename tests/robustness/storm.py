@@ -1,8 +1,9 @@
-"""Random one-bit corruptions of every kernel's recorded inputs and memory, with bounds checked and passes counted.
+"""Random one-bit corruptions of every kernel's recorded inputs and memory, and of every detector's memory, with bounds
+checked and passes counted.
 
     python -m tests.robustness.storm        (N=100000 ONLY=planner)
 
-No step may raise, access out of bounds, or need more loop passes than its kernel's budget.  That an access out of
+No step or check may raise, access out of bounds, or need more loop passes than its budget.  That an access out of
 bounds is found, and that an endless loop is stopped, is proved first.
 """
 
@@ -15,6 +16,7 @@ from collections import Counter
 BUDGETS = {
     "point_cloud": 50_000, "octomap": 20_000_000, "collision_check": 1_000_000, "planner": 100_000_000,
     "trajectory": 30_000_000, "waypoint": 100_000, "pid": 100, "state_estimation": 20_000,
+    "acceptance": 50_000, "gaussian": 2_000, "autoencoder": 20_000, "physics_gate": 2_000,
 }  # fmt: skip
 """Loop passes of one step, with the inputs that it received before it.
 
@@ -46,9 +48,10 @@ def storm(trials, only=""):
 
     from tests.robustness.counting import passes
     from tests.robustness.tapes import play, record
+    from tests.robustness.watching import Watched, play_watching, record_watching
 
     passes()
-    tapes = record(recorders=[lambda state, time_us: passes()])
+    tapes = [*record(recorders=[lambda state, time_us: passes()]), *record_watching()]
     names = sorted({tape.name for tape in tapes if only in ("", tape.name)})
     by_name = {name: [tape for tape in tapes if tape.name == name] for name in names}
     random = np.random.default_rng(1)
@@ -61,7 +64,7 @@ def storm(trials, only=""):
         passes()
         try:
             with np.errstate(all="ignore"):
-                for item in play(tape, random):
+                for item in (play_watching if isinstance(tape, Watched) else play)(tape, random):
                     if isinstance(item, str):
                         label = item
                         continue

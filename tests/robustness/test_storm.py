@@ -5,9 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mavfi.detectors.detector import Alarm
 from mavfi.kernels.planning.trajectory import POINT_LIMIT
-from mavfi.states import STATES
+from mavfi.states import DETECTORS, STATES
 from tests.robustness.tapes import AUTOPILOTS, ESTIMATOR, flip_array, play, record
+from tests.robustness.watching import play_watching, record_watching
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 TRIALS = 25
@@ -41,6 +43,18 @@ def test_a_flipped_bit_never_stops_a_kernel(name, autopilot):
             assert all(len(state.elements) <= 2_000_000 for state in outputs), label
             assert all(len(s.elements) <= POINT_LIMIT for s in outputs if s.spec.name == "planning.trajectory"), label
     assert len(labels) > TRIALS // 2
+
+
+@pytest.mark.slow
+def test_a_flipped_bit_in_the_memory_of_a_detector_never_makes_it_raise():
+    random, tapes, labels = np.random.default_rng(5), record_watching(), set()
+    assert {tape.name for tape in tapes} == set(DETECTORS)
+    with np.errstate(all="ignore"):
+        for trial in range(4 * TRIALS):
+            for item in play_watching(tapes[trial % len(tapes)], random):
+                labels |= {item} if isinstance(item, str) else set()
+                assert item is None or isinstance(item, (str, Alarm))
+    assert len(labels) > 3 * TRIALS
 
 
 def test_a_strike_flips_exactly_one_bit():

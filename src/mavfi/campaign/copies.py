@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from mavfi.campaign.config import ArmConfig, Campaign
-from mavfi.detectors.registry import is_named
+from mavfi.detectors.registry import contains
 from mavfi.errors import BadInputError
 from mavfi.states import RECOVERY
 
@@ -25,7 +25,7 @@ def watched_in(campaign: Campaign, detector: str) -> str:
     found = [
         name
         for name, arm in campaign.arms.items()
-        if arm.detector and (detector == RECOVERY or is_named(arm.detector, detector))
+        if arm.detector and (detector == RECOVERY or contains(arm.detector, arm.profile, detector))
     ]
     leads = list(dict.fromkeys(lead_of(campaign.arms, name) for name in found))
     if len(leads) != 1:

@@ -10,6 +10,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from mavfi.hosts.loop.degraded import MODES
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.qof import QoF, quality_of
@@ -43,8 +44,9 @@ def panel(result: FlightResult) -> Panel:
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
     parts: list[RenderableType] = [
         title, Text(below, style="dim"), Text(),
-        Text.assemble(_verdict(result.status), style="bold"), *_unwatched(result), Text(), _figures(result),
-        *_fault(result), *_alarms(result), Text(), Text(f"digest {result.record.digest[:16]}…", style="dim"),
+        Text.assemble(_verdict(result.status), style="bold"), *_given_up(result), *_unwatched(result), Text(),
+        _figures(result), *_fault(result), *_alarms(result), Text(),
+        Text(f"digest {result.record.digest[:16]}…", style="dim"),
     ]  # fmt: skip
     return Panel(Group(*parts), box=box.ROUNDED, border_style=colour, padding=(0, 2), expand=False)
 
@@ -52,6 +54,12 @@ def panel(result: FlightResult) -> Panel:
 def _verdict(status: MissionStatus) -> Text:
     success = status is MissionStatus.SUCCESS
     return Text(f"{'✓' if success else '✗'} {status.value}", style="green" if success else "red")
+
+
+def _given_up(result: FlightResult) -> list[RenderableType]:
+    """When recovery gave the mission up, and what the vehicle did from then on."""
+    begun = next((alarm for alarm in result.log.alarms if alarm.action in MODES), None)
+    return [] if begun is None else [Text(f"  degraded mode {begun.action!r} from {begun.time_s:.1f} s on")]
 
 
 def _unwatched(result: FlightResult) -> list[RenderableType]:

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from mavfi.config import Config, names, shipped
 from mavfi.detectors.detector import Detector
+from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
@@ -86,6 +87,12 @@ def is_named(name: str, source: str) -> bool:
     """
     places = known(GROUP, _SHIPPED)
     return name == source or (name in places and places[name] == places.get(source))
+
+
+def contains(name: str, profile: str, source: str) -> bool:
+    """Whether a detector has a part that raises alarms as `source`: itself, or the physics gate in front of it."""
+    trained = hasattr(load_object("detector", name, GROUP, _SHIPPED), "model_kind")
+    return is_named(name, source) or (source == GATE and trained and settings_of(name, profile).gate)
 
 
 def trainable() -> dict[str, Any]:

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from mavfi.errors import writing
 
 BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
-"""Colours of the Okabe–Ito palette."""
+YELLOW = "#B8A800"
+"""Colours of the Okabe–Ito palette, the last one darker."""
 INK, GREY, PALE = "#222222", "#777777", "#DDDDDD"
 DOTS_PER_INCH = 160
 
@@ -38,7 +39,10 @@ _SETTINGS: Any = {
     "figure.facecolor": "white",
     "svg.hashsalt": "mavfi",
 }
-_ARMS = ((GREEN, "^", "--"), (PURPLE, "D", "-."), (AMBER, "v", ":"), (SKY, "P", (0, (1, 1))))
+_ARMS = (
+    (GREEN, "^", "--"), (PURPLE, "D", "-."), (AMBER, "v", ":"), (SKY, "P", (0, (1, 1))), (INK, "X", (0, (5, 1, 1, 1))),
+    (GREY, "h", (0, (6, 2))), (YELLOW, "<", (0, (3, 1))),
+)  # fmt: skip
 """Colour, marker and dashes of each arm, distinguishable in greyscale."""
 
 

@@ -82,8 +82,9 @@ def _site_columns(fault: Fault) -> dict[str, Any]:
                 "element": where.element, "population": fault.stratum,
             }  # fmt: skip
         case MemoryFault():
+            row = KERNELS.get(fault.kernel)  # None: a detector, or recovery
             return {
-                "stage": str(KERNELS[fault.kernel].stage), "kernel": fault.kernel, "field": fault.field,
+                "stage": "" if row is None else str(row.stage), "kernel": fault.kernel, "field": fault.field,
                 "element": fault.index, "population": fault.stratum or ALL_BITS,
             }  # fmt: skip
         case InstructionFault():

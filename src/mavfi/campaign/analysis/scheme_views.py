@@ -20,7 +20,11 @@ _SEPARATOR = ", "
 LOST = (pl.col("kind") == PAIR) & pl.col("golden_success") & ~pl.col("success")
 """Pairs in which the fault loses the mission in `fi`."""
 LATE = (pl.col("kind") == PAIR) & (pl.col("inflation") > m.SLOWER).fill_null(value=False)
+VEHICLE_LOST = ("collision", "fly_away", "invalid_state")
+"""Statuses after which there is no vehicle; a mission that fails otherwise ends in the air."""
+_CRASHED = LOST & pl.col("status").is_in(VEHICLE_LOST)
 DIED = pl.col("kernel_effect").is_in(KERNEL_DUE)
+_SAVED = ~pl.col("dr_status").is_in(VEHICLE_LOST)
 _SAME_VALUE = pl.col("time_s").eq_missing(pl.col("dr_time_s")) & pl.col("before").eq_missing(pl.col("dr_before"))
 """Pairs in which the flip meets the same value at the same instant."""
 _IN_TIME = pl.col("dr_success") & (pl.col("dr_inflation") <= m.SLOWER).fill_null(value=False)
@@ -55,8 +59,8 @@ def _has_durations(runs: Runs) -> bool:
 
 
 def _schemes_on(runs: Runs, level: str) -> bool:
-    """Whether arms are compared on faults of a level."""
-    return has(runs.injected, level=level) and len(runs.settings()) > 1
+    """Whether arms are compared on faults of a level, which are flown without an arm, too."""
+    return has(runs.injected, level=level, setting=FI) and len(runs.settings()) > 1
 
 
 def _only_the_scheme(own: Runs) -> int:
@@ -160,11 +164,16 @@ register(
     View(
         "schemes_by_target", "Schemes, by injected site", ("target", "arm"), (*_COUNTED, *_HARM), where=pairs_only,
         headings=("site", "scheme"), notes=lambda _: _NOTES_OF_PAIRS,
-        applies=lambda runs: len(runs.settings()) > 1, by_name=True,
+        applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1, by_name=True,
     ),
     View(
         "schemes_by_duration", "Schemes, by duration and width of the fault", ("duration", "arm"),
-        (*_COUNTED, *_HARM), where=by_duration, headings=("fault", "scheme"), notes=lambda _: _NOTES_OF_PAIRS,
+        (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM), where=by_duration,
+        headings=("fault", "scheme"),
+        notes=lambda _: (
+            *_NOTES_OF_PAIRS, "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
+            "do not under the scheme: they succeed, or end in the air",
+        ),
         applies=_has_durations, by_name=True,
     ),
 )  # fmt: skip

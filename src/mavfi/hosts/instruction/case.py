@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 
 from mavfi.detectors.detector import Detector, part_of
-from mavfi.detectors.registry import detector_names, is_named
+from mavfi.detectors.preprocess import PROFILES
+from mavfi.detectors.registry import contains, detector_names, is_named
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import injection_of
@@ -115,8 +116,11 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
 def check_watched(target: str, detector: Detector | None) -> None:
     """Check that a detector, or recovery, is part of a flight with `detector`; `BadInputError` if not."""
     if part_of(detector, target) is None and not (target == RECOVERY and detector is not None):
-        names = ", ".join(name for name in detector_names() if is_named(name, target)) or "a detector"
-        raise BadInputError(f"kernel {target!r}: this detector does not watch the mission; allowed: with {names}")
+        named = [name for name in detector_names() if any(contains(name, profile, target) for profile in PROFILES)]
+        raise BadInputError(
+            f"kernel {target!r}: this detector does not watch the mission; allowed: with "
+            f"{', '.join(named) if target in DETECTORS else 'a detector'}"
+        )
 
 
 def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> Case:

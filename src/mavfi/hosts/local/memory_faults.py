@@ -141,9 +141,10 @@ class MemoryInjector:
 
     def release(self) -> None:
         """Remove the guard of a detector, which outlives the flight."""
-        if self._fault.kernel in DETECTORS:
+        part = part_of(self._detector, self._fault.kernel) if self._fault.kernel in DETECTORS else None
+        if part is not None:
             for name in _CHECKS:
-                vars(part_of(self._detector, self._fault.kernel)).pop(name, None)
+                vars(part).pop(name, None)
 
     @property
     def injections(self) -> list[Injection]:

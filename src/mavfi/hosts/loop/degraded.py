@@ -12,6 +12,7 @@ from mavfi.pipeline.memory import Memory
 from mavfi.states import ODOMETRY, State, floats
 
 Degraded = Literal["none", "hover", "hold", "back"]
+MODES = ("hover", "hold", "back")
 SPACING = 1.0
 """Distance between stored positions of the flown path (m)."""
 REACHED = 0.5

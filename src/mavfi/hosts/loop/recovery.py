@@ -20,7 +20,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
-from mavfi.hosts.loop.degraded import Degraded, Setpoints, Trail
+from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
 from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.pipeline.memory import Memory
@@ -103,7 +103,8 @@ class Action:
 
     Attributes:
         kind: "recompute"; a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
-            the node of `kernel`; "resend" the value from its producer's copy; or "degrade" from now on.
+            the node of `kernel`; "resend" the value from its producer's copy; or a degraded mode from
+            now on.
         stage: The stage whose latency is charged.
         kernel: The kernel whose step is repeated; "" = none, only the latency is charged.
         restores: Kernels whose memory is restored first, in this order.
@@ -112,7 +113,7 @@ class Action:
         alone: Whether only `kernel` is repeated, on its previous inputs and with its own latency.
     """
 
-    kind: Literal["recompute", "abandon", "stop", "restart", "resend", "degrade"]
+    kind: Literal["recompute", "abandon", "stop", "restart", "resend", "hover", "hold", "back"]
     stage: Stage
     kernel: str = ""
     restores: tuple[str, ...] = ()
@@ -152,8 +153,10 @@ def decide(
         raise BadInputError(f"detector {alarm.source!r}: {text}")
     stage, gated = Stage(alarm.stage), recovery.coupling == "inline"
     if after == "recompute" or uncured:
-        restart = Action("restart", spec.stage, spec.writer, withholds=gated)
-        return Action("degrade", Stage.CONTROL) if uncured else restart
+        if uncured:
+            assert recovery.degraded != "none"
+            return Action(recovery.degraded, Stage.CONTROL)
+        return Action("restart", spec.stage, spec.writer, withholds=gated)
     if alarm.stop or alarm.abandon_waypoint:
         kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
         return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
@@ -286,7 +289,7 @@ class Watch:
         self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._execute(action, state, now)
-        withheld = action.withholds or (action.kind == "degrade" and state.spec.name == COMMAND)
+        withheld = action.withholds or (action.kind in MODES and state.spec.name == COMMAND)
         return None if withheld else state
 
     @property
@@ -331,7 +334,7 @@ class Watch:
 
     def _execute(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
-        if action.kind == "degrade":
+        if action.kind in MODES:
             assert self._setpoints is not None  # a mode is configured
             self._setpoints.begin(self.memory.trail)
             self.memory.degraded = True

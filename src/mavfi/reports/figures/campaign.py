@@ -29,7 +29,7 @@ from mavfi.reports import style
 from mavfi.reports.figures import links
 from mavfi.reports.figures.registry import Drawing, register
 
-_LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
+_LEGEND: dict[str, Any] = {"columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
 
 # ---- success -----------------------------------------------------------------------------------------------------
@@ -78,9 +78,13 @@ def success(runs: Runs) -> Figure | None:
     axes.set_xlabel(f"{bits}{dead}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
     profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
     axes.set_title(f"Success{profile} · one fault per mission")
-    columns = int(figure.get_figwidth() / _LEGEND_COLUMN)
-    figure.legend(handles=handles, loc="outside upper left", **{**_LEGEND, "ncols": columns})
+    figure.legend(handles=handles, loc="outside upper left", **_legend(figure))
     return figure
+
+
+def _legend(figure: Figure) -> dict[str, Any]:
+    """Options of a legend with as many columns as fit above a figure."""
+    return {**_LEGEND, "ncols": max(1, int(figure.get_figwidth() / _LEGEND_COLUMN))}
 
 
 _SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
@@ -171,7 +175,7 @@ def flight_time(runs: Runs) -> Figure | None:
     panels[0].yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[0].set_ylabel("missions that arrived")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", **_LEGEND)
+    figure.legend(handles, labels, loc="outside upper left", **_legend(figure))
     return figure
 
 
@@ -230,7 +234,7 @@ def sites(runs: Runs) -> Figure | None:
     environments = judged.values("environment")
     where = environments[0] if len(environments) == 1 else "all environments"
     axes.set_xlabel(f"missions that fail or take more than 5 % longer\n(faults in {bits}; {where}; 95 % intervals)")
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), **_LEGEND)
+    figure.legend(handles=handles, loc="outside upper left", **_legend(figure))
     return figure
 
 

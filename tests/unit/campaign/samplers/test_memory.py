@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.copies import watched_in
 from mavfi.campaign.samplers.memory import Exposure, MemorySampler, _Drawing
 from mavfi.campaign.samplers.sampler import Draw, Sampled
 from mavfi.errors import BadInputError
@@ -52,6 +53,28 @@ def test_every_bit_of_every_instant_is_alike(stratum):
     spread = sum((found[one] - expected) ** 2 / expected for one in every)  # chi square with len - 1 degrees
     assert abs(spread - (len(every) - 1)) < 5 * np.sqrt(2 * (len(every) - 1))
     assert {f.weight for f in faults} == {len(every) / len(listed()) if stratum else 1.0}
+
+
+def campaign_of(*kernels, **arms):
+    return Campaign(
+        name="watched", environments=("sparse",), missions=1, faults=2,
+        sampling={"level": "memory", "kernels": kernels, "share": "kernel"}, null_runs=0,
+        arms={name: {"detector": detector, **more} for name, (detector, more) in arms.items()},
+    )  # fmt: skip
+
+
+def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():
+    arms = {"gad": ("gaussian", {}), "rules": ("recommended", {}), "twice": ("recommended", {"copies": 2})}
+    campaign = campaign_of("pid", "gaussian", "acceptance", **arms)
+    sampler = MemorySampler(campaign)
+    variants = {draw.target: draw.variant for block in sampler.blocks("sparse") for draw in (block.draw(0),)}
+    assert variants == {"pid": "", "gaussian": "gad", "acceptance": "rules"}
+    assert watched_in(campaign_of("recovery", rules=("recommended", {})), "recovery") == "rules"
+    tuned = campaign_of("physics_gate", gad=("gaussian", {}), tuned=("gaussian", {"profile": "tuned"}))
+    assert watched_in(tuned, "physics_gate") == "tuned"
+    for kernels, own in ((["acceptance"], {}), (["recovery"], arms), (["nothing"], arms), (["gaussian"], {})):
+        with pytest.raises(BadInputError, match="sampling"):
+            MemorySampler(campaign_of(*kernels, **own))
 
 
 def test_a_drawn_fault_has_the_type_of_its_word():

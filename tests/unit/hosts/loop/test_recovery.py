@@ -1,6 +1,7 @@
 """What is done about an alarm: one table for every host and both couplings."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -126,7 +127,9 @@ class Flight:
     """As much of a loop as a watch needs."""
 
     def __init__(self, alarm="one_shot"):
-        self.scenario = SimpleNamespace(autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"))
+        self.scenario = SimpleNamespace(
+            autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"), v_max=3.0
+        )
         self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
@@ -164,7 +167,7 @@ class Never(Always):
 def shown(detector, recovery, values, flight, restarts_left=MOST_RESTARTS):
     """Which of the values pass."""
     watch = Watch(flight, detector, recovery, flight.restart)
-    watch.restarts_left = restarts_left
+    watch.memory.restarts_left = restarts_left
     return [watch(state, now) is not None for now, state in values]
 
 
@@ -335,6 +338,37 @@ def test_an_alarm_without_an_answer_ends_in_hover_when_no_restart_is_left():
     values = [(1_000_000, status(3, flag=True)), (1_700_000, status(3)), *AFTERWARDS]
     assert shown(Never(hard=True), HOVERS, values, flight, 0) == [True, True, False, True, True]
     assert flight.outcomes == [("hover", "accepted")] and flight.restarted == []
+
+
+@pytest.mark.parametrize("mode", ["hold", "back"])
+def test_other_modes_replace_commands_by_their_own(mode):
+    flight, recovery = Flight(), replace(HOVERS, degraded=mode)
+    flown = [(number, odometry(0.4 * number)) for number in range(11)]
+    watch = Watch(flight, Always(hard=True), recovery, flight.restart)
+    watch.memory.restarts_left = 0
+    for now, state in flown:
+        watch._setpoints.note(watch.memory.trail, state, flown=True)
+    assert [watch(state, 20 + now) is None for now, state in ((0, status(5)), (1, status(5)))] == [True, False]
+    assert flight.outcomes[-1] == (mode, "accepted") and watch.memory.degraded
+    command = watch(new_state(COMMAND), 30)
+    vx = float(command.header["vx"][0])
+    assert vx == (0.0 if mode == "hold" else -1.5), "of the stored points 0, 1.2, 2.4 and 3.6 m the last is reached"
+    assert watch(odometry(6.0), 40) is not None and watch(new_state(COMMAND), 50).header["vx"][0] < -1.0
+    assert watch.memory.trail.points[-1][0] == (4.0 if mode == "hold" else pytest.approx(2.4)), "what is flown now is not the path"
+
+
+@pytest.mark.parametrize("number", [-(2**31), -1, 0, 6, 2**30])
+def test_a_corrupted_number_of_restarts_ends_after_a_few(number):
+    flight = Flight()
+    values = [(now, status(5)) for now in range(4 * MOST_RESTARTS)]
+    shown(Always(hard=True), ESCALATES, values, flight, number)
+    assert len(flight.restarted) == (MOST_RESTARTS if number > 0 else 0)
+
+
+def odometry(x):
+    state = new_state("sensor.odometry")
+    state.header["x"] = x
+    return state
 
 
 def test_an_observer_cannot_withhold_commands():
