@@ -16,8 +16,9 @@ TEXT = (
     "[models](../models.md#recommended).\n\n"
     "*twice*: a second fault while a recovery runs; the resent or recomputed value is hit as well. *for ever*: to the "
     "end of the flight. *intermittent*: the same, in a fifth of the publications. `recommended` restarts a node at "
-    "most five times, away for 2.4 s together; after that, wrong values of a fault that still lasts pass, or with key "
-    "`degraded` the vehicle hovers."
+    "most five times, away for 2.4 s together; after that, wrong values of a fault that still lasts pass. `hover`, "
+    "`hold` and `back` are `recommended` with that degraded mode: it gives the mission up and keeps the vehicle in the "
+    "air."
 )
 VIEWS = ("schemes", "schemes_by_duration", "schemes_by_target")
 

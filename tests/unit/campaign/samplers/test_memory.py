@@ -73,7 +73,7 @@ def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():
     tuned = campaign_of("physics_gate", gad=("gaussian", {}), tuned=("gaussian", {"profile": "tuned"}))
     assert watched_in(tuned, "physics_gate") == "tuned"
     for kernels, own in ((["acceptance"], {}), (["recovery"], arms), (["nothing"], arms), (["gaussian"], {})):
-        with pytest.raises(BadInputError, match="sampling"):
+        with pytest.raises(ValueError, match="sampling"):
             MemorySampler(campaign_of(*kernels, **own))
 
 
