@@ -23,8 +23,9 @@ from mavfi.campaign.fingerprint import code, versions
 from mavfi.detectors import features
 from mavfi.detectors.everything import CodeRecorder, Codes, codes_are_whole
 from mavfi.detectors.model import Model
+from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
-from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields
+from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields, of_monitored_fields
 from mavfi.errors import BadInputError
 from mavfi.flight_log import read_arrays
 from mavfi.hosts.local.flight import fly
@@ -34,6 +35,8 @@ from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.qof import quality_of_flight
 
 ENVIRONMENT = "training"  # randomised worlds; excludes the generators of the evaluation environments
+FAMILIES = (ENVIRONMENT, "factory")
+"""An environment of each family: limits of all fields that are learned in one do not hold in the other."""
 CHECKING_SEED = TRAINING_SEED + 500_000
 """First seed of the flights on which false alarms are counted, far beyond those of training."""
 Progress = Callable[[int, int], None]
@@ -189,11 +192,12 @@ class Training:
     """Recorded flights, and what is to be fitted to them."""
 
     folder: Path
-    recordings: list[Recording]
+    recordings: dict[str, dict[int, Recording]]  # by environment and seed
     provenance: dict[str, Any]
     disks: list[KeptRecordings]
     extras: Sequence[str]
     only: Collection[tuple[str, str]] | None
+    alike: bool  # whether detectors of monitored fields are fitted to all environments, too, not to the first one alone
 
     def __str__(self) -> str:
         return f"training of detectors for {self.provenance['platform']}"
@@ -206,7 +210,19 @@ class Training:
         """
         from mavfi.detectors.training import fit, save  # imports every trainable detector
 
-        files = save(fit(self.recordings, self.provenance, extras=self.extras, only=self.only), self.folder)
+        of_all = {(name, ONLY_PROFILE) for name in of_all_fields(self.extras)}
+        monitored = {(name, profile) for name in of_monitored_fields() for profile in PROFILES}
+        every = list(self.recordings)
+        found: dict[str, Model] = {}
+        for environments, kinds in ((every, of_all), (every if self.alike else every[:1], monitored)):
+            flown = [self.recordings[name] for name in environments]
+            origin = self.provenance | {
+                "environment": ", ".join(environments), "flights": sum(map(len, flown)),
+                "seeds": [seed for own in flown for seed in own],
+            }  # fmt: skip
+            only = kinds if self.only is None else kinds.intersection(self.only)
+            found |= fit([one for own in flown for one in own.values()], origin, extras=self.extras, only=only)
+        files = save(found, self.folder)
         for disk in self.disks:
             disk.delete()
         return files
@@ -214,7 +230,7 @@ class Training:
 
 def record(
     folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
-    progress: Progress | None = None, environments: Sequence[str] = (ENVIRONMENT,), extras: Sequence[str] = (),
+    progress: Progress | None = None, environments: Sequence[str] = (), extras: Sequence[str] = (),
     only: Collection[tuple[str, str]] | None = None,
 ) -> Training:  # fmt: skip
     """Fly error-free missions to train detectors on.
@@ -227,7 +243,8 @@ def record(
         mission: Options of the missions; environment, seed, start and goal are set by training.
         workers: Number of processes; the models do not depend on it.
         progress: Called with the numbers of recorded and required flights, for each environment in turn.
-        environments: Environments of the missions.
+        environments: Environments of the missions; empty = `FAMILIES` for detectors of all fields, the first of them
+            for those of monitored fields.
         extras: Optional dependencies whose detectors are fitted, too: "bench".
         only: Detectors to fit, as (name, profile); None = all in every profile.
 
@@ -239,7 +256,8 @@ def record(
 
     _check_writable(folder)
     codes = only is None or any((name, ONLY_PROFILE) in only for name in of_all_fields(extras))
-    scenarios = [training_mission(mission or MissionSpec(), environment=name) for name in environments]
+    names = environments or (FAMILIES if codes else FAMILIES[:1])
+    scenarios = [training_mission(mission or MissionSpec(), environment=name) for name in names]
     disks = [KeptRecordings(folder, scenario, codes=codes) for scenario in scenarios]
     flown = [
         record_flights(scenario, flights, workers, progress, disk, codes=codes)
@@ -251,12 +269,9 @@ def record(
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
-        "environment": ", ".join(environments),
-        "flights": flights * len(flown),
-        "seeds": [seed for found in flown for seed in found],
     }
-    recordings = [one for found in flown for one in found.values()]
-    return Training(folder, recordings, provenance, disks, extras, only)
+    recordings = dict(zip(names, flown, strict=True))
+    return Training(folder, recordings, provenance, disks, extras, only, alike=bool(environments))
 
 
 def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, **more: Any) -> list[Path]:  # noqa: ANN401

@@ -34,10 +34,14 @@ def train(  # noqa: PLR0913 - one for each option
         int, typer.Option(help="Flights of other seeds in each environment, on which false alarms are counted.")
     ] = 10,
     environments: Annotated[
-        str, typer.Option(help="Where the missions are flown, separated by commas: --flights in each.")
-    ] = "training",
+        str,
+        typer.Option(
+            help="Where the missions are flown, separated by commas: --flights in each. By default training, and for "
+            "detectors of all fields factory, too."
+        ),
+    ] = "",
     check_environments: Annotated[
-        str, typer.Option(help="Where false alarms are counted; those of --environments by default.")
+        str, typer.Option(help="Where false alarms are counted; where the missions are flown by default.")
     ] = "",
     baselines: Annotated[bool, typer.Option(help="Fit those of other libraries (extra bench), too.")] = False,
     as_json: options.AsJson = False,
@@ -55,13 +59,15 @@ def train(  # noqa: PLR0913 - one for each option
     # slow imports come before the stoppable part, so that Ctrl-C never interrupts an import
     import sklearn.neural_network  # noqa: F401
 
-    from mavfi.campaign.training import count_false_alarms, training_mission
+    from mavfi.campaign.training import FAMILIES, count_false_alarms, training_mission
     from mavfi.campaign.training import train as train_models
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
-    where = [name.strip() for name in environments.split(",")]
-    where_checked = [name.strip() for name in check_environments.split(",")] if check_environments else where
+    where, where_checked = (
+        [name.strip() for name in text.split(",")] if text else [] for text in (environments, check_environments)
+    )
+    where_checked = where_checked or where or list(FAMILIES)
     for name in where_checked:
         training_mission(mission, environment=name)
     kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
@@ -96,22 +102,24 @@ def _entry(model: Model) -> dict[str, Any]:
 
 
 def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path) -> Table:
-    origin = models[0].provenance
+    origin = max((model.provenance for model in models), key=lambda one: int(one["flights"]))
     seeds = origin["seeds"]
     shown = titled_table(
         f"Trained on {origin['flights']} error-free flights · autopilot {origin['stack']} · {origin['platform']} · "
         f"{origin['planner']} · {origin['v_max']:g} m/s",
-        caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; false alarms: per flight hour, "
+        caption=f"seeds {min(seeds)} to {max(seeds)}; false alarms: per flight hour, "
         f"on {_exposure(alarms[0])} of error-free flight with other seeds; files: {folder}",
         caption_justify="left",
     )
     places = list(alarms[0])
     counted = ["false alarms"] if len(places) == 1 else [f"in {name}" for name in places]
-    for heading in ("detector", "profile", "alarm above", *counted, "sha256"):
+    for heading in ("detector", "profile", "worlds", "alarm above", *counted, "sha256"):
         shown.add_column(heading, overflow="fold")
     for model, rates in zip(models, alarms, strict=True):
         cells = (_alarms(rate) for rate in rates.values())
-        shown.add_row(model.kind, model.profile, _threshold(model), *cells, model.sha256[:16])
+        shown.add_row(
+            model.kind, model.profile, model.provenance["environment"], _threshold(model), *cells, model.sha256[:16]
+        )
     return shown
 
 

@@ -48,12 +48,13 @@ def fit(
     origin = {**provenance, "versions": {name: version(name) for name in ("numpy", "scikit-learn")}}
     models = fit_all_fields(recordings, origin, extras, only)
     for profile in PROFILES:
+        wanted = {name: one for name, one in of_monitored_fields().items() if only is None or (name, profile) in only}
+        if not wanted:
+            continue
         preprocessor = Preprocessor(monitored, profile, prediction)
         sample = collect(recordings, preprocessor)
         model_origin = origin if profile == "paper" else {**origin, "innovation_m": errors}
-        for name, detector in of_monitored_fields().items():
-            if only is not None and (name, profile) not in only:
-                continue
+        for name, detector in wanted.items():
             parameters = detector.fit(sample, preprocessor, settings_of(name, profile).fit)
             kind = detector.model_kind
             models[f"{kind}-{profile}"] = Model(kind, profile, monitored, prediction, parameters, model_origin)

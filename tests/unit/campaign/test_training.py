@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.campaign import training
 from mavfi.campaign.config import TRAINING_SEED
-from mavfi.campaign.training import FOLDER, KeptRecordings, record_flights, train, training_mission
+from mavfi.campaign.training import FAMILIES, FOLDER, KeptRecordings, record, record_flights, train, training_mission
 from mavfi.errors import BadInputError
 from mavfi.flight_log import COLUMNS, FlightLog
 from mavfi.hosts.host import Flight
@@ -87,13 +87,35 @@ def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp
 
 def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch):
     def save(model, folder):
-        assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3
+        assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3 * len(FAMILIES)
         return [folder / "model.json"]
 
-    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, *_, **__: len(recordings))
+    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, *_, **__: {str(len(recordings)): None})
     monkeypatch.setattr("mavfi.detectors.training.save", save)
     assert train(tmp_path, 3, workers=1) == [tmp_path / "model.json"]
     assert not (tmp_path / FOLDER).exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "monitored", "every"),
+    [((), ["training"], ["training", "factory"]), (("dense", "farm"), ["dense", "farm"], ["dense", "farm"])],
+)
+def test_detectors_of_all_fields_learn_from_each_family_of_worlds(tmp_path, monkeypatch, given, monitored, every):
+    fitted = {}
+
+    def fit(recordings, provenance, *, extras, only):
+        fitted.update(dict.fromkeys(only, (provenance["environment"], provenance["flights"], len(provenance["seeds"]))))
+        assert len(recordings) == provenance["flights"]
+        return {}
+
+    monkeypatch.setattr("mavfi.detectors.training.fit", fit)
+    record(tmp_path, 2, environments=given, workers=1).fit()
+    assert fitted["limits", "tuned"] == (", ".join(every), 2 * len(every), 2 * len(every))
+    assert fitted["gaussian", "paper"] == (", ".join(monitored), 2 * len(monitored), 2 * len(monitored))
+    assert ("limits", "paper") not in fitted and ("autoencoder", "tuned") in fitted
+    fitted.clear()
+    record(tmp_path, 2, workers=1, only={("gaussian", "paper")}).fit()
+    assert fitted == {("gaussian", "paper"): ("training", 2, 2)}, "no flights in the other family"
 
 
 def _never_arrives(task):

@@ -127,9 +127,7 @@ class Flight:
     """As much of a loop as a watch needs."""
 
     def __init__(self, alarm="one_shot"):
-        self.scenario = SimpleNamespace(
-            autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"), v_max=3.0
-        )
+        self.scenario = SimpleNamespace(autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"), v_max=3.0)
         self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
@@ -354,7 +352,9 @@ def test_other_modes_replace_commands_by_their_own(mode):
     vx = float(command.header["vx"][0])
     assert vx == (0.0 if mode == "hold" else -1.5), "of the stored points 0, 1.2, 2.4 and 3.6 m the last is reached"
     assert watch(odometry(6.0), 40) is not None and watch(new_state(COMMAND), 50).header["vx"][0] < -1.0
-    assert watch.memory.trail.points[-1][0] == (4.0 if mode == "hold" else pytest.approx(2.4)), "what is flown now is not the path"
+    assert watch.memory.trail.points[-1][0] == (4.0 if mode == "hold" else pytest.approx(2.4)), (
+        "what is flown now is not the path"
+    )
 
 
 @pytest.mark.parametrize("number", [-(2**31), -1, 0, 6, 2**30])
