@@ -17,8 +17,8 @@ def fly(scenario, *, recorders):
     """Every fourth mission fails; what is published is seen by the recorders."""
     for number in range(8):
         for state in (status(30.0, scenario.seed % 100), waypoint([number, 0, 0], [1, 0, 0]), command([1, 0, 0])):
-            for record in recorders:
-                record(state, 20_000 * number)
+            for accept in recorders:
+                accept(state, 20_000 * number)
     end = MissionStatus.TIMEOUT if scenario.seed % 4 == 0 else MissionStatus.SUCCESS
     return Flight(FlightLog(np.zeros((1, len(COLUMNS))), end, [], [], [], {}))
 

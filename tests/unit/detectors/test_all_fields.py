@@ -12,6 +12,7 @@ from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly as fly_mission
+from mavfi.mission import MissionStatus
 from mavfi.states import AUTOPILOTS, STATES, new_state
 from tests.hosts.missions import golden, mission
 from tests.unit.detectors import streams

@@ -341,10 +341,10 @@ def test_an_alarm_without_an_answer_ends_in_hover_when_no_restart_is_left():
 @pytest.mark.parametrize("mode", ["hold", "back"])
 def test_other_modes_replace_commands_by_their_own(mode):
     flight, recovery = Flight(), replace(HOVERS, degraded=mode)
-    flown = [(number, odometry(0.4 * number)) for number in range(11)]
+    flown = [odometry(0.4 * number) for number in range(11)]
     watch = Watch(flight, Always(hard=True), recovery, flight.restart)
     watch.memory.restarts_left = 0
-    for now, state in flown:
+    for state in flown:
         watch._setpoints.note(watch.memory.trail, state, flown=True)
     assert [watch(state, 20 + now) is None for now, state in ((0, status(5)), (1, status(5)))] == [True, False]
     assert flight.outcomes[-1] == (mode, "accepted") and watch.memory.degraded
@@ -352,9 +352,8 @@ def test_other_modes_replace_commands_by_their_own(mode):
     vx = float(command.header["vx"][0])
     assert vx == (0.0 if mode == "hold" else -1.5), "of the stored points 0, 1.2, 2.4 and 3.6 m the last is reached"
     assert watch(odometry(6.0), 40) is not None and watch(new_state(COMMAND), 50).header["vx"][0] < -1.0
-    assert watch.memory.trail.points[-1][0] == (4.0 if mode == "hold" else pytest.approx(2.4)), (
-        "what is flown now is not the path"
-    )
+    target = watch.memory.trail.points[-1][0]
+    assert target == (4.0 if mode == "hold" else pytest.approx(2.4)), "what is flown now is not the path"
 
 
 @pytest.mark.parametrize("number", [-(2**31), -1, 0, 6, 2**30])
