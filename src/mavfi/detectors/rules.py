@@ -27,6 +27,14 @@ _END = 0.5
 """Largest distance between the ends of a trajectory and its path (m)."""
 _WAY_BACK = 6.0
 """Longest path back if no path to the goal is found (m)."""
+_DETOUR, _REVERSED = 4.0, -0.3
+"""Detour by way of one vertex (m) from which on the path must not turn back there, by cosine of the turn.
+
+A planner that shortens its paths has no use for such a spike: in 963 error-free paths of both profiles (seeds below
+10,000, four environments) the largest detour with such a turn is 1.9 m, and the largest detour with any turn 15.3 m.
+"""
+_LONGEST_DETOUR = 25.0
+"""Longest detour by way of one vertex with any turn (m)."""
 _SPLICE = 1e-3
 """Largest distance between the start of a path and the trajectory point that it continues (m)."""
 
@@ -120,7 +128,7 @@ def path(
 ) -> int:  # fmt: skip
     """Path: it answers a counter (-) that the planner can have read, and leads from the vehicle to the goal.
 
-    Vertices (m) lie in the flight box; the entry speed (m/s) is 0 or close to that of the vehicle.
+    Vertices (m) lie in the flight box, without a spike; the entry speed (m/s) is 0 or close to that of the vehicle.
 
     Args:
         header: Header of the path. Shape (1,).
@@ -143,7 +151,43 @@ def path(
         if axis >= 0:
             return _VERTEX + axis
     broken = _start(vertices[0], header, vehicle, flown, limits)
-    return broken if broken >= 0 else _end(vertices, header, limits)
+    if broken < 0:
+        broken = _end(vertices, header, limits)
+    return broken if broken >= 0 else spike(vertices)
+
+
+@kernel_jit
+def spike(vertices: np.ndarray) -> int:
+    """Column of the first vertex of a path at which it makes a long detour and turns back, or -1.
+
+    Args:
+        vertices: Shape (n, 3) (m).
+    """
+    for index in range(1, len(vertices) - 1):
+        there = back = across = product = 0.0
+        for axis in range(3):
+            to = vertices[index, axis] - vertices[index - 1, axis]
+            onwards = vertices[index + 1, axis] - vertices[index, axis]
+            there += to**2
+            back += onwards**2
+            across += (to + onwards) ** 2
+            product += to * onwards
+        reach = math.sqrt(there) * math.sqrt(back)
+        detour = math.sqrt(there) + math.sqrt(back) - math.sqrt(across)
+        if not (detour <= _LONGEST_DETOUR and (detour <= _DETOUR or product >= _REVERSED * reach)):
+            return _VERTEX + _farthest(vertices[index - 1], vertices[index], vertices[index + 1])
+    return FINE
+
+
+@kernel_jit
+def _farthest(before: np.ndarray, vertex: np.ndarray, after: np.ndarray) -> int:
+    """Axis along which a vertex is farthest from the middle of its neighbours. Shapes (3,)."""
+    found, largest = 0, -1.0
+    for axis in range(3):
+        distance = abs(vertex[axis] - 0.5 * (before[axis] + after[axis]))
+        if distance > largest:
+            found, largest = axis, distance
+    return found
 
 
 @kernel_jit

@@ -2,6 +2,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mavfi.detectors import following, known, load_detector, rules
 from mavfi.detectors.acceptance import PLAIN, RULES, SOURCE, AcceptanceTest, Functions
@@ -267,6 +269,39 @@ def test_a_path_answers_the_counter_that_was_known_when_the_planner_began():
     assert [detector.check(line("published", epoch=epoch), NOW) is None for epoch in range(5)] == [
         False, False, True, True, False,
     ]  # fmt: skip
+
+
+def naive_spike(vertices):
+    for index in range(1, len(vertices) - 1):
+        a, b, c = vertices[index - 1 : index + 2]
+        to, onwards = b - a, c - b
+        lengths = np.linalg.norm(to), np.linalg.norm(onwards)
+        detour = sum(lengths) - np.linalg.norm(c - a)
+        turns_back = to @ onwards < -0.3 * lengths[0] * lengths[1]
+        if detour > 25.0 or (detour > 4.0 and turns_back):
+            return index
+    return -1
+
+
+@given(st.lists(st.tuples(*[st.floats(-60.0, 60.0)] * 3), max_size=7))
+def test_a_spike_is_a_long_detour_that_turns_back(points):
+    vertices = np.array(points).reshape(-1, 3)
+    index, column = naive_spike(vertices), rules.spike(vertices)
+    assert (column >= 0) == (index >= 0)
+    if index >= 0:
+        away = np.abs(vertices[index] - (vertices[index - 1] + vertices[index + 1]) / 2)
+        names = [field.name for field in (*STATES[PATH].header, *STATES[PATH].elements)]
+        assert away["xyz".index(names[column])] == away.max()
+
+
+@pytest.mark.parametrize("autopilot", LIMITS)
+def test_a_path_with_a_spike_is_refused_and_one_around_a_corner_is_not(autopilot):
+    detector, path = flying(autopilot, status(2, True, 4.0)), line(autopilot, epoch=2)
+    for axis, value, fine in (("y", 4.0, True), ("x", 31.9, True), ("x", 33.0, False), ("y", 18.0, False)):
+        bent = path.copy()
+        bent.elements[axis][1] = value
+        alarm = detector.check(bent, NOW)
+        assert alarm is None if fine else alarm.fields == (f"{PATH}.{axis}",)
 
 
 def everything(autopilot):
