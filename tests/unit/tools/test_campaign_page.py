@@ -14,8 +14,8 @@ def test_the_page_of_lasting_faults_has_a_row_for_each_duration_and_scheme(monke
     page = campaign_page.page(tmp_path, "make lasting", "Faults that last", lasting_faults.TEXT, lasting_faults.VIEWS)
     assert page.startswith("<!-- Written by `make lasting`; do not edit. -->\n\n# Faults that last\n\nOne bit")
     assert "- one brings back 1 of 2 lost missions and newly loses 1." in page
-    assert "| once | one | 1 | 1 | 100.0 [20.7, 100.0] 1/1 | 0 | 0 | — |" in page
-    assert "| for ever | one | 2 | 1 | 0.0 [0.0, 79.3] 0/1 | 2 | 1 | — |" in page
+    assert "| once | one | 1 | 1 | 100.0 [20.7, 100.0] 1/1 | 100.0 [20.7, 100.0] 1/1 | 0 | 0 | — |" in page
+    assert "| for ever | one | 2 | 1 | 0.0 [0.0, 79.3] 0/1 | 0.0 [0.0, 79.3] 0/1 | 2 | 1 | — |" in page
     assert page.endswith("\n") and not page.endswith("\n\n")
 
 

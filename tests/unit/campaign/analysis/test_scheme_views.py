@@ -89,8 +89,19 @@ def test_faults_are_told_apart_by_their_duration():
     assert [tuple(entry[key] for key in keys) for entry in entries] == [
         ("once", "one", 1, 1, 0, 0), ("for ever", "one", 2, 1, 2, 1),
     ]  # fmt: skip
-    assert [(entry["back"].successes, entry["back"].n) for entry in entries] == [(1, 1), (0, 1)]
+    for key in ("back", "vehicle_saved"):
+        assert [(entry[key].successes, entry[key].n) for entry in entries] == [(1, 1), (0, 1)]
     assert not VIEWS["schemes_by_duration"].applies(runs(*scenario()))  # groups without one
+
+
+def test_a_vehicle_is_saved_that_ends_in_the_air():
+    ended = {"x, once": flown(success=False, status="timeout"), "x, 1 s": flown(), "x, 10 s": LOST}
+    own = [run for target, end in ended.items() for run in pair(1, LOST, end, target=target)]
+    own += pair(1, flown(success=False, status="timeout"), flown(), target="x, for ever")
+    found = VIEWS["schemes_by_duration"].table(runs(golden(1), golden(1, arm="one"), *own)).entries()
+    saved = {entry["duration"]: entry["vehicle_saved"] for entry in found}
+    assert [(rate.successes, rate.n) for rate in saved.values() if rate.n] == [(1, 1), (1, 1), (0, 1)]
+    assert saved["for ever"].n == 0, "there the vehicle is not lost without the scheme"
 
 
 def test_by_site_only_flights_with_a_fault_count():
