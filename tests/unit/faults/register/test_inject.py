@@ -94,7 +94,8 @@ def test_where_it_injected_is_named(spin):
 
 def test_registers_and_access_are_those_asked_for(spin):
     for registers, access in (("fp", "read"), ("general", "write")):
-        for injection in inject(spin.pid, RegisterFault(null=True, registers=registers, access=access), count=10):
+        fault = RegisterFault(null=True, registers=registers, access=access, walk=DEFAULT_WALK)
+        for injection in inject(spin.pid, fault, count=10):
             assert injection.details["access"] == access
             assert injection.site.startswith(("xmm", "ymm")) == (registers == "fp")
 
