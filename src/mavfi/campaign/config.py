@@ -81,11 +81,13 @@ class StateSampling(Config):
 
 
 class MemorySampling(Config):
-    """Faults in kernel memory: one bit of a word, uniform over bits and instants of the golden flight."""
+    """Faults in memory of kernels, detectors or recovery: one bit, uniform over bits and instants of the golden flight."""
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["memory"]
-    kernels: tuple[str, ...] = Field((), description="whose memory; all by default")
+    kernels: tuple[str, ...] = Field(
+        (), description="whose memory; by default that of all kernels, none of detectors or recovery"
+    )
     share: Literal["exposure", "kernel"] = Field(
         "exposure", description="what `faults` counts: all bits together, most of which are maps, or each kernel"
     )

@@ -91,8 +91,9 @@ def is_named(name: str, source: str) -> bool:
 
 def contains(name: str, profile: str, source: str) -> bool:
     """Whether a detector has a part that raises alarms as `source`: itself, or the physics gate in front of it."""
-    trained = hasattr(load_object("detector", name, GROUP, _SHIPPED), "model_kind")
-    return is_named(name, source) or (source == GATE and trained and settings_of(name, profile).gate)
+    if source != GATE:
+        return is_named(name, source)
+    return hasattr(load_object("detector", name, GROUP, _SHIPPED), "model_kind") and settings_of(name, profile).gate
 
 
 def trainable() -> dict[str, Any]:

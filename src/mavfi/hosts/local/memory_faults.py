@@ -20,7 +20,7 @@ from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import FROM_MEMORY
 from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import DETECTORS, RECOVERY, State
+from mavfi.states import DETECTORS, RECOVERY, WATCHING, State
 
 _ACTION = "memory_fault"
 _RESTART_US = round(1e6 * RESTART_S)
@@ -47,14 +47,12 @@ def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Reme
         target: A kernel, or one of `states.WATCHING`.
         detector: The detector of the flight.
     """
-    if target not in (*DETECTORS, RECOVERY):
+    if target not in WATCHING:
         return None if target in loop.down else cast("Remembers | None", loop.kernels.get(target))
-    if loop.taps.detector is None or INJECTED in getattr(detector, "dead", ()):
-        return None
     if target == RECOVERY:
-        return cast(Remembers, loop.taps.detector)  # `Watch`
-    part = part_of(detector, target)
-    return None if part is None else DetectorMemory(part)
+        return cast("Remembers | None", loop.taps.detector)  # `Watch`
+    part = None if loop.taps.detector is None else part_of(detector, target)
+    return None if part is None or INJECTED in getattr(detector, "dead", ()) else DetectorMemory(part)
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:
