@@ -81,13 +81,11 @@ class StateSampling(Config):
 
 
 class MemorySampling(Config):
-    """Faults in memory of kernels, detectors or recovery: one bit, uniform over bits and instants of the golden flight."""
+    """Faults in memory of kernels, detectors or recovery: one bit, uniform over bits and instants of a golden run."""
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["memory"]
-    kernels: tuple[str, ...] = Field(
-        (), description="whose memory; by default that of all kernels, none of detectors or recovery"
-    )
+    kernels: tuple[str, ...] = Field((), description="whose memory; all kernels by default")
     share: Literal["exposure", "kernel"] = Field(
         "exposure", description="what `faults` counts: all bits together, most of which are maps, or each kernel"
     )

@@ -183,9 +183,9 @@ class MemorySampler:
         self._campaign, self._sampling = campaign, campaign.sampling
         self._known = [name for name, row in KERNELS.items() if row.only_with in ("", spec.localization)]
         self._targets = self._find_targets()
-        self._watched = {name: self._flown_in(sites) for name, sites in self._targets.items()}
         shares = dict.fromkeys(self._targets, self._sampling.strata or {"": 1.0})
-        self._blocks = TargetBlocks(campaign, shares, variants=self._watched)
+        arms = {name: self._flown_in(sites) for name, sites in self._targets.items()}
+        self._blocks = TargetBlocks(campaign, shares, variants=arms)
 
     def _find_targets(self) -> dict[str, tuple[Site, ...]]:
         sampling = self._sampling
