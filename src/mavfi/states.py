@@ -97,6 +97,7 @@ for _spec in _KERNEL_TABLE:
         if _functions:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
+_RESIDUALS = ("status", "path", "trajectory", "waypoint", "command", "tracking", "note_vehicle", "quantize", "score_of")
 DETECTORS: dict[str, tuple[str, ...]] = {
     "acceptance": (
         "judge_status", "judge_path", "judge_trajectory", "judge_waypoint", "judge_command", "judge_tracking",
@@ -105,12 +106,18 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
     "physics_gate": ("judge_gate",),
+    "limits": (*_RESIDUALS, "from_centre"),
+    "autoencoder_all": (*_RESIDUALS, "residuals"),
+    "cusum": (*_RESIDUALS, "add"),
+    "conformal": (*_RESIDUALS, "largest_of"),
+    "checksum": ("crc32c",),
 }  # fmt: skip
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"
 """What recovery remembers between alarms: a target of memory faults in flights with a detector."""
-WATCHING = (*DETECTORS, RECOVERY)
-"""Targets of memory faults that exist only in flights with a detector."""
+WATCHING = (*(name for name in DETECTORS if name != "checksum"), RECOVERY)
+"""Targets of memory faults that exist only in flights with a detector:
+a checksum is not kept between publications."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""

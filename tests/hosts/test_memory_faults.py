@@ -23,7 +23,7 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import DETECTORS, KERNELS, new_state
+from mavfi.states import KERNELS, RECOVERY, WATCHING, new_state
 from tests.hosts.missions import golden, mission
 
 pytestmark = pytest.mark.slow
@@ -185,14 +185,14 @@ def content(part):
     return {name: array.tobytes() for name, array in part.arrays().items()}
 
 
-@pytest.mark.parametrize("name", DETECTORS)
+@pytest.mark.parametrize("name", [name for name in WATCHING if name != RECOVERY])
 def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name):
-    watching = detector(*WATCHED[name])
+    watching = detector(*WATCHED.get(name, (name, "paper")))
     fly(mission(), None, watching)
     part = part_of(watching, name)
     holder, kept = DetectorMemory(part), part.memory()
     every = list(words_of(holder))
-    assert {words.dtype for words in every} <= set(strata.WORD_BITS) and len(every) >= 4
+    assert {words.dtype for words in every} <= set(strata.WORD_BITS) and len(every) >= 2
     for words in every:
         for index in {0, words.count - 1} if words.count else ():
             flip = partial(flip_bit, bit=strata.WORD_BITS[words.dtype] - 1)

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 from mavfi.config import EnvironmentConfig
 from mavfi.detectors.detector import part_of
+from mavfi.detectors.registry import detector_names, of_monitored_fields
 from mavfi.hosts.local.memory_faults import DetectorMemory
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import DETECTORS
+from mavfi.states import WATCHING
 from tests.robustness.tapes import AUTOPILOTS, flip_array
 
 LENGTH = 250
@@ -49,10 +50,10 @@ def record_watching():
     tapes = []
     for autopilot in AUTOPILOTS:
         scenario, events = published(autopilot)
-        for whole in ("gaussian", "autoencoder", "acceptance"):
-            for profile in ("paper", "tuned") if whole != "acceptance" else ("paper",):
+        for whole in (name for name in WATCHING if name in detector_names()):
+            for profile in ("paper", "tuned") if whole in of_monitored_fields() else ("paper",):
                 detector, _ = detector_for(scenario, whole, profile)
-                names = [name for name in DETECTORS if part_of(detector, name) is not None]
+                names = [name for name in WATCHING if part_of(detector, name) is not None]
                 detector.start()
                 every = len(events) // (INSTANTS + 1)
                 for place, (state, time_us) in enumerate(events):

@@ -1,16 +1,16 @@
 """Detectors of all fields (`everything`): limits per residual, and an autoencoder; both learned from golden runs."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors.autoencoder import Network, fit_autoencoder, network_of, residuals
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.everything import COMPILED, Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict, find_policy
+from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict, find_policy, score_of
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
 from mavfi.states import State
@@ -21,10 +21,18 @@ class CodeScorer(Scorer):
 
     Args:
         everything: Computes the codes.
+
+    Attributes:
+        own: Compiled functions that it calls beside those of `everything` and of the threshold, by name.
+        functions: All functions that it calls, by name; those in `compiled`, or instrumented ones.
     """
+
+    own: ClassVar[Mapping[str, Callable[..., Any]]] = {}
 
     def __init__(self, everything: Everything) -> None:
         self.everything, self.kept = everything, {"known": everything.known}
+        self.functions = everything.functions
+        self.functions.update(self.own)
         self.fields, self.stages = everything.fields, everything.stages
         size = len(self.fields)
         self._codes = np.zeros(size, np.int16)
@@ -33,6 +41,16 @@ class CodeScorer(Scorer):
     @abstractmethod
     def measure(self, slot: int, regime: int) -> None:
         """Fill in `_distance` for a publication of a state, whose `_codes` are up to date."""
+
+    @property
+    def compiled(self) -> dict[str, Callable[..., Any]]:
+        """See `Scorer.compiled`."""
+        return {**COMPILED, "score_of": score_of, **self.own}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """See `Scorer.instrument`."""
+        self.functions.update({**self.compiled, **made})
+        self.threshold.score_of = self.functions["score_of"]
 
     def span(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of the distances that a publication of a state updates."""
@@ -75,6 +93,8 @@ def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np
 class LimitScorer(CodeScorer):
     """Distances from the centre of each field and regime, shape (n, regimes)."""
 
+    own: ClassVar = {"from_centre": from_centre}
+
     def __init__(self, everything: Everything, centre: np.ndarray) -> None:
         super().__init__(everything)
         self._centre = centre
@@ -82,7 +102,7 @@ class LimitScorer(CodeScorer):
     def measure(self, slot: int, regime: int) -> None:
         """See `CodeScorer.measure`."""
         own = slice(*self.everything.range_of(slot))
-        from_centre(self._codes[own], self._centre[own], regime, self._distance[own])
+        self.functions["from_centre"](self._codes[own], self._centre[own], regime, self._distance[own])
 
 
 class HoldingScorer(CodeScorer):
@@ -110,13 +130,15 @@ class HoldingScorer(CodeScorer):
 class ReconstructionScorer(HoldingScorer):
     """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
+    own: ClassVar = {"residuals": residuals}
+
     def __init__(self, everything: Everything, network: Network) -> None:
         super().__init__(everything)
         self._network = network
 
     def measure(self, slot: int, regime: int) -> None:
         """See `CodeScorer.measure`."""
-        residuals(self.vector(slot), self._network, self._distance)
+        self.functions["residuals"](self.vector(slot), self._network, self._distance)
 
 
 class AllFieldsDetector(ScoringDetector):

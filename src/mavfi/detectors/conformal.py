@@ -7,7 +7,7 @@ limits.
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -46,6 +46,8 @@ def largest_of(codes: np.ndarray, centre: np.ndarray, scale: np.ndarray, regime:
 class LargestScorer(StateScorer):
     """The largest scaled distance among a publication's fields; centre and scale have shape (n, regimes)."""
 
+    own: ClassVar = {"largest_of": largest_of}
+
     def __init__(self, everything: Everything, centre: np.ndarray, scale: np.ndarray) -> None:
         super().__init__(everything)
         self._centre, self._scale = centre, scale
@@ -53,7 +55,8 @@ class LargestScorer(StateScorer):
     def score_of(self, slot: int, regime: int) -> float:
         """See `StateScorer.score_of`."""
         own = slice(*self.everything.range_of(slot))
-        return largest_of(self._codes[own], self._centre[own], self._scale[own], regime)
+        largest: float = self.functions["largest_of"](self._codes[own], self._centre[own], self._scale[own], regime)
+        return largest
 
 
 class ConformalDetector(AllFieldsDetector):

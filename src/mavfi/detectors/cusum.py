@@ -1,7 +1,7 @@
 """CUSUM (Page, Biometrika 41, 1954): accumulates small persistent deviations, two-sided, for each field."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -76,6 +76,7 @@ class SumScorer(CodeScorer):
     """Cumulative sums; an alarm resets those of its state."""
 
     adapts = True
+    own: ClassVar = {"add": add}
 
     def __init__(self, everything: Everything, centre: np.ndarray, deviation: np.ndarray, slack: float) -> None:
         super().__init__(everything)
@@ -86,7 +87,7 @@ class SumScorer(CodeScorer):
     def measure(self, slot: int, regime: int) -> None:
         """See `CodeScorer.measure`."""
         own = slice(*self.everything.range_of(slot))
-        add(
+        self.functions["add"](
             self._codes[own], self._centre[own], self._deviation[own], regime, self._slack, self._sums[own],
             self._after[own],
         )  # fmt: skip

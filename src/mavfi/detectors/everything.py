@@ -5,7 +5,7 @@ a step, so that a step is not lost in rounding.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -74,6 +74,12 @@ _WATCHED = {
     "control.tracking": _Watched(residuals.tracking, _fields("remaining"), False, 1),
 }  # fmt: skip
 
+COMPILED: dict[str, Callable[..., Any]] = {
+    **{own.measure.__name__: own.measure for own in _WATCHED.values()},
+    "note_vehicle": residuals.note_vehicle, "quantize": residuals.quantize,
+}  # fmt: skip
+"""Compiled functions that compute the codes, by name."""
+
 
 class Everything:
     """Codes of the residuals of all states during one flight.
@@ -88,6 +94,7 @@ class Everything:
         stages: Stage of each.
         slots: Index of each state, by name.
         quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
+        functions: The compiled functions that it calls, by name; a host may replace them.
         known: Memory between publications, see `residuals`.
     """
 
@@ -104,6 +111,7 @@ class Everything:
         self._empty = [np.zeros((0, own.width)) for own in self._watched]
         self._values = np.zeros(len(self.fields))
         self.known = np.zeros(residuals.SIZE)
+        self.functions = dict(COMPILED)
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -127,7 +135,7 @@ class Everything:
             keep: Whether to store the publication as the reference for the next one.
 
         Returns:
-            The regime, or -1 - regime if a watched number is not finite.
+            The regime, or -1 - regime if a watched number is not finite; -1 for a regime that does not exist.
         """
         own, (first, last) = self._watched[slot], self._ranges[slot]
         elements = self._empty[slot]
@@ -137,13 +145,16 @@ class Everything:
         elif own.width:
             elements = floats(state.header, own.width).reshape(1, own.width)
         values = self._values[first:last]
-        regime = own.measure(state.header, elements, self.known, values, keep)
-        return regime if residuals.quantize(values, self.quanta[first:last], codes[first:last]) else -1 - regime
+        regime: int = self.functions[own.measure.__name__](state.header, elements, self.known, values, keep)
+        finite = self.functions["quantize"](values, self.quanta[first:last], codes[first:last])
+        if not 0 <= regime < REGIMES:  # corrupted: never an index
+            return -1
+        return regime if finite else -1 - regime
 
     def note(self, state: State) -> None:
         """Store position and velocity of the vehicle, if this state is odometry."""
         if state.spec.name in _POSITIONS:
-            residuals.note_vehicle(floats(state.header, _MOTION), self.known)
+            self.functions["note_vehicle"](floats(state.header, _MOTION), self.known)
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the residuals of a publication that, divided by their quanta, are not finite."""

@@ -76,6 +76,14 @@ class Scorer(ABC):
         """Set the threshold; called before the first flight."""
         self.threshold = threshold
 
+    @property
+    def compiled(self) -> dict[str, Callable[..., Any]]:
+        """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
+        return {}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - baselines have none
+        """Replace compiled functions by those of the same name in `made`; restore all others."""
+
     @abstractmethod
     def read(self, state: State) -> Reading | None:
         """Measure a publication without changing the memory; None if it is not watched.
@@ -173,6 +181,7 @@ class Threshold:
     Attributes:
         limit: See `limit` below.
         ratios: Ratios of the reading judged last, see `Verdict`.
+        score_of: The compiled function `score_of`, or an instrumented one.
 
     Args:
         limit: By field and regime, shape (n, regimes); or for the mean squared distance, shape (1, 1).
@@ -182,12 +191,12 @@ class Threshold:
     """
 
     def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
-        self.limit, self._usual = limit, usual
+        self.limit, self._usual, self.score_of = limit, usual, score_of
         self.ratios = np.zeros(size)
 
     def judge(self, reading: Reading) -> Verdict:
         """The score of a reading."""
-        return Verdict(score_of(reading, self.limit, self.ratios), self.ratios)
+        return Verdict(self.score_of(reading, self.limit, self.ratios), self.ratios)
 
     def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
         """Indices of the fields that an alarm names.
@@ -292,12 +301,11 @@ class ScoringDetector:
     @property
     def compiled(self) -> dict[str, Callable[..., Any]]:
         """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
-        return {"judge": self.scorer.judge} if hasattr(self.scorer, "judge") else {}
+        return self.scorer.compiled
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """Replace compiled functions, see `detector.part_of`."""
-        if hasattr(self.scorer, "instrument"):
-            self.scorer.instrument(made)
+        self.scorer.instrument(made)
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """Memory between publications, see `Detector`."""

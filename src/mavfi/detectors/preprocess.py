@@ -172,6 +172,11 @@ class DeltaScorer(Scorer):
         self._place = self.scratch.place
         self.instrument({})
 
+    @property
+    def compiled(self) -> dict[str, Callable[..., Any]]:
+        """See `Scorer.compiled`."""
+        return {"judge": self.judge}
+
     def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
         """Replace `judge` by the function of that name in `made`; restore it if there is none."""
         self._judge = made["judge"] if "judge" in made else entry(self.judge, self.scratch.content, 0, *self._tables)

@@ -233,10 +233,11 @@ def tracking(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values
 @kernel_jit
 def since(known: np.ndarray, slot: int, keep: bool) -> int:
     """Largest regime caused by a way-point since the last publication of a state; reset with `keep`."""
-    regime = int(known[_REGIME + slot])
+    largest = known[_REGIME + slot]
     if keep:
         known[_REGIME + slot] = float(PLAIN)
-    return regime
+    # compared, not converted: a corrupted number must not become an index
+    return NEW_TRAJECTORY if largest == NEW_TRAJECTORY else SWITCH if largest == SWITCH else PLAIN
 
 
 @kernel_jit

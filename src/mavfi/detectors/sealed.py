@@ -5,6 +5,8 @@ detect corruption in transit but no earlier errors: a wrong result has a valid c
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -87,21 +89,37 @@ class Checksum(Sealed):
 
     Args:
         large: Whether to include clouds and map updates.
+
+    Attributes:
+        compiled: Compiled functions that can be instrumented, by name; see `detector.part_of`.
     """
 
     source = "checksum"
+    compiled: ClassVar[dict[str, Callable[..., Any]]] = {"crc32c": crc32c}
 
     def __init__(self, large: bool = False) -> None:
         super().__init__(ALL if large else SMALL)
         self._sum = 0
+        self.instrument({})
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace the compiled function, see `detector.part_of`."""
+        self._crc32c: Callable[..., int] = made.get("crc32c", crc32c)
 
     def close(self, state: State) -> None:
         """Store the checksum."""
-        self._sum = checksum(state)
+        self._sum = self.checksum(state)
 
     def intact(self, state: State) -> bool:
         """Whether a value has the stored checksum."""
-        return checksum(state) == self._sum
+        return self.checksum(state) == self._sum
+
+    def checksum(self, state: State) -> int:
+        """CRC-32C of the bytes of a state: header, then elements."""
+        value = self._crc32c(state.header.view(np.uint8), 0)
+        if len(state.elements):
+            value = self._crc32c(np.ascontiguousarray(state.elements).view(np.uint8), value)
+        return int(value)
 
 
 class Oracle(Sealed):
@@ -120,11 +138,3 @@ class Oracle(Sealed):
     def intact(self, state: State) -> bool:
         """Whether a value equals the stored one, bit for bit."""
         return self._sent is not None and (state is self._sent or state.same_bits(self._sent))
-
-
-def checksum(state: State) -> int:
-    """CRC-32C of the bytes of a state: header, then elements."""
-    value = crc32c(state.header.view(np.uint8), 0)
-    if len(state.elements):
-        value = crc32c(np.ascontiguousarray(state.elements).view(np.uint8), value)
-    return int(value)
