@@ -1,6 +1,6 @@
 """Failures per flight hour by setting and kernel, from campaigns with instruction faults."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,13 +14,14 @@ from mavfi.campaign.analysis.failure_rate import (
     total_failures,
     upsets_per_instruction,
 )
-from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.measures import Measure, against_fi
 from mavfi.campaign.analysis.pairs import paired_difference
 from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, PERCENT, POINTS, Table
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
+from mavfi.states import DETECTORS, PLANNERS
 
 INSTRUCTION = "instruction"
 
@@ -56,6 +57,53 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
                 kernels = found.setdefault((environment, setting), {})
                 kernels[kernel] = len(known), Exposed(counts[kernel], Estimate(*harm))
     return found
+
+
+def payoff(
+    runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()
+) -> Estimate | None:  # fmt: skip
+    """Failures per flight hour under a detector minus those without: of kernels, and of the detector itself.
+
+    Args:
+        runs: A campaign with instruction faults.
+        environment: Environment.
+        setting: A setting with a detector.
+        upset: Upsets per instruction.
+        kernels: Only these kernels beside the detector; all if empty.
+
+    Returns:
+        Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
+    """
+    pairs = against_fi(runs).where("judged", level=INSTRUCTION, environment=environment, setting=setting)
+    shared = {name for name in pairs.values("kernel") if name not in DETECTORS and (not kernels or name in kernels)}
+    parts = []
+    for kernel, (_, one) in exposed(runs).get((environment, setting), {}).items():
+        if kernel in DETECTORS:
+            parts.append(one)
+        elif kernel in shared:
+            own = pairs.where(kernel=kernel)
+            harm = paired_difference(own["fi_success"], own["dr_success"], own["world"])
+            parts.append(Exposed(one.instructions, Estimate(*harm)))
+    return total_failures(parts, upset) if shared else None
+
+
+def payoffs(runs: Runs, upset: float) -> list[str]:
+    """Whether each detector prevents more failures than its own instructions cause, in words."""
+    found = []
+    for environment, setting in exposed(runs):
+        whole = payoff(runs, environment, setting, upset) if setting != FI else None
+        planner = payoff(runs, environment, setting, upset, tuple(PLANNERS))
+        if whole is not None:
+            text = f"{_verdict(whole)} over all kernels and its own instructions"
+            if planner is not None:
+                text += f"; {_verdict(planner)} over the planner and its own instructions"
+            found.append(f"does {setting} pay in {environment}? {text}")
+    return found
+
+
+def _verdict(found: Estimate) -> str:
+    word = "yes" if found.high < 0 else "no" if found.low > 0 else "undecided at this n"
+    return f"{word}, {found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour"
 
 
 def uncounted(runs: Runs) -> list[str]:
@@ -120,6 +168,7 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
     ]
     return [
         *left_out,
+        *payoffs(runs, rate.value),
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, not the "
         "failures without a fault",
@@ -160,10 +209,11 @@ def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
 
 
 def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
-    """One sentence per environment with the failures per flight hour of each setting."""
+    """Failures per flight hour of each setting, one sentence per environment, and whether its detector pays."""
     upset = upsets_per_instruction(upsets).value
     found: dict[str, list[str]] = {}
     for (environment, setting), kernels in exposed(runs).items():
         total = total_failures([one for _, one in kernels.values()], upset)
         found.setdefault(environment, []).append(f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]")
-    return [f"Failures per flight hour, {environment}: {'; '.join(rates)}." for environment, rates in found.items()]
+    rates = [f"Failures per flight hour, {environment}: {'; '.join(rates)}." for environment, rates in found.items()]
+    return [*rates, *(f"{text[0].upper()}{text[1:]}." for text in payoffs(runs, upset))]

@@ -4,7 +4,7 @@ import pytest
 
 from mavfi.campaign.analysis import table
 from mavfi.campaign.analysis.failure_rate import find_upsets, upsets_per_instruction
-from mavfi.campaign.analysis.failure_views import exposed, failure_table, summary
+from mavfi.campaign.analysis.failure_views import exposed, failure_table, payoff, payoffs, summary
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
 
 HOUR = {kernel: {"instructions": count, "calls": 1, "lines": []} for kernel, count in (("pid", 10), ("gaussian", 30))}
@@ -44,6 +44,30 @@ def test_a_detector_that_looks_better_by_coverage_fails_more_often():
     rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
     assert rows["dr_gaussian"]["coverage"] > rows["fi"]["coverage"]
     assert rows["dr_gaussian"]["failures"].value > rows["fi"]["failures"].value
+
+
+def test_a_detector_pays_if_it_prevents_more_failures_than_its_own_instructions_cause():
+    found = payoff(campaign(), "sparse", "dr_gaussian", upset=1.0)
+    # three of ten missions fewer in `pid`, two of ten more by the detector itself
+    assert found.value == pytest.approx(-20 * 0.3 + 60 * 0.2) and found.low < 0 < found.high
+    assert payoff(campaign(), "sparse", "dr_gaussian", 1.0, ("rrt_connect",)) is None, "not injected"
+    assert payoff(campaign(), "sparse", "fi", 1.0) is None
+    assert payoffs(campaign(), 1.0) == [
+        "does dr_gaussian pay in sparse? undecided at this n, "
+        f"{found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour over all kernels "
+        "and its own instructions"
+    ]
+
+
+@pytest.mark.parametrize(("saved", "word"), [(True, "yes"), (False, "no")])
+def test_with_enough_pairs_the_answer_is_decided(saved, word):
+    own = []
+    for seed in range(40):
+        own += [golden(seed, counted("pid")), golden(seed, counted("pid", "gaussian"), arm="gaussian")]
+        own.append(injected(seed, flown(not saved), INSTRUCTION, target="pid"))
+        own.append(injected(seed, flown(saved), INSTRUCTION, arm="gaussian", target="pid"))
+        own.append(injected(seed, flown(), IN_DETECTOR, arm="gaussian", target="gaussian"))
+    assert payoffs(runs(*own), 1.0)[0].startswith(f"does dr_gaussian pay in sparse? {word}, ")
 
 
 def test_harm_is_that_beyond_the_golden_run_of_the_same_arm():
