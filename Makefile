@@ -163,6 +163,7 @@ readme: setup  ## put the results of `make reproduce` into README.md and docs/re
 
 pictures: setup  ## draw the pictures of the documentation from flights and kernel runs (LOGS=folder)
 	@for script in tools/draw_*.py; do echo "$$script"; $(BIN)/python -m tools.$$(basename $$script .py) || exit 1; done
+	@$(BIN)/mavfi fly --environment dense --seed 10007 --fault state:perception.collision_status.collision --fault-seed 1 --detector recommended --picture docs/images/rescue.png
 
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages

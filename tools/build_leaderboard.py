@@ -25,6 +25,12 @@ RULES = {
     "way-point": 4,
 }  # fmt: skip
 """Rule of the page that protects each site of the part `sites`."""
+LEVELS = {
+    "sites": "a value that one kernel hands to another",
+    "instruction": "an instruction of the planner",
+    "memory": "what a node remembers",
+}
+"""Parts in README.md, and the place of their faults in words."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 _FLOWN = "Flown on "
@@ -47,25 +53,37 @@ def rules(sites: Path, instructions: Path) -> str:
     return "\n".join(lines)
 
 
-def headline(sites: Path, page: str = "leaderboard") -> str:
-    """Missions recovered by the paper's detectors and by the recommended scheme, in one paragraph that names the page.
+def headline(bench: Path, page: str = "leaderboard") -> str:
+    """Missions recovered by the paper's detectors and by the recommended scheme, by level; names the page.
+
+    Levels that were not flown, or not with all three, are left out.
 
     Raises:
-        BadInputError: The folder holds no ledger.
+        BadInputError: No level is left.
     """
-    own = {entry["arm"]: entry for entry in table(load(sites), "schemes").entries()}
-    lost = own[OURS]["lost"]
-    back = {
-        arm: f"{own[arm]['back'].successes} ({100 * own[arm]['back'].rate:.0f} %)"
-        for arm in (PAPERS, PAPERS_OTHER, OURS)
-    }
-    return (
-        f"**And what brings them back?** Of {lost} missions lost to one flipped bit in the values that kernels hand to "
-        f"each other, in the fields that lose most, the paper's Gaussian detector brings back {back[PAPERS]}, its "
-        f"autoencoder {back[PAPERS_OTHER]}, and `--detector recommended` {back[OURS]}: rules of physics and protocol, "
-        f"nothing trained. [Leaderboard](docs/generated/{page}.md); [five rules](docs/engineers.md) for a stack of "
-        "your own."
-    )
+    lines = [
+        "| flipped bit in | lost | GAD of the paper | its AAD | `--detector recommended` |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for part, where in LEVELS.items():
+        try:
+            found = table(load(bench / part), load_bench(NAME).parts[part].view)
+        except BadInputError:
+            continue
+        own = {entry["arm"]: entry for entry in found.entries()}
+        if all(arm in own for arm in (PAPERS, PAPERS_OTHER, OURS)):
+            back = (own[arm]["back"] for arm in (PAPERS, PAPERS_OTHER, OURS))
+            cells = (f"{one.successes} ({100 * one.rate:.0f} %)" for one in back)
+            lines.append(f"| {where} | {own[OURS]['lost']} | {' | '.join(cells)} |")
+    if len(lines) == 2:
+        raise BadInputError(f"{bench}: no part was flown with {PAPERS}, {PAPERS_OTHER} and {OURS}; needed: one")
+    return "\n".join([
+        "**And what brings them back?** Missions lost to one flipped bit, and how many of them a detector saves:",
+        "", *lines, "",
+        "`recommended` consists of rules of physics and protocol; nothing is trained. Fields and kernels are those "
+        f"that lose most missions. [Leaderboard](docs/generated/{page}.md), with intervals; "
+        "[five rules](docs/engineers.md) for a stack of your own.",
+    ])  # fmt: skip
 
 
 def _row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:
@@ -124,7 +142,7 @@ def main(arguments: list[str]) -> int:
         compared = load(bench / "sites").values("arm")
         worth = recovery = ""
         if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared):
-            worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench / "sites", name)
+            worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "")
         freeze(bench, scale)

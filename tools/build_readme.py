@@ -2,9 +2,8 @@
 
     python -m tools.build_readme out/reproduce
 
-The reports write `readme_block.md` and, optionally, `flight.png` to their folders; the study writes `study.md`, its
-figures and `report.html`. All are copied verbatim, and the numbers of the README are parsed from the tables, so that
-none is entered by hand.
+The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and `report.html`.  All
+are copied verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
 """
 
 import re
@@ -13,7 +12,7 @@ import sys
 from pathlib import Path
 
 from mavfi.reports.text import markdown_grid
-from tools.markers import DOCS, IMAGES, ROOT, banner, fill
+from tools.markers import DOCS, ROOT, banner, fill
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
 """File of each table, by marker name."""
@@ -115,7 +114,7 @@ def copy_study(out: Path) -> None:
 
 
 def main(out: Path) -> int:
-    """Update README.md, docs/results.md, docs/results/ and the picture from a study folder; returns the exit code."""
+    """Update README.md, docs/results.md and docs/results/ from a study folder; returns the exit code."""
     for block in BLOCKS.values():
         if not (out / block).is_file():
             print(f"{out / block}: not there; run `make reproduce` first", file=sys.stderr)
@@ -126,9 +125,6 @@ def main(out: Path) -> int:
     fill(ROOT / "README.md", {"headline": f"{headline(table)}\n\n{compact(table)}"})
     if (out / "study.md").is_file():
         copy_study(out)
-    picture = out / "flight.png"
-    if picture.is_file():
-        shutil.copyfile(picture, IMAGES / "flight.png")
     return 0
 
 

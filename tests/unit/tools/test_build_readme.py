@@ -67,14 +67,13 @@ def test_both_pages_are_written(monkeypatch, tmp_path):
     for name, markers in (("README.md", "headline"), ("results.md", "table instruction_table")):
         blocks = "".join(f"<!-- {marker}:begin -->\n<!-- {marker}:end -->\n" for marker in markers.split())
         (tmp_path / name).write_text(blocks, encoding="utf-8")
-    for name in ("DOCS", "ROOT", "IMAGES"):
+    for name in ("DOCS", "ROOT"):
         monkeypatch.setattr(build_readme, name, tmp_path)
     out = tmp_path / "out"
     assert build_readme.main(out) == 2
     (out / "instructions").mkdir(parents=True)
     (out / "readme_block.md").write_text("| state level |", encoding="utf-8")
     (out / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
-    (out / "flight.png").write_bytes(b"picture")
     for folder in ("figures", "tables"):
         (out / folder).mkdir()
     for name in ("figures/a.png", "tables/a.csv", "report.html", "study.md"):
@@ -84,7 +83,6 @@ def test_both_pages_are_written(monkeypatch, tmp_path):
     assert build_readme.main(out) == 0
     assert "27 of 156" in (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "| state level |" in (tmp_path / "results.md").read_text(encoding="utf-8")
-    assert (tmp_path / "flight.png").read_bytes() == b"picture"
     copied = {str(path.relative_to(tmp_path / "results")) for path in (tmp_path / "results").rglob("*.*")}
     assert copied == {"figures/a.png", "tables/a.csv", "report.html", "study.md"}
     assert (tmp_path / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
