@@ -59,6 +59,18 @@ def test_runs_are_repeated_bit_for_bit(ledger, monkeypatch, capsys):
     assert "all records equal" in capsys.readouterr().out
 
 
+def test_another_program_than_that_of_the_campaign_is_refused(ledger, monkeypatch, capsys):
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
+    golden, *_ = run_ids(ledger)
+    program = ledger.parent / "program.py"
+    program.write_text(PROGRAM + "# changed\n")
+    try:
+        assert run(["replay", str(ledger), golden]) == 2
+    finally:
+        program.write_text(PROGRAM)
+    assert f"{program}: is absent, or another program" in capsys.readouterr().err
+
+
 def test_its_program_is_not_run_unless_allowed(ledger, monkeypatch, capsys):
     monkeypatch.delenv("MAVFI_ALLOW_PLUGINS", raising=False)
     golden, *_ = run_ids(ledger)
