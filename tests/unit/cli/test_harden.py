@@ -11,7 +11,7 @@ from mavfi.campaign.hardening.certify import Certificate
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.study import Certification, Study
 from mavfi.cli.commands import run
-from mavfi.hardening.plan import Coverage, Plan, load_plan, save_plan
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
@@ -61,6 +61,22 @@ def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
         assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
         assert ("The plan is refuted: " in capsys.readouterr().out) == (code == 3)
         assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
+
+
+def test_a_certificate_is_stated_in_the_plan(opened, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    planned = FunctionPlan(kernel="pid", function="m.track", signature="f8", ir_sha256="ab" * 32, sites=((0, 0, 1),))
+    save_plan(Plan(functions=(planned,)), Path("plan.yaml"))
+    one = Certificate(
+        "pid", "m.track", "f8", 9, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 1.0, None,
+        mcnemar([True], [False]),
+    )  # fmt: skip
+    found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
+    monkeypatch.setattr(study, "certify_plan", lambda *_: found)
+    assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == 0
+    assert "wrote plan.yaml" in capsys.readouterr().out
+    (function,) = load_plan(Path("plan.yaml")).functions
+    assert function.certified.estimate == pytest.approx(0.98)
 
 
 CAMPAIGN = """
