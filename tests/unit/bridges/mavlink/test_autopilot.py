@@ -304,3 +304,12 @@ def test_a_port_in_use_is_refused(capsys):
         assert run(["mavlink", "serve", "--environment", "farm", "--port", port]) == 2
     err = capsys.readouterr().err
     assert f"--port: {port}: cannot be opened" in err and err.count("\n") == 1
+
+
+def test_serving_ends_with_a_sentence_on_the_vehicle(capsys):
+    assert run(["mavlink", "serve", "--environment", "farm", "--seed", "7", "--port", "0", "--seconds", "0.2"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    wanted = (
+        "0 messages received: the vehicle is on the ground, 0.0 m north, 0.0 m east and 0.0 m above its start, in mode"
+    )
+    assert wanted in last and "disarmed, without collision; digest " in last
