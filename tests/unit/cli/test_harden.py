@@ -11,6 +11,7 @@ from mavfi.campaign.hardening.certify import Certificate
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.study import Certification, Study
 from mavfi.cli.commands import run
+from mavfi.config import config_root
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 
 
@@ -121,3 +122,14 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     save_plan(plan.model_copy(update={"ledger": "0" * 64}), Path("other.yaml"))
     assert run(["harden", "out", "--plan", "other.yaml", "--certify"]) == 2
     assert "the plan was made from 000000000000" in capsys.readouterr().err
+
+
+def test_the_shipped_certificate_is_that_of_the_shipped_plan():
+    plan = load_plan("ten_percent")
+    found = json.loads((config_root() / "protections" / "ten_percent.certificate.json").read_text())
+    assert found["plan"] == plan.digest and not found["refuted"]
+    certified = {one["function"]: one["coverage"]["rate"] for one in found["functions"]}
+    assert {one.function: one.certified.estimate for one in plan.functions if one.sites} == certified
+    assert {one.function for one in plan.functions if one.kind == "none"} == {
+        one["function"] for one in found["unprotected"]
+    }
