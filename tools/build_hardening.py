@@ -15,10 +15,12 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from datetime import date
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.fingerprint import code
 from mavfi.campaign.hardening.advise import Advice, Curve, Step
 from mavfi.campaign.hardening.certify import certify, pairs_of, verdict_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
@@ -35,6 +37,7 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of, rerun_line
 from mavfi.reports.text import markdown_grid, percent, shown
+from tools.hardening_measured import measure, rows
 from tools.hardening_requirements import HEADINGS, REQUIRED, requirements
 from tools.markers import GENERATED, ROOT, banner, fill
 
@@ -129,15 +132,16 @@ def alternatives(curve: Curve) -> Row | None:
     }  # fmt: skip
 
 
-def golden(plan: Plan, flights: int, records: Records) -> GoldenCheck:
-    """Fly golden missions plain and protected, in four environments; sum over these and earlier plans."""
-    for environment in ENVIRONMENTS:
-        for seed in range(200, 200 + flights):
-            key = f"golden {code_of(plan)} {environment} {seed}"
-            row = records.get(key)
-            if row is None:
-                kernels = ("point_cloud", "octomap", "collision_check", "rrt_connect", "pid")
-                spec = MissionSpec(environment=environment, seed=seed)
+def golden(study: Study, plan: Plan, flights: int, records: Records) -> GoldenCheck:
+    """Fly golden missions plain and protected, in four environments; sum over these and earlier plans.
+
+    Each planner of the study is flown in all of them.
+    """
+    for place, (planner, kernels) in enumerate(study.by_planner().items()):
+        for environment, seed in product(ENVIRONMENTS, range(200, 200 + flights)):
+            key = f"golden {code_of(plan)} {environment} {seed}{f' {planner}' if place else ''}"
+            if records.get(key) is None:
+                spec = MissionSpec(environment=environment, seed=seed, planner=planner)
                 records.put(key, check_golden(resolve(spec), plan, kernels).to_json())
     total = GoldenCheck()
     for key, row in records.known.items():
@@ -183,7 +187,7 @@ def alternative_rows(compared: Sequence[Row]) -> list[list[str]]:
 
 def page(
     study: Study, advice: Row, curves: Sequence[Curve], certified: Sequence[tuple[Curve, Step, Row]],
-    compared: Sequence[Row], check: GoldenCheck,
+    compared: Sequence[Row], check: GoldenCheck, measured: Row,
 ) -> str:  # fmt: skip
     """The complete page."""
     c = study.campaign
@@ -196,8 +200,8 @@ def page(
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
         + "## Requirements\n\n"
-        + markdown_grid(HEADINGS, requirements(curves, certified, compared, advice, check))
-        + "\n\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`). "
+        + markdown_grid(HEADINGS, [*requirements(curves, certified, compared, advice, check), *rows(measured)])
+        + "\n\nThe exhaustive injection of small kernels is also a test (`tests/unit/hardening/test_duplicate.py`). "
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
@@ -250,10 +254,12 @@ def main() -> None:
     save_plan(plan, PLAN)
     curves = [curve for advice in advices for curve in advice.curves if len(curve.steps) > 1]
     compared = [row for curve in curves if (row := alternatives(curve)) is not None]
-    check = golden(plan, given.flights, records)
+    check = golden(study, plan, given.flights, records)
+    key = f"measured {code()}"
+    measured = records.get(key) or records.put(key, measure(study, plan, given.faults))
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))
-    PAGE.write_text(page(study, advice, curves, certified, compared, check), encoding="utf-8")
+    PAGE.write_text(page(study, advice, curves, certified, compared, check, measured), encoding="utf-8")
     fill(ROOT / "README.md", {"hardening": sentence(advice)})
     print(f"wrote {PAGE}")
 

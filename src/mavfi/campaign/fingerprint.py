@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from mavfi.config import config_root
 from mavfi.version import __version__
@@ -52,6 +53,20 @@ def difference(wanted: Mapping[str, str], here: Mapping[str, str]) -> str:
         if here.get(name) != value:
             return f"{name} {here.get(name, 'absent')[:12]}, the campaign {value[:12]}"
     return ""
+
+
+def differing_keys(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """Keys in which two identities of campaigns differ; of scenarios with their own, e.g. "scenarios.protection"."""
+    found = _differing(held, wanted)
+    one, other = held.get("scenarios") or {}, wanted.get("scenarios") or {}
+    if "scenarios" in found and one.keys() == other.keys():
+        found -= {"scenarios"}
+        found |= {f"scenarios.{key}" for place in one for key in _differing(one[place], other[place])}
+    return sorted(found)
+
+
+def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> set[str]:
+    return {key for key in {*one, *other} if one.get(key) != other.get(key)}
 
 
 def _hash(folder: Path, pattern: str) -> str:

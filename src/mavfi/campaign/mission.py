@@ -114,10 +114,13 @@ def _sampler_of(campaign: Campaign) -> Sampler:
     return _SAMPLERS[key]
 
 
-def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
-    """Setup of an arm; a model other than the planned one is refused when the detector is constructed."""
+def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None = None) -> ArmSetup:
+    """Setup of an arm; a model other than the planned one is refused when the detector is constructed.
+
+    Without a scenario, the mission is resolved from the files that it names.
+    """
     spec = plan.campaign.spec(plan.environment, plan.seed, arm.overrides)
-    scenario = host.resolve(spec)
+    scenario = scenario or host.resolve(spec)
 
     def make() -> Detector:
         detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mavfi.campaign.divergence import (
     Departure,
@@ -17,12 +18,15 @@ from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
-from mavfi.errors import BadInputError
+from mavfi.config import parse
+from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.faults.fault import Fault
 from mavfi.flight_record import End, FlightRecord, record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
 from mavfi.hosts.local import recorded
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.protection import check_plan
+from mavfi.mission import Scenario
 from mavfi.outcomes import Effect, effect_of
 
 
@@ -94,8 +98,22 @@ def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     arms = {arm.name: arm for arm in arms_of(campaign)}
     if spec.arm not in arms:
         raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {spec.arm!r}: allowed: {', '.join(arms)}")
+    stored = store.meta("identity")["scenarios"][f"{spec.environment}/{spec.arm}"]
+    scenario = None
+    if host.flies:
+        scenario = _scenario(store, {**stored, "seed": spec.seed})
+    elif campaign.program is not None and campaign.program.to_json()["sha256"] != stored["program"]["sha256"]:
+        raise SpecMismatchError(f"{campaign.program.script}: is absent, or another program than that of the campaign")
     mission = MissionPlan(campaign, *spec.world, store.models_dir, store.meta("identity")["models"])
-    return host, setup_of(mission, arms[spec.arm], host)
+    return host, setup_of(mission, arms[spec.arm], host, scenario)
+
+
+def _scenario(store: Store, stored: dict[str, Any]) -> Scenario:
+    """The scenario as flown, with the content of the files that its mission named, e.g. of its protection plan."""
+    scenario = parse(Scenario, stored, str(store.directory), stored=True)
+    if scenario.protection is not None:
+        check_plan(scenario.protection, f"of {store.directory}")
+    return scenario
 
 
 @dataclass(frozen=True, slots=True)

@@ -300,6 +300,5 @@ def _line(boundary: Boundary) -> str:
         return f"fault: not activated: {reason}"
     if boundary.failure is not None:
         return f"{found.time_s:8.3f} s  fault: {found.site}: {found.before} → {found.after}"
-    drawn = "#" in found.site  # the K-th number of all
-    where = f"{found.details['call']} {found.details['path']}".strip() if drawn else found.site
+    where = f"{found.details['call']}.{found.details['path']}"
     return f"{found.time_s:8.3f} s  fault in {where} bit {found.bit}: {found.before} → {found.after}"

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, check_writable, console, write_json
 from mavfi.errors import BadInputError
+from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.hardening.study import Study
@@ -91,18 +93,21 @@ def _advise(
     from rich.text import Text
 
     from mavfi.campaign.hardening.ledger import harm_of
-    from mavfi.campaign.hardening.study import advise, plan_of
+    from mavfi.campaign.hardening.study import advise, plan_of, with_certified
     from mavfi.campaign.hardening.summary import summary
-    from mavfi.hardening.plan import save_plan
+    from mavfi.hardening.plan import load_plan, save_plan
     from mavfi.reports.hardening.page import write_page
     from mavfi.reports.hardening.plain import advice_table, caveats, headline
     from mavfi.reports.terminal import show_table
 
     harm = harm_of(study.runs)
     advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
-    found = summary(study, advices, harm)
+    made = plan_of(study, advices)
     if plan is not None:
-        save_plan(plan_of(study, advices), plan)
+        with suppress(BadInputError):  # there is none yet
+            made = with_certified(made, load_plan(plan))
+        save_plan(made, plan)
+    found = summary(study, advices, harm, made)
     if html is not None:
         write_page(html, found, study.directory, plan)
     if as_json:
@@ -122,8 +127,8 @@ def _advise(
 def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine: str | None, *, as_json: bool) -> None:
     from rich.text import Text
 
-    from mavfi.campaign.hardening.study import certification_json, certify_plan, save_certification
-    from mavfi.hardening.plan import load_plan
+    from mavfi.campaign.hardening.study import certification_json, certified_plan, certify_plan, save_certification
+    from mavfi.hardening.plan import load_plan, save_plan
     from mavfi.reports.hardening.page import write_certificate
     from mavfi.reports.hardening.plain import certificate_tables, verdict_line
     from mavfi.reports.terminal import show_table
@@ -132,6 +137,9 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine
     check_writable(path.with_suffix(".certificate.json"))
     found = certify_plan(study, plan, faults, _tell, machine)
     written = [save_certification(found, path)]
+    if is_file(path):  # not a shipped plan, given by name
+        save_plan(certified_plan(plan, found), path)
+        written.append(path)
     if html is not None:
         write_certificate(html, found, study.directory, path, study.selected)
         written.append(html)

@@ -68,6 +68,13 @@ def _show(server: Server, as_json: bool) -> None:
     }  # fmt: skip
     if as_json:
         write_json(state)
-    else:
-        text = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in state.items())
-        console().print(text, markup=False, soft_wrap=True)
+        return
+    north, east, down = vehicle.position
+    place = "on the ground" if vehicle.landed else "in the air"
+    console().print(
+        f"{state['time_s']:.1f} s simulated, {server.received} messages received: the vehicle is {place}, "
+        f"{north:z.1f} m north, {east:z.1f} m east and {-down:z.1f} m above its start, in mode {state['mode']}, "
+        f"{'armed' if state['armed'] else 'disarmed'}, {'after a' if state['collided'] else 'without'} collision; "
+        f"digest {vehicle.digest()[:16]}",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip

@@ -57,7 +57,11 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--inject", inject, 0, _MOST_FLIPS)
     check_seed("--seed", seed)
     if (split is None) == (not train):
-        raise BadInputError("--train, --split: allowed: one of them")
+        for path in logs:
+            if not path.exists():
+                raise BadInputError(f"{path}: no such file")
+        given = "neither given" if split is None else "both given"
+        raise BadInputError(f"--train, --split: {given}; allowed: one of them, what a normal flight is learned from")
     with stoppable("Stopped."):
         wanted = [part.strip() for part in fields.split(",") if part.strip()]
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
@@ -84,11 +88,13 @@ def _judge(
     flips: tuple[int, int],
 ) -> tuple[list[LogWatch], list[Judged]]:  # fmt: skip
     """Train and judge; each LOG that is split trains its own detector."""
-    from mavfi.flight_logs.watch import LogWatch, judge_rest, read_recording, select
+    from mavfi.flight_logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
 
     recordings = [read_recording(path, fault) for path in logs]
+    normal = [read_recording(path, fault, required=False).normal for path in train]
+    if cut := cut_text([*recordings, *normal]):
+        console(error=True).print(cut, markup=False, soft_wrap=True)
     if split is None:
-        normal = [read_recording(path, fault, required=False).normal for path in train]
         probes = select([*normal, *(recording.normal for recording in recordings)], fields)
         watching = LogWatch(*chosen, probes, normal)
         return [watching], [watching.judge(recording, *flips) for recording in recordings]

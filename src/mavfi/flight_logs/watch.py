@@ -113,20 +113,21 @@ def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[
         usable = [name for name in names if all(_is_finite(group[topic], name) for group in groups)]
         if usable:
             probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
-    _check_wanted(wanted, probes, groups, shared, _cut(recordings))
+    cut = f" ({text})" if (text := cut_text(recordings)) else ""
+    _check_wanted(wanted, probes, groups, shared, cut)
     if not probes:
         files = ", ".join(recording.name for recording in recordings)
         raise BadInputError(
-            f"{files}: no numbers in common{_cut(recordings)}; allowed: topics with {_LEAST_MESSAGES} messages or more "
+            f"{files}: no numbers in common{cut}; allowed: topics with {_LEAST_MESSAGES} messages or more "
             "in each recording, with finite numbers"
         )
     return probes
 
 
-def _cut(recordings: Sequence[Recording]) -> str:
-    """Which files are cut, as a part of a message; "" = none."""
+def cut_text(recordings: Sequence[Recording]) -> str:
+    """Which files are cut; "" = none."""
     names = [recording.name for recording in recordings if recording.cut]
-    return f" ({', '.join(names)}: cut, the last message is not complete)" if names else ""
+    return f"{', '.join(names)}: cut, the last message is not complete" if names else ""
 
 
 def _by_topic(recording: Recording) -> dict[str, list[LoggedMessage]]:
@@ -216,6 +217,7 @@ class Judged:
         fault_delay_s: Time from the start of the known fault to the first alarm (s); None = no alarm.
         has_fault: Whether a fault is known.
         after_fault_s: Duration of the part with the known fault (s).
+        cut: Whether the file ends within a message.
     """
 
     name: str
@@ -226,6 +228,7 @@ class Judged:
     has_fault: bool = False
     fault_delay_s: float | None = None
     after_fault_s: float = 0.0
+    cut: bool = False
 
     @property
     def events(self) -> int:
@@ -291,7 +294,7 @@ class LogWatch:
             recording.name, _exposure_s(times), len(normal), clean,
             list(self._inject(judged[: len(normal)], {alarm.place for alarm in clean}, flips, seed)),
             onset is not None, None if onset is None or not late else 1e-6 * (late[0].time_us - onset),
-            _exposure_s([m.time_us for m, _ in judged[len(normal) :]]),
+            _exposure_s([m.time_us for m, _ in judged[len(normal) :]]), recording.cut,
         )  # fmt: skip
 
     def _run(self, judged: Sequence[tuple[LoggedMessage, State]]) -> Iterator[LogAlarm]:

@@ -77,6 +77,7 @@ class FunctionPlan(Config):
         None, ge=0, le=1, description="of the plain execution time of its kernel in a flight; absent = not known"
     )
     predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
+    certified: Coverage | None = Field(None, description="coverage measured with fresh missions and faults")
 
     @field_validator("sites", mode="before")
     @classmethod
@@ -96,10 +97,11 @@ class FunctionPlan(Config):
 
     @model_serializer(mode="wrap")
     def _known(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A plan without shares has the digest that it had before there were any."""
+        """A plan without shares or certificate has the digest that it had before there were any."""
         found: dict[str, Any] = write(self)
-        if self.share is None:
-            found.pop("share", None)
+        for key in ("share", "certified"):
+            if getattr(self, key) is None:
+                found.pop(key, None)
         return found
 
     @model_validator(mode="after")
@@ -133,9 +135,12 @@ class Plan(Config):
 
     @property
     def bare(self) -> "Plan":
-        """The plan without what flights do not depend on: lines and predictions."""
-        nothing = {"lines": (), "predicted": None}
-        return self.model_copy(update={"functions": tuple(one.model_copy(update=nothing) for one in self.functions)})
+        """The plan without what flights do not depend on: lines, coverage, and functions that are left as they are."""
+        nothing = {"lines": (), "predicted": None, "certified": None}
+        functions = tuple(
+            one.model_copy(update=nothing) for one in self.functions if one.kind != "none" or one.time > 1.0
+        )
+        return self.model_copy(update={"functions": functions})
 
     @property
     def digest(self) -> str:

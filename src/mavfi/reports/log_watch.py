@@ -69,9 +69,11 @@ class Rates:
 
 def rate_text(rate: EventRate) -> str:
     """Events per hour with interval; three digits, as rates in minutes of flight span decades."""
-    if rate.per_hour is None:
+    if rate.per_hour is None or rate.low is None or rate.high is None:
         return "not counted"
-    return f"{rate.per_hour:.3g} [{rate.low:.3g}, {rate.high:.3g}]"
+    found = (rate.per_hour, rate.low, rate.high)
+    value, low, high = (f"{one:,.0f}" if one >= 1000.0 else f"{one:.3g}" for one in found)
+    return f"{value} [{low}, {high}]"
 
 
 def delay_text(judged: Judged) -> str:

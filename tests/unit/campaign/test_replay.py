@@ -1,10 +1,12 @@
 import pytest
 
 from mavfi.campaign import mission as mission_module
-from mavfi.campaign.replay import fly_again, replay
+from mavfi.campaign.pack import pack, unpack
+from mavfi.campaign.replay import fly_again, replay, setup_of_run
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.hardening.plan import load_plan, save_plan
 from tests.unit.campaign.fakes import BROKEN, TROUBLE, FakeDetector, OneByOne, small
 
 
@@ -54,6 +56,48 @@ def test_another_model_is_refused_and_only_where_it_matters(directory, monkeypat
     ):
         replay(directory, a_run(directory, "dr_gaussian").spec.run_id)
     assert replay(directory, a_run(directory, "fi").spec.run_id).same
+
+
+@pytest.fixture
+def protected(tmp_path):
+    """The ledger of a campaign with a protection plan, and the file of the plan."""
+    file = tmp_path / "plan.yaml"
+    save_plan(load_plan("ten_percent"), file)
+    campaign = small(missions=1, faults=1, arms={"safe": {"protection": str(file)}})
+    run_campaign(campaign, tmp_path / "out", executor=OneByOne())
+    return tmp_path / "out", file, campaign
+
+
+def test_runs_are_flown_again_with_the_plan_of_the_ledger(protected, tmp_path):
+    directory, file, _ = protected
+    pack(directory, tmp_path / "sent.zip")
+    unpack(tmp_path / "sent.zip", tmp_path / "there")
+    for content in ("functions: []", None):  # changed, moved
+        file.unlink() if content is None else file.write_text(content)
+        for ledger in (directory, tmp_path / "there"):
+            with Store.open(ledger) as store:
+                found = next(run for run in store.runs() if run.spec.setting == "fi_safe")
+                _, setup = setup_of_run(store, found.spec)
+                assert setup.scenario.protection == load_plan("ten_percent").bare
+                assert setup.scenario.seed == found.spec.seed
+            assert replay(ledger, found.spec.run_id).same
+
+
+def test_a_campaign_does_not_continue_with_another_plan(protected):
+    directory, file, campaign = protected
+    file.write_text("functions: []")
+    with pytest.raises(BadInputError, match=r"differs in: scenarios\.platform, scenarios\.protection\)"):
+        run_campaign(campaign, directory, executor=OneByOne())
+    file.unlink()
+    with pytest.raises(BadInputError, match=f"^{file}: "):
+        run_campaign(campaign, directory, executor=OneByOne())
+
+
+def test_a_plan_of_another_compiler_is_refused_and_names_the_ledger(protected, monkeypatch):
+    directory, _, _ = protected
+    monkeypatch.setattr("mavfi.hardening.plan.version", lambda package: "0.1")
+    with pytest.raises(BadInputError, match="planned with numba .*, this is 0.1"):
+        replay(directory, a_run(directory, "fi_safe").spec.run_id)
 
 
 def test_an_exception_of_the_flight_comes_through(directory, monkeypatch):

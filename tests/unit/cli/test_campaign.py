@@ -190,6 +190,16 @@ def test_replay_gives_the_same_bytes(capsys, really_flown):
     assert "the same run, bit for bit" in capsys.readouterr().out
 
 
+def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "stray", 1e-9)
+    assert run(["replay", str(flown), "sparse-10000-golden-"]) == 1
+    printed = capsys.readouterr()
+    assert "bit for bit" not in printed.out
+    assert ": another run: " in printed.err and "; stored: " in printed.err and printed.err.count("\n") == 1
+    assert run(["replay", str(flown), "sparse-10000-golden-", "--json"]) == 1
+    assert not json.loads(capsys.readouterr().out)["same"]
+
+
 @pytest.mark.slow
 def test_explain_tells_the_story(capsys, really_flown):
     assert run(["explain", str(really_flown), "sparse-10000-fi-planning"]) == 0

@@ -11,7 +11,8 @@ from mavfi.campaign.hardening.certify import Certificate
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.study import Certification, Study
 from mavfi.cli.commands import run
-from mavfi.hardening.plan import Coverage, Plan, load_plan, save_plan
+from mavfi.config import config_root
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
@@ -63,6 +64,22 @@ def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
         assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
 
 
+def test_a_certificate_is_stated_in_the_plan(opened, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    planned = FunctionPlan(kernel="pid", function="m.track", signature="f8", ir_sha256="ab" * 32, sites=((0, 0, 1),))
+    save_plan(Plan(functions=(planned,)), Path("plan.yaml"))
+    one = Certificate(
+        "pid", "m.track", "f8", 9, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 1.0, None,
+        mcnemar([True], [False]),
+    )  # fmt: skip
+    found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
+    monkeypatch.setattr(study, "certify_plan", lambda *_: found)
+    assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == 0
+    assert "wrote plan.yaml" in capsys.readouterr().out
+    (function,) = load_plan(Path("plan.yaml")).functions
+    assert function.certified.estimate == pytest.approx(0.98)
+
+
 CAMPAIGN = """
 name: tiny
 environments: [dense]
@@ -105,3 +122,14 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     save_plan(plan.model_copy(update={"ledger": "0" * 64}), Path("other.yaml"))
     assert run(["harden", "out", "--plan", "other.yaml", "--certify"]) == 2
     assert "the plan was made from 000000000000" in capsys.readouterr().err
+
+
+def test_the_shipped_certificate_is_that_of_the_shipped_plan():
+    plan = load_plan("ten_percent")
+    found = json.loads((config_root() / "protections" / "ten_percent.certificate.json").read_text())
+    assert found["plan"] == plan.digest and not found["refuted"]
+    certified = {one["function"]: one["coverage"]["rate"] for one in found["functions"]}
+    assert {one.function: one.certified.estimate for one in plan.functions if one.sites} == certified
+    assert {one.function for one in plan.functions if one.kind == "none"} == {
+        one["function"] for one in found["unprotected"]
+    }

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import pytest
 
+from mavfi.campaign.analysis.statistics import EventRate
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
 from mavfi.flight_logs.reader import open_flight_log
 from mavfi.flight_logs.watch import Judged, LogAlarm, LogWatch, Recording, read_recording, select
-from mavfi.reports.log_watch import Rates
+from mavfi.reports.log_watch import Rates, rate_text
 
 
 @pytest.fixture(scope="module")
@@ -146,8 +147,8 @@ def test_the_answer_comes_first(files, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "--train, --split: allowed: one of them"),
-        (["--train", "{}", "--split", "0.5"], "--train, --split: allowed: one of them"),
+        ([], "--train, --split: neither given; allowed: one of them"),
+        (["--train", "{}", "--split", "0.5"], "--train, --split: both given; allowed: one of them"),
         (["--train", "{}", "--detector", "oracle"], "--detector: 'oracle': allowed: gaussian, autoencoder"),
         (["--train", "{}", "--fault", "mode"], "--fault: 'mode': allowed: TOPIC:FIELD"),
         (["--train", "{}", "--fault", "none:mode"], "holds no topic none; allowed: row"),
@@ -160,3 +161,23 @@ def test_bad_input_is_one_line(files, arguments, message, capsys):
     assert run(["watch", log, *(text.format(log) for text in arguments)]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
+
+
+def test_a_log_that_does_not_exist_is_told_first(capsys):
+    assert run(["watch", "none.ulg"]) == 2
+    assert "none.ulg: no such file" in capsys.readouterr().err
+
+
+def test_a_log_that_is_cut_is_judged_and_named(files, tmp_path, capsys):
+    cut = tmp_path / "cut.ulg"
+    cut.write_bytes(files("ulg", "a").read_bytes()[:-7])
+    assert run(["watch", str(cut), "--train", str(files("ulg", "b")), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["recordings"][0]["cut"]
+    assert printed.err == "cut.ulg: cut, the last message is not complete\n"
+    assert run(["watch", str(files("ulg", "a")), "--train", str(files("ulg", "b"))]) == 0
+    assert not capsys.readouterr().err
+
+
+def test_rates_of_thousands_have_no_exponent():
+    assert rate_text(EventRate(0, 1.0, 0.0, 0.0, 1106.7, 900.0)) == "0 [0, 1,107]"

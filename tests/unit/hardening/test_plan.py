@@ -38,6 +38,17 @@ def test_the_digest_is_that_of_the_content_without_lines():
     assert one.digest != Plan(functions=(of(sites=((0, 0, 1),), time=1.5),)).digest
 
 
+def test_flights_do_not_depend_on_what_is_not_protected_nor_on_coverage(tmp_path):
+    known = Coverage(estimate=0.9, low=0.8, high=0.95)
+    one, none = of(sites=((0, 0, 1),)), of(function="m.g", kind="none")
+    plan = Plan(functions=(one.model_copy(update={"certified": known}), none))
+    assert plan.digest == Plan(functions=(one,)).digest and plan.bare.functions == (one,)
+    assert Plan(functions=(of(kind="none", time=1.5),)).bare.time_of("pid") == 1.5, "its time is charged"
+    save_plan(plan, tmp_path / "p.yaml")
+    assert load_plan(tmp_path / "p.yaml") == plan
+    assert "certified" not in Plan(functions=(one,)).model_dump_json()
+
+
 def test_the_time_of_a_kernel_weights_its_functions_by_their_shares(tmp_path):
     parts = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
     plan = Plan(functions=parts)

@@ -8,6 +8,9 @@ from mavfi.campaign.hardening.advise import Curve, Step
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.learned import Injected
 from mavfi.hardening.choose import NOTHING
+from mavfi.hardening.plan import Plan
+from tools import build_hardening
+from tools.hardening_measured import rows
 from tools.hardening_requirements import HEADINGS, requirements
 from tools.markers import GENERATED, ROOT
 
@@ -78,3 +81,40 @@ def test_the_budget_and_the_golden_flights_are_judged():
     assert found["--budget 0.10` of a flight's kernel time"]["what limits"] == "not in full, which adds: track 12.0 %"
     assert found["golden digests with any plan; false alarms"]["met"] == "yes"
     assert table(check=GoldenCheck(92, 91, 20_000, 0))["golden digests with any plan; false alarms"]["met"] == "no"
+
+
+MEASURED = {
+    "advice_s": 53.2, "build_s": {"pid": 0.1, "rrt": 0.4},
+    "machine": [{
+        "function": "m.track", "sdc_before": {"rate": 0.4, "low": 0.3, "high": 0.5, "n": 200},
+        "sdc_after": {"rate": 0.1, "low": 0.05, "high": 0.2, "n": 200},
+        "coverage": {"rate": 0.7, "low": 0.5, "high": 0.8, "n": 200},
+    }],
+    "exhaustive": {"walk": {"detected": 9, "masked": 4}, "mean_square": {"detected": 7}},
+}  # fmt: skip
+
+
+def test_times_machine_level_and_all_faults_are_judged():
+    found = {row[0]: dict(zip(HEADINGS, row, strict=True)) for row in rows(MEASURED)}
+    assert [row["met"] for row in found.values()] == ["yes"] * 4
+    assert found["`mavfi harden`"]["measured"] == "53 s"
+    assert found["protected code of a kernel, from the cache"]["measured"] == "0.40 s (rrt, the slowest)"
+    assert "10.0 % [5.0, 20.0] after, n = 200 each; 70.0 %" in found["machine level, `track`"]["measured"]
+    late = {"advice_s": 61.0, "build_s": {"pid": 1.2}, "exhaustive": {"walk": {"detected": 9, "sdc": 1}}}
+    assert [row[3] for row in rows(MEASURED | late)] == ["no", "no", "yes", "no"]
+
+
+def test_every_planner_of_the_study_is_flown_golden(monkeypatch, tmp_path):
+    flown = []
+
+    def check(scenario, plan, kernels):
+        flown.append((scenario.environment.name, scenario.seed, scenario.planner.name))
+        assert scenario.planner.name in kernels
+        return GoldenCheck(1, 1, 10, 0)
+
+    monkeypatch.setattr(build_hardening, "check_golden", check)
+    planners = {"rrt_connect": ("pid", "rrt_connect"), "rrt": ("pid", "rrt"), "rrt_star": ("pid", "rrt_star")}
+    study, records = SimpleNamespace(by_planner=lambda: planners), build_hardening.Records(tmp_path / "r.jsonl", 1)
+    for _ in range(2):  # what is known is not flown again
+        assert build_hardening.golden(study, Plan(), 2, records) == GoldenCheck(24, 24, 240, 0)
+    assert len(flown) == len(set(flown)) == 24 and {planner for *_, planner in flown} == set(planners)

@@ -181,9 +181,10 @@ class Boundary:
                 value, _, after, _ = flip(value, path, bit)
         except BadInputError:
             return value
+        names = (RETURN, *path) if in_return else (CALLS[name].arguments[int(path[0])], *path[1:])
         self.injection = Injection(
             "message", fault.site, 1e-6 * now_us, None if fault.bit is None else bit, before, after, True,
-            details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, path))},
+            details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, names))},
         )  # fmt: skip
         return value
 

@@ -96,7 +96,8 @@ class ProgramRuns:
         """The error-free runs.
 
         Raises:
-            BadInputError: They differ, because the program depends on wall-clock time or on unseeded randomness.
+            BadInputError: They differ, because the program depends on wall-clock time or on unseeded randomness, or
+                hang.
         """
         mission = self._missions[arm]
         runs = [
@@ -107,8 +108,10 @@ class ProgramRuns:
                 f"{mission.program.script}: {len(runs)} error-free runs differ; allowed: programs whose randomness is "
                 "seeded, and that measure time with the module time only"
             )
+        if runs[0].how == "hang":
+            raise BadInputError(f"{mission.program.script}: {runs[0].reason} without a fault; allowed: a larger wall_s")
         self._golden[arm] = runs[0]
-        return ProgramResult(record_of_program(runs[0]), tuple(runs[0].boundary.passed))
+        return ProgramResult(record_of_program(runs[0], runs[0]), tuple(runs[0].boundary.passed))
 
     def know(self, arm: str, flight: Recorded) -> None:
         """See `MissionFlights.know`; no operation, as no program is run elsewhere."""
@@ -119,7 +122,7 @@ class ProgramRuns:
         def run(arm: str, fault: Fault) -> ProgramResult:
             mission, boundary = self._missions[arm], Boundary.of(cast(MessageFault | SensorFault, fault))
             ended = run_program(mission.program, mission.spec, boundary)
-            return ProgramResult(record_of_program(ended, self._golden_run(arm) if ended.how == "time is up" else None))
+            return ProgramResult(record_of_program(ended, ended if ended.how == "ended" else self._golden_run(arm)))
 
         return one_by_one(runs, run)
 
@@ -130,17 +133,19 @@ class ProgramRuns:
         return self._golden[arm]
 
 
-def record_of_program(ended: Ended, golden: Ended | None = None) -> FlightRecord:
+def record_of_program(ended: Ended, golden: Ended) -> FlightRecord:
     """The record of a run.
 
-    A program that still runs when its time is up hangs, if the error-free one (`golden`) ended.
+    A program that still runs when its time is up hangs, if the error-free one (`golden`) ended.  An exit code other
+    than 0 is a crash, if it is not that of the error-free one.
     """
     injection = ended.boundary.injected
     injections = () if injection is None else (injection,)
     extra = {"how": ended.how, "calls": sum(ended.calls.values()), "refused": sum(ended.errors.values())}
-    late = golden is not None and ended.how == "time is up" and golden.how == "ended"
     effects = {"program crash": Effect.EXCEPTION, "hang": Effect.HANG}
-    effect = Effect.HANG if late else effects.get(ended.how)
+    if golden.how == "ended":
+        effects["time is up"] = Effect.HANG
+    effect = None if ended.ends_like(golden) else effects.get(ended.how)
     if effect is not None:
         reason = ended.reason or "its time is up"
         return FlightRecord(

@@ -27,7 +27,6 @@ V_MAX = 12.0
 """Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
 _RUNNER = Path(__file__).with_name("runner.py")
 _PATIENCE_S = 5.0
-_LAST_LINES = 3
 
 
 def make_api(
@@ -59,7 +58,8 @@ class Ended:
 
     Attributes:
         how: "ended", "time is up", "program crash" or "hang".
-        reason: Last lines that it wrote to stderr, or the signal; "" if it ended.
+        code: Its exit code; None = it hangs.
+        reason: Its exception, or the last line that it wrote to stderr, or the exit code; "" if it ended.
         collided: Whether its vehicle touched an obstacle.
         digest: Of the vehicle's states and of how the program ended.
         seconds: Simulated time (s).
@@ -78,6 +78,11 @@ class Ended:
     errors: dict[str, int]
     output: str
     boundary: Boundary = field(repr=False)
+    code: int | None = 0
+
+    def ends_like(self, other: "Ended") -> bool:
+        """Whether both ended in the same way, e.g. with the same exit code."""
+        return (self.how, self.code) == (other.how, other.code)
 
     @property
     def status(self) -> MissionStatus:
@@ -89,7 +94,7 @@ def effect_on(golden: Ended, injected: Ended) -> str:
     """What a fault did to a program: masked, deviates, collision, program crash, hang, or not activated."""
     if injected.boundary.injected is None:
         return "not activated"
-    if injected.how not in ("ended", "time is up"):
+    if injected.how not in ("ended", "time is up") and not injected.ends_like(golden):
         return injected.how
     if injected.how == "time is up" and golden.how == "ended":
         return "hang"
@@ -166,8 +171,7 @@ class _Run:
 
     def _ended(self, code: int | None, output: str, errors: str) -> Ended:
         vehicle = self._api.vehicle
-        lines = [line for line in errors.splitlines() if line.strip()]
-        reason = " | ".join(lines[-_LAST_LINES:])
+        reason = _exception_line(errors)
         if not self._server.calls and code == EXIT_CRASH:
             raise BadInputError(f"{self._program.script}: made no call ({reason or 'without a message'})")
         if code is None:
@@ -181,8 +185,15 @@ class _Run:
         digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
         return Ended(
             how, reason, vehicle.has_ever_collided, digest, 1e-6 * vehicle.now_us,
-            dict(self._server.calls), dict(self._server.errors), output, self._boundary,
+            dict(self._server.calls), dict(self._server.errors), output, self._boundary, code,
         )  # fmt: skip
+
+
+def _exception_line(errors: str) -> str:
+    """The exception of the last traceback in what a program wrote to stderr; without one, the last line."""
+    lines = [line for line in errors.splitlines() if line.strip()]
+    start = max((place for place, line in enumerate(lines) if line.startswith("Traceback ")), default=len(lines))
+    return next((line for line in lines[start + 1 :] if not line[0].isspace()), lines[-1] if lines else "")
 
 
 def _environment() -> dict[str, str]:

@@ -111,7 +111,7 @@ class Call:
         return isinstance(place, int) and place < len(self.parameters) and self.parameters[place].annotation is float
 
     def check(self, api: Api, given: list[Any]) -> None:
-        """Check the number of arguments and the name of the vehicle.
+        """Check the number and the types of arguments and the name of the vehicle.
 
         Raises:
             BadInputError: They do not fit.
@@ -122,7 +122,10 @@ class Call:
         if not needed <= len(given) <= len(self.parameters):
             allowed = ", ".join(self.arguments) or "none"
             raise BadInputError(f"{self.name}: {len(given)} arguments; allowed: {allowed}")
-        for name, value in zip(self.arguments, given, strict=False):
+        for parameter, value in zip(self.parameters, given, strict=False):
+            name = parameter.name
+            if parameter.annotation in (bool, int, float) and not isinstance(value, (int, float)):
+                raise BadInputError(f"{self.name}: {name}: {value!r}: allowed: a number")
             if name == "vehicle_name" and value not in ("", api.name):
                 raise BadInputError(f"{self.name}: vehicle {value!r}: not known; allowed: {api.name}, or none")
 

@@ -25,6 +25,7 @@ from mavfi.bridges.mavlink.parameters import Parameters
 from mavfi.errors import BadInputError
 from mavfi.faults.sensor.failures import Failure
 from mavfi.faults.sensor.fault import NULL, SensorFault
+from mavfi.flight_logs.lines import chunks_of
 from mavfi.flight_logs.ned import Triple, euler, local
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
@@ -36,7 +37,6 @@ TYPES = dict(enumerate(("ok", "off", "stuck", "garbage", "wrong", "slow", "delay
 """Its types by FAILURE_TYPE, which has no drift."""
 PROOF_US = 1_000_000
 """Time within which a failure must change a value (us)."""
-LONGEST_TEXT = 50
 _FORCE = 21_196
 _BODY_FRAMES = (8, 9, 12)
 
@@ -76,6 +76,7 @@ class Autopilot:
         self._task = 0
         self._schedule = telemetry.Schedule()
         self._pending: list[tuple[Failure, Any]] = []
+        self._long_texts = 0
         self._start(hold(vehicle))
 
     # ---- state ------------------------------------------------------------------------------------------------------
@@ -137,8 +138,12 @@ class Autopilot:
         getattr(self._link, f"{name}_send")(*arguments)
 
     def text(self, text: str, severity: int = INFO) -> None:
-        """Send a STATUSTEXT; longer texts are cut off."""
-        self.send("statustext", severity, text.encode("ascii", "replace")[:LONGEST_TEXT])
+        """Send a STATUSTEXT, a longer text in chunks that share an id."""
+        parts = chunks_of(text)
+        self._long_texts += len(parts) > 1
+        own = 0 if len(parts) == 1 else self._long_texts % 65_535 + 1
+        for place, part in enumerate(parts):
+            self.send("statustext", severity, part, own, place)
 
     # ---- input ------------------------------------------------------------------------------------------------------
     def handle(self, message: Any) -> None:

@@ -123,6 +123,8 @@ def _injection(injection: Injection) -> dict[str, Any]:
     known: dict[str, Any] = {
         column: str(details[key]) for key, column in _DETAILS.items() if details.get(key) is not None
     }
+    if "path" in details:  # of a number in a call, by name
+        known["site"] = f"{details['call']}.{details['path']}"
     if injection.bit is not None:
         known["bit"] = injection.bit
     return {

@@ -35,6 +35,7 @@ from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, writing
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.protection import check_plan
 from mavfi.ir.build import name_of
 from mavfi.mission import Scenario
@@ -155,7 +156,7 @@ def advise(
 
 
 def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
-    """The plan of an advice."""
+    """The plan of an advice; functions that were considered and are not protected have the kind none."""
     ticks: dict[str, float] = defaultdict(float)
     for advice in advices:
         for curve in advice.curves:
@@ -164,7 +165,7 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
         planned_of(curve.target, step, round(curve.ticks / ticks[curve.target.kernels[0]], 4))
         for advice in advices
         for curve, step in advice.steps
-        if step.choice.chosen
+        if len(curve.steps) > 1  # of the kernels to protect
     ]
     return Plan(cpu=processor(), ledger=study.digest, functions=tuple(functions))
 
@@ -172,11 +173,12 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
 def planned_of(target: Target, step: Step, share: float | None = None) -> FunctionPlan:
     """The entry of a function in a plan; `share` of the time of its kernel."""
     sites = target.sites(step.choice)
+    predicted = _coverage(step.coverage) if sites else None
     return FunctionPlan(
         kernel=target.kernels[0], function=target.name, signature=target.seen.signature_text,
         ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none",
         addresses=target.addresses, sites=tuple(sites),
-        lines=target.lines(sites), time=round(step.time, 3), share=share, predicted=_coverage(step.coverage),
+        lines=target.lines(sites), time=round(step.time, 3), share=share, predicted=predicted,
     )  # fmt: skip
 
 
@@ -289,6 +291,26 @@ def merged(seen: Sequence[Seen]) -> list[Seen]:
         own.total += one.total
         own.calls = [*own.calls, *one.calls]
     return list(found.values())
+
+
+def with_certified(plan: Plan, other: Plan) -> Plan:
+    """The plan with the certified coverage that another one states for the same protected code."""
+    known = {(one.function, one.signature, Protection(one).key): one.certified for one in other.functions}
+    functions = tuple(
+        one.model_copy(update={"certified": known.get((one.function, one.signature, Protection(one).key))})
+        for one in plan.functions
+    )
+    return plan.model_copy(update={"functions": functions})
+
+
+def certified_plan(plan: Plan, certification: Certification) -> Plan:
+    """The plan with the coverage that its certificate states."""
+    measured = {(one.function, one.signature): _coverage(one.coverage) for one in certification.certificates}
+    functions = tuple(
+        one.model_copy(update={"certified": measured.get((one.function, one.signature), one.certified)})
+        for one in plan.functions
+    )
+    return plan.model_copy(update={"functions": functions})
 
 
 def save_certification(certification: Certification, plan_path: Path) -> Path:

@@ -12,15 +12,19 @@ from mavfi.campaign.hardening.study import Study
 from mavfi.campaign.hardening.target import Target
 from mavfi.campaign.hardening.ways import Compared
 from mavfi.hardening.candidates import candidates
-from mavfi.hardening.plan import Site
+from mavfi.hardening.plan import Coverage, Plan, Site
 
 
-def summary(study: Study, advices: Sequence[Advice], harm: Harm) -> dict[str, Any]:
+def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | None = None) -> dict[str, Any]:
     """The advice: what to protect, what it costs, which share of the silent corruptions goes, and what remains.
+
+    The certified coverage of functions is that of the plan.
 
     `coverage` and `spent` are of the campaign's own missions; other planners fly in their own.
     """
     first = advices[0]
+    planned = () if plan is None else plan.functions
+    certified = {(one.function, one.signature): one.certified for one in planned if one.certified is not None}
     pairs = [pair for advice in advices for pair in advice.steps if pair[0].target.injections]
     return {
         "campaign": study.campaign.name, "ledger": study.digest, "budget": first.budget, "spent": first.spent,
@@ -28,9 +32,15 @@ def summary(study: Study, advices: Sequence[Advice], harm: Harm) -> dict[str, An
         "complete": study.complete, "selected": list(study.selected),
         "addresses": any(curve.target.addresses for curve, _ in pairs),
         "kernels": [_kernel(kernel, pairs) for kernel in study.kernels],
-        "functions": [_function(curve, step) for curve, step in pairs],
+        "functions": [
+            _function(curve, step) | {"certified": _rate(certified.get(curve.target.key))} for curve, step in pairs
+        ],
         "harm": asdict(harm),
     }  # fmt: skip
+
+
+def _rate(found: Coverage | None) -> dict[str, float] | None:
+    return None if found is None else {"rate": found.estimate, "low": found.low, "high": found.high}
 
 
 def _kernel(kernel: str, pairs: Sequence[tuple[Curve, Step]]) -> dict[str, Any]:

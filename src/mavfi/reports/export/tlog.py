@@ -13,13 +13,11 @@ import numpy as np
 
 from mavfi.errors import writing
 from mavfi.flight_log import FlightLog
-from mavfi.flight_logs.lines import ERROR, INFO, WARN, Line, lines_of
+from mavfi.flight_logs.lines import ERROR, INFO, WARN, Line, chunks_of, lines_of
 from mavfi.flight_logs.ned import euler, geodetic, ned_of
 
 Payload = tuple[tuple[int, int], bytes]
 """Message id with CRC_EXTRA, and payload."""
-LONGEST_TEXT = 50
-"""Characters of one STATUSTEXT; longer texts are sent in chunks."""
 _SEVERITIES = {ERROR: 3, WARN: 4, INFO: 6}
 """MAV_SEVERITY of each level."""
 _HEARTBEAT, _ATTITUDE, _LOCAL_POSITION, _GLOBAL_POSITION, _TEXT = (0, 50), (30, 39), (32, 185), (33, 104), (253, 83)
@@ -44,8 +42,7 @@ def write_tlog(log: FlightLog, path: Path) -> int:
 
 def text_messages(line: Line, number: int) -> Iterator[Payload]:
     """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
-    content = line.text.encode("ascii", "replace")
-    parts = [content[place : place + LONGEST_TEXT] for place in range(0, len(content), LONGEST_TEXT)] or [b""]
+    parts = chunks_of(line.text)
     own = 0 if len(parts) == 1 else number % 65_535 + 1
     for place, part in enumerate(parts):
         yield _TEXT, struct.pack("<B50sHB", _SEVERITIES[line.level], part, own, min(place, 255))

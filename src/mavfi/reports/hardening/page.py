@@ -15,6 +15,7 @@ from mavfi.reports.hardening.plain import (
     NAMES,
     caveats,
     certificate_tables,
+    certified,
     headline,
     interval,
     rerun_line,
@@ -102,7 +103,7 @@ def source(row: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "kernel": row["kernel"], "entry": row["entry"], "sites": row["sites"], "all_sites": row["all_sites"],
         "time": f"×{row['time']:.2f}", "coverage": interval(row["coverage"]), "sdc": interval(row["sdc"]),
-        "injections": row["injections"], "files": files, "escapes": escapes,
+        "certified": certified(row), "injections": row["injections"], "files": files, "escapes": escapes,
     }  # fmt: skip
 
 

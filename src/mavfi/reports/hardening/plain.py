@@ -13,7 +13,17 @@ from mavfi.campaign.hardening.study import Certification
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.reports.text import ABSENT, percent
 
-_ADVICE = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed, predicted", "n SDC", "sites")
+_ADVICE = (
+    "kernel",
+    "function",
+    "kernel time",
+    "time",
+    "adds",
+    "SDCs removed, predicted",
+    "n SDC",
+    "sites",
+    "certified",
+)
 _TWICE = 2.0
 _SIGNIFICANT = 0.01
 NAMES = {CUT: "minimum cut", "line": "by source line", "opcode": "by opcode", "random": "at random"}
@@ -51,6 +61,11 @@ def caveats(summary: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def certified(row: Mapping[str, Any]) -> str:
+    """Certified coverage of a function, as text."""
+    return ABSENT if row["certified"] is None else interval(row["certified"])
+
+
 def rerun_line(summary: Mapping[str, Any]) -> str:
     """Why calls are not computed twice instead: twice the time, at least, for all of the silent corruptions."""
     rows = [row for row in summary["functions"] if row["steps"][-1]["time"] > _TWICE]
@@ -81,19 +96,22 @@ def ways_line(summary: Mapping[str, Any]) -> str:
 
 def advice_table(summary: Mapping[str, Any]) -> Table:
     """What to protect, by function."""
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             row["kernel"], row["entry"], percent(row["share"]), f"×{row['time']:.2f}", percent(row["added"], 2),
             interval(row["coverage"]), str(row["coverage"]["n"]), f"{row['sites']} of {row['all_sites']}",
+            certified(row),
         )
         for row in summary["functions"]
     ]  # fmt: skip
+    known = any(row["certified"] for row in summary["functions"])
+    columns, rows = (_ADVICE, rows) if known else (_ADVICE[:-1], [row[:-1] for row in rows])
     notes = (
         "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
         "predicted by cross-validation over recorded calls, 95 % interval; sites: instructions that are "
         "duplicated, of those that can be",
     )
-    return Table.of_text("What to protect", _ADVICE, rows, notes)
+    return Table.of_text("What to protect", columns, rows, notes)
 
 
 def verdict_line(certification: Certification) -> str:

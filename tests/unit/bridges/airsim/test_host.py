@@ -42,13 +42,29 @@ ENDED = Ended("ended", "", False, "aa", 12.0, {"moveToZ": 1}, {}, "", Boundary(p
 )
 def test_the_record_of_a_run_has_its_effect(changes, effect, status):
     record = record_of_program(replace(ENDED, boundary=HIT, **changes), ENDED)
-    assert effect_of(record_of_program(ENDED), record) is effect
+    assert effect_of(record_of_program(ENDED, ENDED), record) is effect
     assert record.status == status and record.injections == (HIT.injection,)
 
 
 def test_a_program_that_never_ends_by_itself_does_not_hang_at_its_time_limit():
     endless = replace(ENDED, how="time is up")
     assert record_of_program(endless, endless).end is End.FLOWN
+
+
+def test_a_program_that_crashes_without_a_fault_is_compared_with_that_crash():
+    golden = replace(ENDED, how="program crash", code=1, reason="ValueError: no")
+    assert record_of_program(golden, golden).end is End.FLOWN
+    for changes, effect in (
+        ({}, Effect.MASKED), ({"digest": "bb"}, Effect.SDC), ({"code": -11, "digest": "cc"}, Effect.EXCEPTION),
+    ):  # fmt: skip
+        record = record_of_program(replace(golden, boundary=HIT, **changes), golden)
+        assert effect_of(record_of_program(golden, golden), record) is effect
+
+
+def test_a_program_that_hangs_without_a_fault_is_refused(monkeypatch):
+    hanging = replace(ENDED, how="hang", code=None, reason="still running after 2 s of wall-clock time")
+    with pytest.raises(BadInputError, match="still running after 2 s of wall-clock time without a fault; allowed: "):
+        runs_of(monkeypatch, [hanging, hanging]).golden("")
 
 
 def runs_of(monkeypatch, results):

@@ -4,6 +4,7 @@ import importlib.util
 
 import pytest
 
+from mavfi.bridges.airsim.table import CALLS
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.cli import run
 
@@ -57,6 +58,25 @@ def test_runs_are_repeated_bit_for_bit(ledger, monkeypatch, capsys):
         assert "✓ the same run, bit for bit" in capsys.readouterr().out
     assert run(["campaign", "verify", str(ledger), "--share", "1"]) == 0
     assert "all records equal" in capsys.readouterr().out
+
+
+def test_runs_name_the_number_that_was_changed(ledger):
+    changed = Runs.read(ledger).injected.frame
+    sites = changed.filter(changed["activated"])["site"].to_list()
+    assert sites and not any("#" in site for site in sites)
+    assert all(site.split(".")[1] in (*CALLS[site.split(".")[0]].arguments, "return") for site in sites)
+
+
+def test_another_program_than_that_of_the_campaign_is_refused(ledger, monkeypatch, capsys):
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
+    golden, *_ = run_ids(ledger)
+    program = ledger.parent / "program.py"
+    program.write_text(PROGRAM + "# changed\n")
+    try:
+        assert run(["replay", str(ledger), golden]) == 2
+    finally:
+        program.write_text(PROGRAM)
+    assert f"{program}: is absent, or another program" in capsys.readouterr().err
 
 
 def test_its_program_is_not_run_unless_allowed(ledger, monkeypatch, capsys):

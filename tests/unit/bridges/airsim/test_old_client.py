@@ -1,8 +1,6 @@
 """AirSim's own client, which needs an environment of its own: msgpack-rpc-python wants an old tornado.
 
-    python3 -m venv old && old/bin/pip install 'setuptools<70' wheel 'numpy<2.3' opencv-contrib-python-headless \\
-        msgpack-rpc-python && old/bin/pip install --no-build-isolation airsim==1.8.1
-    AIRSIM_PYTHON=old/bin/python python -m pytest -m long tests/unit/bridges/airsim/test_old_client.py
+`make airsim-old` makes it and runs these tests.
 """
 
 import os

@@ -106,6 +106,11 @@ def test_the_worst_that_a_fault_does_comes_first(box):
     ):  # fmt: skip
         assert effect_on(box, replace(box, boundary=hit, **changes)) == effect
     assert effect_on(box, box) == "not activated"
+    failing = replace(box, how="program crash", code=1)
+    for changes, effect in (
+        ({}, "masked"), ({"digest": "other"}, "deviates"), ({"code": 70, "digest": "other"}, "program crash"),
+    ):  # fmt: skip
+        assert effect_on(failing, replace(failing, boundary=hit, **changes)) == effect
 
 
 @pytest.mark.parametrize(
@@ -118,7 +123,8 @@ def test_the_worst_that_a_fault_does_comes_first(box):
 )
 def test_how_a_program_ends(name, arguments, options, how, reason):
     ended = run(PROGRAMS / f"{name}.py", *arguments, **options)
-    assert ended.how == how and reason in ended.reason
+    assert (ended.how, ended.reason) == (how, reason)
+    assert not any("time is up" in text for text in ended.errors), "the end of the run is no refused call"
 
 
 def test_what_cannot_run_is_refused_in_one_line(tmp_path):

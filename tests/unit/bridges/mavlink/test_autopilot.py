@@ -224,9 +224,22 @@ def test_every_type_of_failure_changes_a_value_before_it_is_acknowledged(flying,
         assert flying.result(420) == ACCEPTED, failure
         found = failure.injection
         assert found.time_s >= 1e-6 * failure.fault.time_us and found.before != found.after
-        assert flying.texts()[0].startswith(f"fault: {failure.fault.site}: ")
+        first = flying.of("STATUSTEXT")[0]
+        text = "".join(m.text for m in flying.of("STATUSTEXT") if m.id == first.id)
+        before, after = (f"{value:.4g}" for value in (found.before, found.after))
+        assert text == f"fault: {failure.fault.site}: {before} -> {after}", "not cut off"
         assert flying.command(420, unit, 0, 0) == ACCEPTED and not flying.autopilot.failures
         flying.vehicle.place((0.0, 0.0, -6.0), (1.0, 0.0, 0.0, 0.0))
+
+
+def test_a_long_text_is_sent_in_chunks_with_one_id(client):
+    client.autopilot.text("x" * 120)
+    client.autopilot.text("y" * 60)
+    client.autopilot.text("short")
+    parts = [(m.text[:1], len(m.text), m.chunk_seq) for m in client.of("STATUSTEXT")]
+    assert parts == [("x", 50, 0), ("x", 50, 1), ("x", 20, 2), ("y", 50, 0), ("y", 10, 1), ("s", 5, 0)]
+    first, *_, second, _, short = (m.id for m in client.of("STATUSTEXT"))
+    assert first != second and short == 0 and {m.id for m in client.of("STATUSTEXT")} == {first, second, 0}
 
 
 def test_ok_without_a_failure_fails(flying):
@@ -291,3 +304,12 @@ def test_a_port_in_use_is_refused(capsys):
         assert run(["mavlink", "serve", "--environment", "farm", "--port", port]) == 2
     err = capsys.readouterr().err
     assert f"--port: {port}: cannot be opened" in err and err.count("\n") == 1
+
+
+def test_serving_ends_with_a_sentence_on_the_vehicle(capsys):
+    assert run(["mavlink", "serve", "--environment", "farm", "--seed", "7", "--port", "0", "--seconds", "0.2"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    wanted = (
+        "0 messages received: the vehicle is on the ground, 0.0 m north, 0.0 m east and 0.0 m above its start, in mode"
+    )
+    assert wanted in last and "disarmed, without collision; digest " in last

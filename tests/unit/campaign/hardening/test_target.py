@@ -9,15 +9,17 @@ from mavfi.campaign.analysis.statistics import wilson
 from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of
 from mavfi.campaign.hardening.battery import Battery
 from mavfi.campaign.hardening.certify import Pair, certify
+from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.kernel import see
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import Harm
-from mavfi.campaign.hardening.study import plan_of, planned_of
+from mavfi.campaign.hardening.study import Certification, certified_plan, plan_of, planned_of, with_certified
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import targets_of
 from mavfi.campaign.hardening.ways import FEWEST, OTHERS, SHARES, WAYS, compare_ways
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.full import full_plan
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
 from tests.unit.campaign.hardening.kernels import calls, smooth
 
 
@@ -117,10 +119,33 @@ def test_a_summary_adds_up(target):
 
 def test_a_plan_states_the_share_of_its_kernels_time(target):
     steps = tuple(Step(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
-    curves = Curve(target, 300.0, 0.2, steps), Curve(target, 100.0, 0.1, steps)  # two functions of a kernel
+    (other,) = targets_of({"pid": [see(smooth, [(np.ones(9, np.float32), np.zeros(9))])]})
+    curves = Curve(target, 300.0, 0.2, steps), Curve(other, 100.0, 0.1, steps)  # two functions of a kernel
     advice = Advice(0.5, curves, (len(steps) - 1, 0))
-    (planned,) = plan_of(Study(Study.Named()), [advice]).functions
-    assert planned.share == 0.75 and planned.time == 1.4
+    planned, none = plan_of(Study(Study.Named()), [advice]).functions
+    assert planned.kind == "duplicate" and planned.share == 0.75 and planned.time == 1.4
+    assert none.kind == "none" and not none.sites and none.predicted is None
+
+
+def test_a_plan_keeps_the_certificate_of_the_same_code(target):
+    whole = FunctionPlan(
+        kernel="pid", function=target.name, signature=target.seen.signature_text,
+        ir_sha256=target.seen.variant.ir_sha256, sites=tuple(target.sites(target.chooser.full)), time=1.4,
+    )  # fmt: skip
+    plan, found = Plan(functions=(whole,)), Coverage(estimate=0.9, low=0.8, high=0.95)
+    pair = Pair.of(target.seen, whole)
+    certified = certified_plan(plan, Certification(plan.digest, 20, (), (certify(pair, 20),), GoldenCheck(1, 1, 1, 0)))
+    assert certified.functions[0].certified.estimate > 0.5 and certified.digest == plan.digest
+    earlier = Plan(functions=(whole.model_copy(update={"certified": found, "time": 1.1}),))
+    assert with_certified(plan, earlier).functions[0].certified == found
+    other = Plan(functions=(whole.model_copy(update={"certified": found, "sites": whole.sites[1:]}),))
+    assert with_certified(plan, other).functions[0].certified is None
+    steps = tuple(Step(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
+    advice = Advice(0.5, (Curve(target, 300.0, 0.2, steps),), (len(steps) - 1,))
+    (row,) = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)), earlier)[
+        "functions"
+    ]
+    assert row["certified"] == {"rate": 0.9, "low": 0.8, "high": 0.95}
 
 
 def test_choice_and_certificate_count_the_same_corruptions():

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mavfi.flight_log import AlarmRecord, Event, FlightLog, Injection
+from mavfi.flight_logs.lines import LONGEST_TEXT
 from mavfi.flight_logs.ned import euler, geodetic, local, ned_of
 from mavfi.mission import MissionStatus
-from mavfi.reports.export.tlog import LONGEST_TEXT, checksum, write_tlog
+from mavfi.reports.export.tlog import checksum, write_tlog
 from mavfi.reports.export.ulog import FAULT_TOPIC, write_ulog
 
 SECONDS = 4.0

@@ -32,6 +32,7 @@ def function(kernel, entry, share, steps, chosen, file="mavfi/kernels/control/pi
         "kernel": kernel, "function": f"mavfi.{entry}", "entry": entry, "signature": "f8", "calls": 1800,
         "instructions": 868_901, "injections": 400, "sdc": rate(0.45), "share": share, "time": time,
         "added": share * (time - 1), "coverage": rate(value), "sites": 310, "all_sites": 705, "steps": rows,
+        "certified": None,
         "ways": ways(value or 1.0),
         "escapes": {"protected": 0.8, "beyond the budget": 0.15, "cannot repeat: call": 0.05}, "lines": lines,
     }  # fmt: skip

@@ -46,6 +46,17 @@ def test_the_commands_of_the_page_have_all_options():
     assert "--kernels" not in page(summary(), DIRECTORY, PLAN)
 
 
+def test_certified_coverage_is_shown_where_it_is_known():
+    advice = summary()
+    assert "ertified" not in page(advice, DIRECTORY, PLAN)
+    assert advice_table(advice).columns[-1].heading == "sites"
+    advice["functions"][0]["certified"] = rate(0.91)
+    assert f"certified {interval(rate(0.91))}" in page(advice, DIRECTORY, PLAN)
+    table = advice_table(advice)
+    assert table.columns[-1].heading == "certified" and table.rows[0][-1] == interval(rate(0.91))
+    assert table.rows[1][-1] == "—"
+
+
 def test_the_page_loads_nothing():
     text = page(summary(), DIRECTORY, None)
     assert not re.findall(r"(?:src|href)=[\"'](?!#)", text) and "<script" not in text
