@@ -34,6 +34,12 @@ LEVELS = {
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 _FLOWN = "Flown on "
+FOOTER = (
+    "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
+    "Alarms that come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). Faults that last: "
+    "[their table](lasting.md).\n"
+)
+"""End of a page, after its picture."""
 
 
 def rules(sites: Path, instructions: Path) -> str:
@@ -120,7 +126,7 @@ def publish(page: str, scale: str) -> None:
 
 def with_earlier(page: str, earlier: str) -> str:
     """The page with the sections of an earlier one that it lacks, each with the line that says when it was flown."""
-    head, *sections = earlier.partition("\n![")[0].rstrip().split("\n## ")
+    head, *sections = earlier.partition("\n![")[0].partition(FOOTER)[0].rstrip().split("\n## ")
     flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
     titles = {section.partition("\n")[0] for section in page.split("\n## ")[1:]}
     for section in sections:
@@ -150,10 +156,10 @@ def main(arguments: list[str]) -> int:
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    picture = ""
+    picture = FOOTER
     if (bench / "curves.png").is_file():
         image = name.replace("leaderboard", "curves")
-        picture = f"\n![Detection against false alarms](../images/{image}.png)\n"
+        picture = f"\n![Detection against false alarms](../images/{image}.png)\n{FOOTER}"
         shutil.copy(bench / "curves.png", IMAGES / f"{image}.png")
     file.write_text(banner(COMMAND) + page + picture, encoding="utf-8")
     if worth:
