@@ -102,10 +102,15 @@ class Scores:
         """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""
         own = self.corrupted[self.harmful]
         thresholds = np.unique(np.concatenate([self.golden, own[own > 0]]))[::-1]
-        return [
-            (float(t), float((self.golden > t).sum() / self.hours), float((own > t).mean()) if len(own) else 0.0)
-            for t in thresholds
-        ]
+        alarms = _above(self.golden, thresholds) / self.hours
+        shares = _above(own, thresholds) / max(len(own), 1)
+        return list(zip(thresholds.tolist(), alarms.tolist(), shares.tolist(), strict=True))
+
+
+def _above(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+    """Number of scores above each threshold; both without NaN."""
+    counts: np.ndarray = len(scores) - np.searchsorted(np.sort(scores), thresholds, side="right")
+    return counts
 
 
 @dataclass(frozen=True, slots=True)
