@@ -116,8 +116,7 @@ DETECTORS: dict[str, tuple[str, ...]] = {
 RECOVERY = "recovery"
 """What recovery remembers between alarms: a target of memory faults in flights with a detector."""
 WATCHING = (*(name for name in DETECTORS if name != "checksum"), RECOVERY)
-"""Targets of memory faults that exist only in flights with a detector:
-a checksum is not kept between publications."""
+"""Targets of memory faults that exist only in flights with a detector; a checksum is not kept."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""
