@@ -15,9 +15,9 @@ LEAST = 0.01
 """Smallest reduction that counts as shortened, as a fraction of the golden run's flight time."""
 STAGES = ("perception", "planning")
 RULE = (
-    "Of the activated faults of a stage with which the mission succeeds and the detector's flight does, too, the one "
-    "whose flight the detector shortens most; where it shortens none by 1 %, of the missions that it saves the one "
-    "with the longest way; else, of the missions that are lost, that one; else the fault that adds most flight time."
+    "Of the activated faults of a stage with which the mission succeeds and a detector's flight does, too, the one "
+    "whose flight a detector shortens most; where none shortens one by 1 %, of the missions that a detector saves the "
+    "one with the longest way; else, of the missions lost, that one; else the fault that adds most flight time."
 )
 
 
@@ -36,7 +36,7 @@ class Case:
 
 
 def path_cases(runs: Runs) -> list[Case]:
-    """Select one case per stage by `RULE`, in Dense or else the last environment, with the autoencoder if it flew."""
+    """Select one case per stage by `RULE`, in Dense or else the last environment."""
     environments = runs.values("environment")
     if not environments:
         return []
@@ -49,19 +49,17 @@ def _case(own: Runs, stage: str) -> Case | None:
     alone = faults.where(setting=FI)
     if not len(alone):
         return None
-    arms = [arm for arm in faults.values("arm") if arm]
-    arm = "autoencoder" if "autoencoder" in arms else next(iter(arms), "")
-    watched = against_fi(faults.where(pl.col("arm").is_in(("", arm)))).frame.filter("dr_success") if arm else None
-    row: dict[str, Any] | None = None
-    if watched is not None and len(watched):
-        gain = pl.col("inflation") - pl.col("dr_inflation")
-        shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id")
-        saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id")
-        row = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
+    watched = against_fi(faults).frame.filter("dr_success")
+    gain = pl.col("inflation") - pl.col("dr_inflation")
+    shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id", "arm")
+    saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id", "arm")
+    row: dict[str, Any] | None = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
     if row is None:
         lost = alone.frame.filter(~pl.col("success")).sort(-pl.col("distance_m"), "run_id")
         slowest = alone.frame.sort("inflation", "run_id", descending=[True, False], nulls_last=True)
-        row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None}
+        arm = next((arm for arm in faults.values("arm") if arm), "")
+        row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None, "arm": arm}
+    arm = str(row["arm"])
     golden = own.golden.where(arm="", world=row["world"])
     again = faults.where(arm=arm, target=row["target"], index=row["index"]) if arm else None
     recovered = again.first("run_id") if again is not None and len(again) else ""

@@ -14,6 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from mavfi.campaign.analysis.cases import RULE, Case, path_cases
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.hosts.host import Flight
+from mavfi.mission import MissionStatus
 from mavfi.reports import style
 from mavfi.reports.figures import links
 from mavfi.reports.figures.registry import Drawing, register
@@ -76,6 +77,13 @@ def _from_above(axes: Axes, flights: Sequence[Flight]) -> None:
     place = _injection(flights[1])
     star: dict[str, Any] = {**mark, "color": style.AMBER, "markeredgecolor": style.INK, "markersize": 15, "zorder": 9}
     axes.plot(*place.T[:2], marker="*", label="injection", **star)
+    for path, flight, look in zip(points, flights, _LOOKS, strict=False):
+        if flight.log.status is MissionStatus.COLLISION:
+            end = {**mark, "color": look["color"], "markeredgecolor": "white", "markersize": 10}
+            axes.plot(*path[-1, :2], marker="X", label="collision", **end)
+    if len(flights) > 2 and flights[2].log.alarms:
+        alarms = positions(flights[2], [alarm.time_s for alarm in flights[2].log.alarms])
+        axes.plot(*alarms.T[:2], marker="v", label="alarm", **{**mark, "color": style.PURPLE, "markersize": 6})
     lower, upper = _limits(flights)
     axes.set_xlim(lower[0], upper[0])
     axes.set_ylim(lower[1], upper[1])
@@ -99,11 +107,13 @@ def _in_space(axes: Any, flights: Sequence[Flight]) -> None:
         axes.plot(*path.T, **look)
     axes.plot(*_injection(flights[1]).T, marker="*", linestyle="", color=style.AMBER, markeredgecolor=style.INK,
               markersize=13, zorder=9)  # fmt: skip
-    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]), zlabel="z (m)")
+    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+    axes.zaxis.set_rotate_label(False)
+    axes.set_zlabel("z (m)", rotation=90, labelpad=-2)
     for axis in (axes.yaxis, axes.zaxis):
         axis.set_major_locator(MaxNLocator(2))
     extent = upper - lower
-    axes.set_box_aspect((extent[0], extent[1], 3.0 * extent[2]), zoom=1.35)
+    axes.set_box_aspect((extent[0], extent[1], 3.0 * extent[2]), zoom=1.2)
     axes.view_init(elev=32, azim=-70)
 
 

@@ -1,6 +1,7 @@
 import pytest
 
 from mavfi.campaign.analysis.claims import CLAIMS, Claim, Evidence, claims_table, holm, register, verdict
+from mavfi.campaign.overheads import ALL
 from mavfi.errors import BadInputError
 from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
 
@@ -57,6 +58,19 @@ def states(stage_lost, arm_saves=True):
 def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, expected):
     [found] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
     assert found["verdict"] == expected, found["here"]
+
+
+@pytest.mark.parametrize(("share", "expected"), [(1e-6, "confirmed"), (0.01, "contradicted"), (None, "undecided")])
+def test_measured_overheads_are_tested_by_stage(share, expected):
+    rows = [
+        {"environment": place, "arm": "autoencoder", "stage": stage, "detection": share / 2, "recovery": share / 2}
+        for place in ("factory", "farm", "sparse", "dense")
+        for stage in (("perception", "planning", "control", ALL) if share else ())
+    ] if share else []  # fmt: skip
+    own = runs(golden(1), name="table1")
+    own.campaign["overheads"] = {"rows": rows}
+    [found] = claims_table(["autoencoder_overhead_measured"], [own]).entries()
+    assert found["verdict"].startswith(expected), found
 
 
 def test_a_bound_is_tested_on_recomputation_over_compute_time():

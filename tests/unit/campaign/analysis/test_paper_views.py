@@ -82,3 +82,11 @@ def test_cases_are_the_faults_that_the_detector_shortens_most():
     assert path_cases(both)[0].fault.startswith("dense-4"), "nor saved: a mission that is lost"
     assert path_cases(runs(*pair(1, 55.0, 55.0), *pair(2, 52.0, 52.0)))[0].fault.startswith("dense-1"), "the slowest"
     assert path_cases(runs(golden(1, GOLDEN))) == []
+
+
+def test_the_detector_of_a_case_is_the_one_that_recovers_it():
+    own = [golden(1, environment="dense"), injected(1, flown(False), PERCEPTION, environment="dense")]
+    own += [injected(1, flown(arm == "gaussian"), PERCEPTION, arm=arm, environment="dense")
+            for arm in ("autoencoder", "gaussian")]  # fmt: skip
+    [found] = path_cases(runs(*own))
+    assert found.arm == "gaussian" and found.recovered.startswith("dense-1-dr_gaussian")
