@@ -11,7 +11,7 @@ from rich.text import Text
 
 from mavfi.campaign.executors.local import MOST_WORKERS
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, check_file, check_folder, check_number, console, write_json
+from mavfi.cli.console import PAGES, check_file, check_folder, check_number, console, counted, write_json
 from mavfi.errors import BadInputError
 
 MOST_FLIGHTS = 10_000
@@ -76,7 +76,7 @@ def report(  # noqa: PLR0913 - one parameter per option
 
         written, count = write_study_report(*study, directory, html, flights, workers, draw_run=draw_run)
         pictures, show = partial(drawn_of_study, written), partial(show_study_report, written, show_all)
-    made = [] if html is None else [f"{html}, with {count} flights, {html.stat().st_size / 1e6:.1f} MB"]
+    made = [] if html is None else [f"{html}, with {counted(count, 'flight')}, {html.stat().st_size / 1e6:.1f} MB"]
     if figures is not None:
         made.append(_write_figures(pictures(), figures))
     if as_json:

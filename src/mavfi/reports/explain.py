@@ -61,7 +61,7 @@ def steps(
 ) -> Lines:  # fmt: skip
     """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights."""
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
-    if log.kernel is None:
+    if log.kernel is None or first is not None:
         story.append(("first difference", _difference(first)))
     story += spread_lines(spread)
     story.append(("path", _path(parted)))

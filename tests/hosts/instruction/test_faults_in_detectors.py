@@ -78,6 +78,11 @@ def test_a_detector_can_be_hit_where_it_watches_alone():
             check_kernel("acceptance", "rrt_connect", other)
 
 
+def test_the_refusal_names_the_profile_in_which_the_gate_stands():
+    with pytest.raises(BadInputError, match=r"'physics_gate'.*allowed: with .*gaussian \(profile tuned\)"):
+        check_kernel(GATE, "rrt_connect", detector("gaussian"))
+
+
 @pytest.mark.parametrize("policy", ["end", "fresh", "latched", "readback", "recompute", "checkpoint", "standby"])
 def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(policy):
     loop = new_loop(resolve(MissionSpec(environment="sparse", seed=7)))

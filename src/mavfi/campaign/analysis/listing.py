@@ -9,10 +9,10 @@ from mavfi.campaign.analysis.table import NUMBER, SIGNED, TEXT, Column, Table
 from mavfi.errors import BadInputError
 
 _COLUMNS = (
-    Column("run_id", "run"), Column("site", "site"), Column("bit", "bit", NUMBER),
-    Column("site_outcome", "injection"), Column("kernel_effect", "kernel"), Column("effect", "flight"),
-    Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
-    Column("inflation", "against golden", SIGNED), Column("alarms_total", "alarms", NUMBER),
+    Column("run_id", "run"), Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
+    Column("inflation", "against golden", SIGNED), Column("effect", "flight"), Column("site", "site"),
+    Column("bit", "bit", NUMBER), Column("site_outcome", "injection"), Column("kernel_effect", "kernel"),
+    Column("alarms_total", "alarms", NUMBER),
 )  # fmt: skip
 _SHOWN = 12  # values listed where a condition names one that does not occur
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them

@@ -116,7 +116,8 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
 def check_watched(target: str, detector: Detector | None) -> None:
     """Check that a detector, or recovery, is part of a flight with `detector`; `BadInputError` if not."""
     if part_of(detector, target) is None and not (target == RECOVERY and detector is not None):
-        named = [name for name in detector_names() if any(contains(name, profile, target) for profile in PROFILES)]
+        found = {name: [one for one in PROFILES if contains(name, one, target)] for name in detector_names()}
+        named = [name if PROFILES[0] in own else f"{name} (profile {own[0]})" for name, own in found.items() if own]
         raise BadInputError(
             f"kernel {target!r}: this detector does not watch the mission; allowed: with "
             f"{', '.join(named) if target in DETECTORS else 'a detector'}"

@@ -125,7 +125,12 @@ def headline_of_study(study: StudyReport) -> Headline:
         levels.update(runs.injected["level"])
     golden = sum(len(runs.golden) for runs in study.campaigns.values())
     counts = [f"{golden:,} without a fault", *(f"{n:,} with one at {level} level" for level, n in levels.most_common())]
-    places = dict.fromkeys(name for campaign in campaigns for name in campaign["environments"])
+    nulls = sum(len(runs.where(kind="null")) for runs in study.campaigns.values())
+    counts += [f"{nulls:,} as with a fault, but without one (null)"] if nulls else []
+    places = dict.fromkeys(
+        campaign.get("parts", {}).get(name, {}).get("environment") or name
+        for campaign in campaigns for name in campaign["environments"]
+    )  # fmt: skip
     lines = [
         f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
         f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",

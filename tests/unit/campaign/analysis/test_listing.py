@@ -15,7 +15,7 @@ def test_every_run_is_a_row_with_all_columns_in_files(own):
     found = listing(own)
     assert len(found.rows) == 5 and found.title == "5 of 5 runs"
     assert {column.key for column in found.columns} == set(SCHEMA)
-    assert [column.key for column in found.columns if not column.hidden][:3] == ["run_id", "site", "bit"]
+    assert [column.key for column in found.columns if not column.hidden][:3] == ["run_id", "status", "flight_time_s"]
 
 
 def test_failed_are_those_that_did_not_succeed(own):
