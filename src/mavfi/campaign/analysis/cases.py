@@ -15,8 +15,8 @@ LEAST = 0.01
 """Smallest reduction that counts as shortened, as a fraction of the golden run's flight time."""
 STAGES = ("perception", "planning")
 RULE = (
-    "Of the activated faults of a stage with which the mission succeeds and a detector's flight does, too, the one "
-    "whose flight a detector shortens most; where none shortens one by 1 %, of the missions that a detector saves the "
+    "Of the activated faults of a stage with which the mission succeeds and a detector's flight does, too, the one of "
+    "whose added flight time a detector saves most; where it is below 1 %, of the missions that a detector saves the "
     "one with the longest way; else, of the missions lost, that one; else the fault that adds most flight time."
 )
 
@@ -50,7 +50,8 @@ def _case(own: Runs, stage: str) -> Case | None:
     if not len(alone):
         return None
     watched = against_fi(faults).frame.filter("dr_success")
-    gain = pl.col("inflation") - pl.col("dr_inflation")
+    # at most what the fault adds: a false alarm can lead to another, shorter way
+    gain = pl.col("inflation") - pl.col("dr_inflation").clip(lower_bound=0.0)
     shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id", "arm")
     saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id", "arm")
     row: dict[str, Any] | None = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)

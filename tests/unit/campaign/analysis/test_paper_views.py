@@ -84,6 +84,14 @@ def test_cases_are_the_faults_that_the_detector_shortens_most():
     assert path_cases(runs(golden(1, GOLDEN))) == []
 
 
+def test_a_shorter_way_after_a_false_alarm_recovers_nothing():
+    own = [golden(1, environment="dense"), injected(1, flown(flight_time_s=50.0), PERCEPTION, environment="dense"),
+           injected(1, flown(flight_time_s=40.0), PERCEPTION, arm="gaussian", environment="dense")]  # fmt: skip
+    lost = [golden(2, environment="dense"), injected(2, flown(False), PERCEPTION, environment="dense"),
+            injected(2, flown(), PERCEPTION, arm="gaussian", environment="dense")]  # fmt: skip
+    assert path_cases(runs(*own, *lost))[0].fault.startswith("dense-2"), "the mission that is saved"
+
+
 def test_the_detector_of_a_case_is_the_one_that_recovers_it():
     own = [golden(1, environment="dense"), injected(1, flown(False), PERCEPTION, environment="dense")]
     own += [injected(1, flown(arm == "gaussian"), PERCEPTION, arm=arm, environment="dense")
