@@ -273,6 +273,7 @@ def test_faults_in_detectors_are_drawn_from_flights_with_them():
     assert draw_memory(mission(), MemoryRequest("recovery", "restarts_left"), 3, watching)[0].dtype == "i4"
     with pytest.raises(BadInputError, match=r"memory:acceptance.nothing: no such word.*allowed: .*last_command.vx"):
         draw_memory(mission(), MemoryRequest("acceptance", "nothing"), 3, watching)
-    for target, allowed in (("gaussian", "gaussian"), ("physics_gate", "autoencoder, gaussian"), ("recovery", "a det")):
+    gated = r"autoencoder \(profile tuned\), gaussian \(profile tuned\)"
+    for target, allowed in (("gaussian", "gaussian"), ("physics_gate", gated), ("recovery", "a det")):
         with pytest.raises(BadInputError, match=f"{target}.*does not watch the mission; allowed: with {allowed}"):
             draw_memory(mission(), MemoryRequest(target), 3, None if target == "recovery" else watching)

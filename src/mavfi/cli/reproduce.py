@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MODELS = "models"
 """Subfolder of the study for the trained models."""
 PAGE, FLIGHTS = "report.html", 12
-"""Name of the study's page, and its number of flights at scale quick; at others as many as fit are flown again."""
+"""Name of the study's page, and its number of flights; `mavfi report --html --flights` writes a page with more."""
 TIMED, TIMED_FLIGHTS = "overheads_as_in_the_paper", 3
 """View whose overheads are measured, and golden flights per environment and detector for it."""
 
@@ -91,7 +91,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         for folder in timed:  # in one process, with no other work at the same time
             bar.begin(f"timing {folder}", "timed flights")
             save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
-    written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS if scale == "quick" else None, workers)
+    written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers)
     if as_json:
         write_json(written.to_json())
         return
