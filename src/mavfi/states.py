@@ -97,7 +97,10 @@ for _spec in _KERNEL_TABLE:
         if _functions:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
-_RESIDUALS = ("status", "path", "trajectory", "waypoint", "command", "tracking", "note_vehicle", "quantize", "score_of")
+_CODES = (
+    "measure_status", "measure_path", "measure_trajectory", "measure_waypoint", "measure_command", "measure_tracking",
+    "note_vehicle", "judge",
+)  # fmt: skip
 DETECTORS: dict[str, tuple[str, ...]] = {
     "acceptance": (
         "judge_status", "judge_path", "judge_trajectory", "judge_waypoint", "judge_command", "judge_tracking",
@@ -106,10 +109,7 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
     "physics_gate": ("judge_gate",),
-    "limits": (*_RESIDUALS, "from_centre"),
-    "autoencoder_all": (*_RESIDUALS, "residuals"),
-    "cusum": (*_RESIDUALS, "add"),
-    "conformal": (*_RESIDUALS, "largest_of"),
+    **dict.fromkeys(("limits", "autoencoder_all", "cusum", "conformal"), _CODES),
     "checksum": ("crc32c",),
 }  # fmt: skip
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""

@@ -1,86 +1,22 @@
 """Detectors of all fields (`everything`): limits per residual, and an autoencoder; both learned from golden runs."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.autoencoder import Network, fit_autoencoder, network_of, residuals
-from mavfi.detectors.everything import COMPILED, Everything
+from mavfi.detectors import book
+from mavfi.detectors.autoencoder import NETWORK, Network, fit_autoencoder, network_of, residuals
+from mavfi.detectors.book import Book
+from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
+from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict, find_policy, score_of
+from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
-from mavfi.states import State
-
-
-class CodeScorer(Scorer):
-    """A scorer of the codes of all fields.
-
-    Args:
-        everything: Computes the codes.
-
-    Attributes:
-        own: Compiled functions that it calls beside those of `everything` and of the threshold, by name.
-        functions: All functions that it calls, by name; those in `compiled`, or instrumented ones.
-    """
-
-    own: ClassVar[Mapping[str, Callable[..., Any]]] = {}
-
-    def __init__(self, everything: Everything) -> None:
-        self.everything, self.kept = everything, {"known": everything.known}
-        self.functions = everything.functions
-        self.functions.update(self.own)
-        self.fields, self.stages = everything.fields, everything.stages
-        size = len(self.fields)
-        self._codes = np.zeros(size, np.int16)
-        self._distance, self._unit = np.zeros(size), np.ones(size)
-
-    @abstractmethod
-    def measure(self, slot: int, regime: int) -> None:
-        """Fill in `_distance` for a publication of a state, whose `_codes` are up to date."""
-
-    @property
-    def compiled(self) -> dict[str, Callable[..., Any]]:
-        """See `Scorer.compiled`."""
-        return {**COMPILED, "score_of": score_of, **self.own}
-
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """See `Scorer.instrument`."""
-        self.functions.update({**self.compiled, **made})
-        self.threshold.score_of = self.functions["score_of"]
-
-    def span(self, slot: int) -> tuple[int, int]:
-        """First and one past the last index of the distances that a publication of a state updates."""
-        return self.everything.range_of(slot)
-
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        slot = self.everything.slots.get(state.spec.name)
-        if slot is None:
-            return None
-        regime = self.everything.measure(state, slot, self._codes)
-        if regime >= 0:
-            self.measure(slot, regime)
-        return Reading(self._distance, self._unit, *self.span(slot), regime)
-
-    def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Record a published value."""
-        slot = self.everything.slots.get(state.spec.name)
-        if slot is None:
-            self.everything.note(state)
-            return
-        self.everything.measure(state, slot, self._codes, keep=True)
-        self.learn(slot, verdict)
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:  # noqa: B027 - few learn
-        """Adapt to a publication, whose `_codes` are up to date."""
-
-    def not_finite(self, state: State) -> np.ndarray:
-        """Indices of the watched fields of a publication that are not finite."""
-        return self.everything.not_finite(state)
+from mavfi.numerics.stored import load
 
 
 @kernel_jit
@@ -90,55 +26,87 @@ def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np
         distance[index] = abs(codes[index] - centre[index, regime])
 
 
-class LimitScorer(CodeScorer):
-    """Distances from the centre of each field and regime, shape (n, regimes)."""
-
-    own: ClassVar = {"from_centre": from_centre}
-
-    def __init__(self, everything: Everything, centre: np.ndarray) -> None:
-        super().__init__(everything)
-        self._centre = centre
-
-    def measure(self, slot: int, regime: int) -> None:
-        """See `CodeScorer.measure`."""
-        own = slice(*self.everything.range_of(slot))
-        self.functions["from_centre"](self._codes[own], self._centre[own], regime, self._distance[own])
+@kernel_jit
+def judge_limits(own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray) -> float:
+    """Score of the distances from the centre of each field and regime, shape (n, regimes)."""
+    first, last = own.spans[own.place[book.SLOT]]
+    regime = own.place[book.REGIME]
+    if regime >= 0:
+        from_centre(own.codes[first:last], centre[first:last], regime, judged.distance[first:last])
+    return conclude(first, last, own, judged, limit)
 
 
-class HoldingScorer(CodeScorer):
-    """A scorer of the latest normal codes of all states; anomalous codes are replaced by 0."""
-
-    adapts = True
-
-    def __init__(self, everything: Everything) -> None:
-        super().__init__(everything)
-        self._held = np.zeros_like(self._codes)
-        self.kept = {**self.kept, "held": self._held}
-
-    def vector(self, slot: int) -> np.ndarray:
-        """Codes of all states, with the current ones of one state. Shape (n,)."""
-        own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
-        vector[own] = self._codes[own]
-        return vector
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Hold the codes of a normal publication; 0 for an anomalous one."""
-        own = slice(*self.everything.range_of(slot))
-        self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
+_LIMITS = kind_with(np.zeros((1, 1)))
 
 
-class ReconstructionScorer(HoldingScorer):
+@kernel_jit
+def _limits_at(address: int) -> float:
+    own, judged, limit, centre = load(address, _LIMITS)
+    return judge_limits(own, judged, limit, centre)
+
+
+class LimitScorer(CompiledScorer):
+    """Distances from the centre of each field and regime, shape (n, regimes), passed as its table."""
+
+    judge, judge_at, kind = staticmethod(judge_limits), staticmethod(_limits_at), _LIMITS
+
+
+class Holding(NamedTuple):
+    """The latest normal codes of all states.
+
+    Attributes:
+        held: Codes; 0 after an anomalous publication of their state. Shape (n,), int16.
+        vector: The same with the codes of the publication judged last. Shape (n,), int16.
+    """
+
+    held: np.ndarray
+    vector: np.ndarray
+
+
+@kernel_jit
+def hold(own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding) -> None:
+    """Hold the codes of a normal publication; 0 for an anomalous one."""
+    if own.place[book.LEARNED] == book.NEVER:
+        return
+    first, last = own.spans[own.place[book.LEARNED]]
+    for index in range(first, last):
+        holding.held[index] = holding.vector[index] if judged.score[0] <= 1.0 else 0
+    own.place[book.LEARNED] = book.NEVER
+
+
+@kernel_jit
+def judge_reconstruction(
+    own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding
+) -> float:  # fmt: skip
+    """Score of the reconstruction errors of the latest codes; see `hold`."""
+    hold(own, judged, limit, network, holding)
+    first, last = own.spans[own.place[book.SLOT]]
+    holding.vector[:] = holding.held
+    holding.vector[first:last] = own.codes[first:last]
+    if own.place[book.REGIME] >= 0:
+        residuals(holding.vector, network, judged.distance)
+    return conclude(first, last, own, judged, limit)
+
+
+_RECONSTRUCTION = kind_with(NETWORK, Holding(*np.zeros((2, 1), np.int16)))
+
+
+@kernel_jit
+def _reconstruction_at(address: int) -> float:
+    own, judged, limit, network, holding = load(address, _RECONSTRUCTION)
+    return judge_reconstruction(own, judged, limit, network, holding)
+
+
+class ReconstructionScorer(CompiledScorer):
     """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
-    own: ClassVar = {"residuals": residuals}
+    judge, judge_at, learns = staticmethod(judge_reconstruction), staticmethod(_reconstruction_at), staticmethod(hold)
+    kind = _RECONSTRUCTION
 
     def __init__(self, everything: Everything, network: Network) -> None:
-        super().__init__(everything)
-        self._network = network
-
-    def measure(self, slot: int, regime: int) -> None:
-        """See `CodeScorer.measure`."""
-        self.functions["residuals"](self.vector(slot), self._network, self._distance)
+        holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
+        super().__init__(everything, network, holding)
+        self.kept = {**self.kept, "held": holding.held}
 
 
 class AllFieldsDetector(ScoringDetector):

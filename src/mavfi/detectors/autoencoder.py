@@ -15,6 +15,7 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.stored import load
 
 if TYPE_CHECKING:
     from sklearn.neural_network import MLPRegressor
@@ -54,14 +55,19 @@ def reconstruct(inputs: np.ndarray, network: Network) -> None:
     for layer in range(1, len(sizes)):
         before, neurons = sizes[layer - 1], sizes[layer]
         intercepts = start + before * neurons
+        total = after[:neurons]
+        total[:] = 0.0
+        for source in range(before):  # the sums of all neurons side by side: several per machine instruction
+            value, row = now[source], weights[start + source * neurons : start + (source + 1) * neurons]
+            for neuron in range(neurons):
+                total[neuron] += value * row[neuron]
         for neuron in range(neurons):
-            total = 0.0
-            for source in range(before):
-                total += now[source] * weights[start + source * neurons + neuron]
-            total += weights[intercepts + neuron]
-            after[neuron] = total if layer == len(sizes) - 1 else tanh(total)
+            total[neuron] += weights[intercepts + neuron]
+        if layer < len(sizes) - 1:
+            for neuron in range(neurons):
+                total[neuron] = tanh(total[neuron])
         start = intercepts + neurons
-        now[:neurons] = after[:neurons]
+        now[:neurons] = total
 
 
 @kernel_jit
@@ -116,6 +122,17 @@ def judge_network(
     return conclude(regime, watch.places[slot], scratch, limit)
 
 
+NETWORK = Network(np.zeros(1), np.zeros(1, np.int64), np.zeros(1), np.zeros((3, 1)))
+"""An example."""
+_TABLES = features.kind_with(NETWORK, np.zeros(1, np.int16))
+
+
+@kernel_jit
+def _network_at(content: np.ndarray, slot: int, address: int) -> float:
+    watch, scratch, limit, network, held = load(address, _TABLES)
+    return judge_network(content, slot, watch, scratch, limit, network, held)
+
+
 class AutoencoderScorer(DeltaScorer):
     """Reconstruction errors of the latest deltas of all fields.
 
@@ -123,6 +140,7 @@ class AutoencoderScorer(DeltaScorer):
     """
 
     judge, settle = staticmethod(judge_network), staticmethod(settle_network)
+    judge_at, kind = staticmethod(_network_at), _TABLES
 
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
         held = np.zeros(len(preprocessor.fields), np.int16)

@@ -7,17 +7,21 @@ limits.
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer, centre_and_peaks
+from mavfi.detectors import book
+from mavfi.detectors.all_fields import AllFieldsDetector, centre_and_peaks
+from mavfi.detectors.book import Book
+from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import StateScorer
+from mavfi.detectors.one_score import OfStates
 from mavfi.detectors.samples import Sample
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.stored import load
 
 
 def conformal_limit(scores: np.ndarray, alpha: float) -> float:
@@ -43,20 +47,29 @@ def largest_of(codes: np.ndarray, centre: np.ndarray, scale: np.ndarray, regime:
     return worst
 
 
-class LargestScorer(StateScorer):
-    """The largest scaled distance among a publication's fields; centre and scale have shape (n, regimes)."""
+@kernel_jit
+def judge_largest(own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> float:
+    """Score of the largest scaled distance among a publication's fields; tables as for `largest_of`."""
+    slot, regime = own.place[book.SLOT], own.place[book.REGIME]
+    first, last = own.spans[slot]
+    if regime >= 0:
+        judged.distance[slot] = largest_of(own.codes[first:last], centre[first:last], scale[first:last], regime)
+    return conclude(slot, slot + 1, own, judged, limit)
 
-    own: ClassVar = {"largest_of": largest_of}
 
-    def __init__(self, everything: Everything, centre: np.ndarray, scale: np.ndarray) -> None:
-        super().__init__(everything)
-        self._centre, self._scale = centre, scale
+_KIND = kind_with(np.zeros((1, 1)), np.zeros((1, 1)))
 
-    def score_of(self, slot: int, regime: int) -> float:
-        """See `StateScorer.score_of`."""
-        own = slice(*self.everything.range_of(slot))
-        largest: float = self.functions["largest_of"](self._codes[own], self._centre[own], self._scale[own], regime)
-        return largest
+
+@kernel_jit
+def _largest_at(address: int) -> float:
+    own, judged, limit, centre, scale = load(address, _KIND)
+    return judge_largest(own, judged, limit, centre, scale)
+
+
+class LargestScorer(OfStates, CompiledScorer):
+    """The largest scaled distance among a publication's fields; its tables are centre and scale, (n, regimes)."""
+
+    judge, judge_at, kind = staticmethod(judge_largest), staticmethod(_largest_at), _KIND
 
 
 class ConformalDetector(AllFieldsDetector):

@@ -1,18 +1,20 @@
 """CUSUM (Page, Biometrika 41, 1954): accumulates small persistent deviations, two-sided, for each field."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer, centre_and_peaks
+from mavfi.detectors import book
+from mavfi.detectors.all_fields import AllFieldsDetector, centre_and_peaks
+from mavfi.detectors.book import Book
+from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import alarmed
-from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.stored import load
 
 _FLOOR = 0.5
 """Smallest standard deviation, in codes: codes are integers, and some are constant in training."""
@@ -72,31 +74,70 @@ def largest_sums(
     return peaks
 
 
-class SumScorer(CodeScorer):
+class Sums(NamedTuple):
+    """Upper and lower cumulative sums of each field.
+
+    Attributes:
+        before: Of the publications so far. Shape (n, 2).
+        after: With the publication judged last, in its fields. Shape (n, 2).
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+
+
+@kernel_jit
+def learn(
+    own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray, deviation: np.ndarray, slack: float, sums: Sums
+) -> None:  # fmt: skip
+    """Store the sums of an accepted publication; an alarm resets them."""
+    if own.place[book.LEARNED] == book.NEVER:
+        return
+    first, last = own.spans[own.place[book.LEARNED]]
+    for index in range(first, last):
+        for side in range(2):
+            sums.before[index, side] = sums.after[index, side] if judged.score[0] <= 1.0 else 0.0
+    own.place[book.LEARNED] = book.NEVER
+
+
+@kernel_jit
+def judge_sums(
+    own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray, deviation: np.ndarray, slack: float, sums: Sums
+) -> float:  # fmt: skip
+    """Score of the sums after a publication; arguments as for `add`."""
+    learn(own, judged, limit, centre, deviation, slack, sums)
+    first, last = own.spans[own.place[book.SLOT]]
+    regime = own.place[book.REGIME]
+    if regime >= 0:
+        after = sums.after[first:last]
+        add(
+            own.codes[first:last], centre[first:last], deviation[first:last], regime, slack, sums.before[first:last],
+            after,
+        )  # fmt: skip
+        for index in range(len(after)):
+            judged.distance[first + index] = max(after[index, 0], after[index, 1])
+    return conclude(first, last, own, judged, limit)
+
+
+_KIND = kind_with(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, Sums(*np.zeros((2, 1, 2))))
+
+
+@kernel_jit
+def _sums_at(address: int) -> float:
+    own, judged, limit, centre, deviation, slack, sums = load(address, _KIND)
+    return judge_sums(own, judged, limit, centre, deviation, slack, sums)
+
+
+class SumScorer(CompiledScorer):
     """Cumulative sums; an alarm resets those of its state."""
 
-    adapts = True
-    own: ClassVar = {"add": add}
+    judge, judge_at, learns = staticmethod(judge_sums), staticmethod(_sums_at), staticmethod(learn)
+    kind = _KIND
 
     def __init__(self, everything: Everything, centre: np.ndarray, deviation: np.ndarray, slack: float) -> None:
-        super().__init__(everything)
-        self._centre, self._deviation, self._slack = centre, deviation, slack
-        self._sums, self._after = np.zeros((len(self.fields), 2)), np.zeros((len(self.fields), 2))
-        self.kept = {**self.kept, "sums": self._sums}
-
-    def measure(self, slot: int, regime: int) -> None:
-        """See `CodeScorer.measure`."""
-        own = slice(*self.everything.range_of(slot))
-        self.functions["add"](
-            self._codes[own], self._centre[own], self._deviation[own], regime, self._slack, self._sums[own],
-            self._after[own],
-        )  # fmt: skip
-        self._distance[own] = self._after[own].max(axis=1)
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Store the sums of the publication judged last, which is the published one."""
-        own = slice(*self.everything.range_of(slot))
-        self._sums[own] = 0.0 if alarmed(verdict) else self._after[own]
+        sums = Sums(*np.zeros((2, len(everything.fields), 2)))
+        super().__init__(everything, centre, deviation, slack, sums)
+        self.kept = {**self.kept, "sums": sums.before}
 
 
 class CusumDetector(AllFieldsDetector):

@@ -4,22 +4,25 @@ One code is a quantum in the field's unit, too small to matter to a flight: 1 cm
 a step, so that a step is not lost in rounding.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import residuals
+from mavfi.detectors import book, residuals
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.samples import Sample
-from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, floats
+from mavfi.numerics.jit import entry, is_compiled
+from mavfi.numerics.stored import Stored
+from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, bytes_of, floats, new_state
 
 MONITORED = "all"
 """Name of the set, in models."""
 QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s": 0.001, "-": 0.1, "octave": 0.01}
 """Quantum by unit."""
-_MOTION = 6
+_WAITING = 100
+"""Largest number of odometry publications queued before the latest is stored."""
 
 
 class _Watched(NamedTuple):
@@ -28,7 +31,7 @@ class _Watched(NamedTuple):
     `names` are (name, field of the table, unit; "" = the field's).
     """
 
-    measure: Callable[..., int]
+    measure: Callable[..., None]
     names: tuple[tuple[str, str, str], ...]
     in_list: bool
     width: int
@@ -44,39 +47,38 @@ def _of(unit: str, *names: str) -> tuple[tuple[str, str, str], ...]:
 
 _WATCHED = {
     "perception.collision_status": _Watched(
-        residuals.status,
+        book.measure_status,
         (*_of("octave", "time_to_collision", "distance_to_blocked", "distance_to_unknown"),
          *_fields("future_collision_seq", "trajectory_seq", "collision")),
         False, 0,
     ),
     "planning.path": _Watched(
-        residuals.path,
+        book.measure_path,
         (*_fields("entry_speed", "future_collision_seq", "junction"),
          ("start", "x", ""), ("end", "x", ""), ("detour", "x", "")),
         True, 3,
     ),
     "planning.trajectory": _Watched(
-        residuals.trajectory,
+        book.measure_trajectory,
         (*_fields("trajectory_seq", "future_collision_seq"),
          ("step", "x", ""), ("change", "vx", ""), ("speed", "vx", ""), ("acceleration", "ax", ""),
          ("duration", "duration", ""), ("turn", "yaw", ""), ("start", "x", ""), ("end", "x", "")),
         True, 11,
     ),
     "planning.waypoint": _Watched(
-        residuals.waypoint,
+        book.measure_waypoint,
         _fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration", "trajectory_seq",
                 "future_collision_seq", "index"),
         False, 11,
     ),
     "control.command": _Watched(
-        residuals.command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
+        book.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
     ),
-    "control.tracking": _Watched(residuals.tracking, _fields("remaining"), False, 1),
+    "control.tracking": _Watched(book.measure_tracking, _fields("remaining"), False, 1),
 }  # fmt: skip
 
 COMPILED: dict[str, Callable[..., Any]] = {
-    **{own.measure.__name__: own.measure for own in _WATCHED.values()},
-    "note_vehicle": residuals.note_vehicle, "quantize": residuals.quantize,
+    **{own.measure.__name__: own.measure for own in _WATCHED.values()}, "note_vehicle": book.note_vehicle,
 }  # fmt: skip
 """Compiled functions that compute the codes, by name."""
 
@@ -94,8 +96,7 @@ class Everything:
         stages: Stage of each.
         slots: Index of each state, by name.
         quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
-        functions: The compiled functions that it calls, by name; a host may replace them.
-        known: Memory between publications, see `residuals`.
+        book: The publication measured last, and the memory between publications.
     """
 
     def __init__(self, autopilot: str) -> None:
@@ -109,13 +110,49 @@ class Everything:
         self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
         self._watched = tuple(_WATCHED.values())
         self._empty = [np.zeros((0, own.width)) for own in self._watched]
-        self._values = np.zeros(len(self.fields))
-        self.known = np.zeros(residuals.SIZE)
-        self.functions = dict(COMPILED)
+        self._vehicles: list[np.ndarray] = []
+        self.book = book.new_book(self.quanta, np.array(self._ranges, np.int64))
+        self.instrument({})
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace functions of `COMPILED` by those of the same name in `made`; restore all others."""
+        self._stored = Stored(book.KIND, self.book)
+        self._place = self.book.place
+        self._note: Callable[..., bool] = self._direct("note_vehicle", np.zeros(1, np.uint8), made)
+        self._measures = [self._measure_of(name, own, made) for name, own in _WATCHED.items()]
+
+    def _measure_of(self, state: str, own: _Watched, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+        """Callable of a publication's header, followed by its elements or the address of the book."""
+        name = own.measure.__name__
+        if own.in_list:
+            given: Callable[..., Any] = made.get(name, own.measure)
+            return lambda header, elements: given(header, elements, self.book)
+        return self._direct(name, new_state(state).header, made)
+
+    def _direct(self, name: str, example: np.ndarray, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+        given = made.get(name, COMPILED[name])
+        if is_compiled(given):
+            return entry(book.AT[name], example, 0)
+        return lambda array, _: given(array, self.book)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without machine code and addresses, which are valid in one process only."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_stored", "_measures", "_note")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Inverse of `__getstate__`."""
+        self.__dict__.update(state)
+        self.instrument({})
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        self.known[:] = 0.0
+        self.book.known[:] = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the publication measured last; the memory stays."""
+        self._vehicles.clear()
+        self._place[book.ACCEPTED], self._place[book.LEARNED] = 0, book.NEVER
 
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of a state's residuals."""
@@ -124,6 +161,23 @@ class Everything:
     def slot_of(self, index: int) -> int:
         """Index of the state of a residual."""
         return next(slot for slot, (_, last) in enumerate(self._ranges) if index < last)
+
+    def read(self, state: State, slot: int) -> None:
+        """Compute the codes of a publication of the state with this slot, in `book`."""
+        if self._vehicles:
+            self._see()
+        own = self._watched[slot]
+        if own.in_list:
+            elements = self._empty[slot]
+            if len(state.elements):
+                elements = floats(state.elements, own.width).reshape(-1, own.width)
+            self._measures[slot](state.header, elements)
+        else:
+            self._measures[slot](state.header, self._stored.address)
+
+    def accept(self) -> None:
+        """The publication measured last was published: it is the reference for the next one."""
+        self._place[book.ACCEPTED] = 1
 
     def measure(self, state: State, slot: int, codes: np.ndarray, keep: bool = False) -> int:
         """Compute the codes of a publication.
@@ -137,31 +191,36 @@ class Everything:
         Returns:
             The regime, or -1 - regime if a watched number is not finite; -1 for a regime that does not exist.
         """
-        own, (first, last) = self._watched[slot], self._ranges[slot]
-        elements = self._empty[slot]
-        if own.in_list:
-            if len(state.elements):
-                elements = floats(state.elements, own.width).reshape(-1, own.width)
-        elif own.width:
-            elements = floats(state.header, own.width).reshape(1, own.width)
-        values = self._values[first:last]
-        regime: int = self.functions[own.measure.__name__](state.header, elements, self.known, values, keep)
-        finite = self.functions["quantize"](values, self.quanta[first:last], codes[first:last])
-        if not 0 <= regime < REGIMES:  # corrupted: never an index
-            return -1
-        return regime if finite else -1 - regime
+        self.read(state, slot)
+        own = slice(*self._ranges[slot])
+        codes[own] = self.book.codes[own]
+        if keep:
+            self.accept()
+        return int(self._place[book.REGIME])
 
     def note(self, state: State) -> None:
         """Store position and velocity of the vehicle, if this state is odometry."""
         if state.spec.name in _POSITIONS:
-            self.functions["note_vehicle"](floats(state.header, _MOTION), self.known)
+            self._vehicles.append(state.header)
+            if len(self._vehicles) == _WAITING:
+                self._see()
+
+    def _see(self) -> None:
+        """Store position and velocity of the vehicle from the latest odometry that is finite."""
+        for header in reversed(self._vehicles):
+            if self._note(bytes_of(header), self._stored.address):
+                break
+        self._vehicles.clear()
+
+    def settle(self) -> None:
+        """Bring the memory up to date."""
+        book.settle(self.book)
+        self._see()
 
     def not_finite(self, state: State) -> np.ndarray:
-        """Indices of the residuals of a publication that, divided by their quanta, are not finite."""
+        """Indices of the residuals of a publication, measured last, that divided by their quanta are not finite."""
         first, last = self._ranges[self.slots[state.spec.name]]
-        codes = np.zeros(len(self.fields), np.int16)
-        self.measure(state, self.slots[state.spec.name], codes)
-        values, quanta = self._values[first:last], self.quanta[first:last]
+        values, quanta = self.book.values[first:last], self.quanta[first:last]
         with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, but overflows in centimetres
             wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
         return first + np.flatnonzero(wrong)

@@ -6,13 +6,14 @@ evaluated on the features it was trained on.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mavfi.numerics.bits import saturated_int16, sign_exponent_code
 from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.stored import kind_of
 
 DELTA_OF_CODES, INTEGER, CODE_OF_DELTA, CODE_OF_ANGLE, CODE_OF_INTERVAL, CODE_OF_TRAPEZOID = range(6)
 """Delta rule of a field; see `measure`."""
@@ -79,6 +80,23 @@ class Scratch(NamedTuple):
     distance: np.ndarray
     unit: np.ndarray
     ratios: np.ndarray
+
+
+_EXAMPLES = (
+    Watch(
+        np.zeros((1, 4), np.int64), np.zeros((1, 5), np.int64), np.zeros((1, 2)), np.zeros((1, 1), np.uint8),
+        np.zeros(KNOWN + 1),
+    ),
+    Scratch(
+        np.zeros(1, np.uint8), np.zeros(4, np.int64), np.zeros(1), np.zeros(1, np.int16), np.zeros(1), np.zeros(1),
+        np.zeros(1),
+    ),
+)  # fmt: skip
+
+
+def kind_with(*tables: Any) -> Any:  # noqa: ANN401 - arrays, tuples of them, numbers
+    """`kind_of` a watch, a scratch, the limits of a threshold, and examples of further tables."""
+    return kind_of(*_EXAMPLES, np.zeros((1, 1)), *tables)
 
 
 SLOT, SIZE, JUDGED_REGIME, ACCEPTED = range(4)

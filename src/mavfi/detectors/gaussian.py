@@ -13,6 +13,7 @@ from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.stored import load
 
 SOURCE = "gaussian"
 SIGMA_FLOOR = 0.5
@@ -84,6 +85,15 @@ def judge_online(
     return conclude(regime, watch.places[slot], scratch, limit)
 
 
+_ONLINE = features.kind_with(np.zeros((1, 3)), 0.0)
+
+
+@kernel_jit
+def _online_at(content: np.ndarray, slot: int, address: int) -> float:
+    watch, scratch, limit, statistics, min_count = load(address, _ONLINE)
+    return judge_online(content, slot, watch, scratch, limit, statistics, min_count)
+
+
 @kernel_jit
 def settle_frozen(watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray) -> None:
     """Commit the publication judged last."""
@@ -102,6 +112,15 @@ def judge_frozen(
     return conclude(regime, watch.places[slot], scratch, limit)
 
 
+_FROZEN = features.kind_with(np.zeros((1, 1)))
+
+
+@kernel_jit
+def _frozen_at(content: np.ndarray, slot: int, address: int) -> float:
+    watch, scratch, limit, centre = load(address, _FROZEN)
+    return judge_frozen(content, slot, watch, scratch, limit, centre)
+
+
 class OnlineScorer(DeltaScorer):
     """Distances from running means that start from the trained ones; a value is judged before it is learned.
 
@@ -112,6 +131,7 @@ class OnlineScorer(DeltaScorer):
     """
 
     judge, settle = staticmethod(judge_online), staticmethod(settle_online)
+    judge_at, kind = staticmethod(_online_at), _ONLINE
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
         self._trained, self._statistics = statistics, statistics.copy()
@@ -128,6 +148,7 @@ class FrozenScorer(DeltaScorer):
     """Distances from a trained centre of each field and regime, shape (n, regimes), passed as its table."""
 
     judge, settle = staticmethod(judge_frozen), staticmethod(settle_frozen)
+    judge_at, kind = staticmethod(_frozen_at), _FROZEN
 
 
 class GaussianDetector(ScoringDetector):

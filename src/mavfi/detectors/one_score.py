@@ -1,33 +1,25 @@
 """Detectors with one score per publication instead of one per field; their fields are the states."""
 
 from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.all_fields import CodeScorer
+from mavfi.detectors.code_scorer import CodeScorer
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample
 from mavfi.states import STATES, State
 
 
-class StateScorer(CodeScorer):
+class OfStates(CodeScorer):
     """One distance per state: an alarm names the published state."""
 
-    def __init__(self, everything: Everything) -> None:
-        super().__init__(everything)
+    def __init__(self, everything: Everything, *tables: Any) -> None:  # noqa: ANN401 - see `CompiledScorer`
+        super().__init__(everything, *tables)
         self.fields = tuple(everything.slots)
         self.stages = tuple(STATES[name].stage.value for name in self.fields)
         self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
-
-    @abstractmethod
-    def score_of(self, slot: int, regime: int) -> float:
-        """Distance of a publication of a state from normal, >= 0; its `_codes` are up to date."""
-
-    def measure(self, slot: int, regime: int) -> None:
-        """See `CodeScorer.measure`."""
-        self._distance[slot] = self.score_of(slot, regime)
 
     def span(self, slot: int) -> tuple[int, int]:
         """See `CodeScorer.span`."""
@@ -38,9 +30,16 @@ class StateScorer(CodeScorer):
         return np.array([self.everything.slots[state.spec.name]])
 
 
-def alarmed(verdict: Verdict | None) -> bool:
-    """Whether a publication raised an alarm."""
-    return verdict is not None and not verdict.score <= 1.0
+class StateScorer(OfStates):
+    """The same in Python."""
+
+    @abstractmethod
+    def score_of(self, slot: int, regime: int) -> float:
+        """Distance of a publication of a state from normal, >= 0; its `_codes` are up to date."""
+
+    def measure(self, slot: int, regime: int) -> None:
+        """See `CodeScorer.measure`."""
+        self._distance[slot] = self.score_of(slot, regime)
 
 
 def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndarray, np.ndarray]:

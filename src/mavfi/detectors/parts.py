@@ -331,6 +331,10 @@ class Chain:
         asked = [getattr(detector, "states", None) for detector in detectors]
         every = None in asked
         self.states = None if every else frozenset(name for states in asked for name in states or ())
+        self._readers = {
+            name: tuple(part for part, own in zip(detectors, asked, strict=True) if own is None or name in own)
+            for name in self.states or ()
+        }
         if not all(hasattr(detector, "restore") for detector in detectors):
             self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
 
@@ -346,15 +350,15 @@ class Chain:
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The first alarm of any detector."""
-        for detector in self.parts:
+        for detector in self._readers.get(state.spec.name, self.parts):
             alarm: Alarm | None = detector.check(state, time_us)
             if alarm is not None:
                 return alarm
         return None
 
     def accept(self, state: State, time_us: int) -> None:
-        """Pass a published value to all detectors."""
-        for detector in self.parts:
+        """Pass a published value to all detectors that read its state."""
+        for detector in self._readers.get(state.spec.name, self.parts):
             detector.accept(state, time_us)
 
     def memory(self) -> tuple[Any, ...]:

@@ -12,7 +12,8 @@ import numpy as np
 from mavfi.detectors import features
 from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.errors import BadInputError
-from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.stored import Stored
 from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec, bytes_of
 
 PROFILES = ("paper", "tuned")
@@ -145,12 +146,16 @@ class DeltaScorer(Scorer):
         judge: Compiled: bytes and slot of a publication, `features.Watch`, `features.Scratch`, limits of the threshold,
             then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
+        judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
+        kind: `kind_of` these.
         features: The preprocessor.
         scratch: The publication judged last.
     """
 
     judge: ClassVar[Callable[..., float]]
     settle: ClassVar[Callable[..., None]]
+    judge_at: ClassVar[Callable[..., float]]
+    kind: ClassVar[Any]
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
         self.features, self.kept = preprocessor, preprocessor.kept
@@ -179,11 +184,16 @@ class DeltaScorer(Scorer):
 
     def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
         """Replace `judge` by the function of that name in `made`; restore it if there is none."""
-        self._judge = made["judge"] if "judge" in made else entry(self.judge, self.scratch.content, 0, *self._tables)
+        given = made.get("judge", self.judge)
+        self._stored = Stored(self.kind, *self._tables)
+        if is_compiled(given):
+            self._judge: Callable[..., float] = entry(self.judge_at, self.scratch.content, 0, 0)
+        else:
+            self._judge = lambda content, slot, _: given(content, slot, *self._tables)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code, which is valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name != "_judge"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_judge", "_stored")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -212,7 +222,7 @@ class DeltaScorer(Scorer):
         if self._vehicles:
             self._see()
         self._candidate = state
-        return self._judge(bytes_of(state.header), slot, *self._tables)
+        return self._judge(bytes_of(state.header), slot, self._stored.address)
 
     def judged(self) -> tuple[Reading, Verdict]:
         """Reading and verdict of the publication scored last."""
@@ -223,12 +233,15 @@ class DeltaScorer(Scorer):
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
         """Record a published value."""
-        if state is not self._candidate and self.score(state) is None:
-            if state.spec.name in self.features.states:
-                self._vehicles.append(state.header)
-                if len(self._vehicles) == _WAITING:
-                    self._see()
-            return
+        if state is not self._candidate:
+            name = state.spec.name
+            if name not in self._slots:
+                if name in (self.states or ()):
+                    self._vehicles.append(state.header)
+                    if len(self._vehicles) == _WAITING:
+                        self._see()
+                return
+            self.score(state)
         self._place[features.ACCEPTED] = 1
 
     def _see(self) -> None:

@@ -241,13 +241,14 @@ def since(known: np.ndarray, slot: int, keep: bool) -> int:
 
 
 @kernel_jit
-def note_vehicle(motion: np.ndarray, known: np.ndarray) -> None:
-    """Store position and velocity of the vehicle (m, m/s), shape (6,), if all are finite."""
+def note_vehicle(motion: np.ndarray, known: np.ndarray) -> bool:
+    """Store position and velocity of the vehicle (m, m/s), shape (6,), if all are finite; returns whether they are."""
     for value in motion:
         if not math.isfinite(value):
-            return
+            return False
     known[_VEHICLE : _VEHICLE + 6] = motion
     known[_VEHICLE_KNOWN] = 1.0
+    return True
 
 
 @kernel_jit

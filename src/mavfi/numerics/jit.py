@@ -159,15 +159,20 @@ def kernel_jit(function: F) -> F:
     return cast(F, compiled)
 
 
+def is_compiled(function: Callable[..., object]) -> bool:
+    """Whether a function is compiled; not if it is plain Python, or instrumented."""
+    return isinstance(function, Kernel)
+
+
 def entry(function: F, *arguments: Any) -> F:  # noqa: ANN401 - examples, of which the types count
     """Machine code of a function for the types of the given arguments; call it with these types only.
 
     A dispatcher looks up the types of its arguments at each call, which takes longer than a short function.  Other
     callables (plain Python, an instrumented function) are returned unchanged.
     """
-    if not isinstance(function, Kernel):
+    if not is_compiled(function):
         return function
-    return cast(F, function.compile(tuple(map(numba.typeof, arguments))))
+    return cast(F, cast(Any, function).compile(tuple(map(numba.typeof, arguments))))
 
 
 def uncached_copy(dispatcher: Any) -> Any:

@@ -7,11 +7,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer, HoldingScorer
+from mavfi.detectors.all_fields import AllFieldsDetector
 from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
+from mavfi.detectors.code_scorer import CodeScorer
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import StateScorer, state_peaks
+from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import BadInputError
 
@@ -39,7 +41,7 @@ def require(package: str) -> None:
         raise BadInputError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
 
 
-class LibraryScorer(HoldingScorer, StateScorer):
+class LibraryScorer(StateScorer):
     """Scores of a fitted model, from the latest codes of all states.
 
     Args:
@@ -49,15 +51,26 @@ class LibraryScorer(HoldingScorer, StateScorer):
         floor: Smallest score in training, subtracted from all scores.
     """
 
+    adapts = True
+
     def __init__(self, everything: Everything, judge: Judge, scale: np.ndarray, floor: float) -> None:
         super().__init__(everything)
+        self._held = np.zeros_like(self._codes)
+        self.kept = {**self.kept, "held": self._held}
         self._judge, self._scale, self._floor = judge, scale, floor
         self._watched = everything.quanta > 0.0
 
     def score_of(self, slot: int, regime: int) -> float:
         """See `StateScorer.score_of`."""
-        inputs = scaled(self.vector(slot)[None], self._scale)[:, self._watched]
+        own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
+        vector[own] = self._codes[own]
+        inputs = scaled(vector[None], self._scale)[:, self._watched]
         return max(0.0, float(self._judge.scores(inputs, np.array([slot]))[0]) - self._floor)
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:
+        """Hold the codes of a normal publication; 0 for an anomalous one."""
+        own = slice(*self.everything.range_of(slot))
+        self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
 
 
 def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer
+from mavfi.detectors.all_fields import AllFieldsDetector
 from mavfi.detectors.baselines.library import LibraryDetector, require, scaled
+from mavfi.detectors.code_scorer import CodeScorer
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model

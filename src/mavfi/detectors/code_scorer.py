@@ -1,0 +1,231 @@
+"""Scorers of the codes of all fields (`everything`): in Python, and in compiled code."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from mavfi.detectors import book
+from mavfi.detectors.book import Book
+from mavfi.detectors.everything import COMPILED, Everything
+from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.stored import Stored, kind_of
+from mavfi.states import State
+
+
+class CodeScorer(Scorer):
+    """A scorer of the codes of all fields, in Python.
+
+    Args:
+        everything: Computes the codes.
+    """
+
+    def __init__(self, everything: Everything) -> None:
+        self.everything, self.kept = everything, {"known": everything.book.known}
+        self.fields, self.stages = everything.fields, everything.stages
+        self._codes = everything.book.codes
+        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
+
+    @abstractmethod
+    def measure(self, slot: int, regime: int) -> None:
+        """Fill in `_distance` for a publication of a state, whose `_codes` are up to date."""
+
+    def span(self, slot: int) -> tuple[int, int]:
+        """First and one past the last index of the distances that a publication of a state updates."""
+        return self.everything.range_of(slot)
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        super().start()
+        self.everything.forget()
+
+    def read(self, state: State) -> Reading | None:
+        """Measure a publication."""
+        slot = self.everything.slots.get(state.spec.name)
+        if slot is None:
+            return None
+        self.everything.read(state, slot)
+        regime = int(self.everything.book.place[book.REGIME])
+        if regime >= 0:
+            self.measure(slot, regime)
+        return Reading(self._distance, self._unit, *self.span(slot), regime)
+
+    def accept(self, state: State, verdict: Verdict | None) -> None:
+        """Record a published value."""
+        slot = self.everything.slots.get(state.spec.name)
+        if slot is None:
+            self.everything.note(state)
+            return
+        self.everything.read(state, slot)
+        self.everything.accept()
+        self.learn(slot, verdict)
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:  # noqa: B027 - few learn
+        """Adapt to a publication, whose `_codes` are up to date."""
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the watched fields of a publication that are not finite."""
+        return self.everything.not_finite(state)
+
+    def memory(self) -> tuple[bytes, ...]:
+        """Memory between publications."""
+        self.everything.settle()
+        return super().memory()
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name: the arrays themselves, not copies."""
+        self.everything.settle()
+        return super().arrays()
+
+    def restore(self, memory: tuple[bytes, ...]) -> None:
+        """Inverse of `memory`."""
+        super().restore(memory)
+        self.everything.forget()
+
+
+class Judged(NamedTuple):
+    """Score of the publication judged last.
+
+    Attributes:
+        distance: See `parts.Reading`. Shape (n,).
+        unit: See `parts.Reading`. Shape (n,).
+        ratios: See `parts.Verdict`. Shape (n,).
+        score: Shape (1,).
+    """
+
+    distance: np.ndarray
+    unit: np.ndarray
+    ratios: np.ndarray
+    score: np.ndarray
+
+
+def kind_with(*tables: Any) -> Any:  # noqa: ANN401 - arrays, tuples of them, numbers
+    """`kind_of` a book, scores, the limits of a threshold, and examples of further tables."""
+    return kind_of(book.BOOK, Judged(*np.zeros((4, 1))), np.zeros((1, 1)), *tables)
+
+
+@kernel_jit
+def conclude(first: int, last: int, own: Book, judged: Judged, limit: np.ndarray) -> float:
+    """Score of the distances [first, last), also stored."""
+    reading = Reading(judged.distance, judged.unit, first, last, own.place[book.REGIME])
+    judged.score[0] = score_of(reading, limit, judged.ratios)
+    return float(judged.score[0])
+
+
+class CompiledScorer(CodeScorer):
+    """A scorer in compiled code: a publication costs one call for its codes and one for its score.
+
+    Each call commits what the publication before it left, if that was accepted.
+
+    Args:
+        everything: Computes the codes.
+        tables: Further tables and memory of the compiled functions.
+
+    Attributes:
+        judge: Compiled: book, `Judged`, limits of the threshold, then the tables; returns the score of the publication
+            measured last.
+        judge_at: Compiled: the same of the address of these.
+        learns: Compiled: adapts to an accepted publication; same arguments. None: nothing is learned.
+        kind: `kind_with` the tables.
+    """
+
+    judge: ClassVar[Callable[..., float]]
+    judge_at: ClassVar[Callable[..., float]]
+    learns: ClassVar[Callable[..., None] | None] = None
+    kind: ClassVar[Any]
+
+    def __init__(self, everything: Everything, *tables: Any) -> None:  # noqa: ANN401
+        super().__init__(everything)
+        self._tables: tuple[Any, ...] = tables
+        self._slots = everything.slots
+        self._candidate: State | None = None
+
+    def measure(self, slot: int, regime: int) -> None:
+        """Not called: `score` does not use it."""
+        raise NotImplementedError
+
+    def use(self, threshold: Threshold) -> None:
+        """Set the threshold; called before the first flight."""
+        super().use(threshold)
+        judged = Judged(self._distance, self._unit, threshold.ratios, np.zeros(1))
+        self._judged_last = judged
+        self._tables = (self.everything.book, judged, threshold.limit, *self._tables)
+        self.instrument({})
+
+    @property
+    def compiled(self) -> dict[str, Callable[..., Any]]:
+        """See `Scorer.compiled`."""
+        return {**COMPILED, "judge": self.judge}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """See `Scorer.instrument`."""
+        self.everything.instrument(made)
+        self._own = Stored(self.kind, *self._tables)
+        given: Callable[..., Any] = made.get("judge", self.judge)
+        if is_compiled(given):
+            self._judge: Callable[[int], float] = entry(self.judge_at, 0)
+        else:
+            self._judge = lambda _: given(*self._tables)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without machine code and addresses, which are valid in one process only."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_own", "_judge")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Inverse of `__getstate__`."""
+        self.__dict__.update(state)
+        self.instrument({})
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        super().start()
+        self._candidate = None
+
+    def read(self, state: State) -> Reading | None:
+        """Measure a publication."""
+        return None if self.score(state) is None else self.judged()[0]
+
+    def score(self, state: State) -> float | None:
+        """Score of a publication."""
+        slot = self._slots.get(state.spec.name)
+        if slot is None:
+            return None
+        self._candidate = state
+        self.everything.read(state, slot)
+        return self._judge(self._own.address)
+
+    def judged(self) -> tuple[Reading, Verdict]:
+        """Reading and verdict of the publication scored last."""
+        own, place = self._judged_last, self.everything.book.place
+        reading = Reading(own.distance, own.unit, *self.span(int(place[book.SLOT])), int(place[book.REGIME]))
+        return reading, Verdict(float(own.score[0]), own.ratios)
+
+    def accept(self, state: State, verdict: Verdict | None) -> None:
+        """Record a published value."""
+        if state is not self._candidate and self.score(state) is None:
+            self.everything.note(state)
+            return
+        self.everything.accept()
+
+    def _settle(self) -> None:
+        self.everything.settle()
+        if self.learns is not None:
+            self.learns(*self._tables)
+
+    def memory(self) -> tuple[bytes, ...]:
+        """Memory between publications."""
+        self._settle()
+        return super().memory()
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name: the arrays themselves, not copies."""
+        self._settle()
+        self._candidate = None
+        return super().arrays()
+
+    def restore(self, memory: tuple[bytes, ...]) -> None:
+        """Inverse of `memory`."""
+        super().restore(memory)
+        self._candidate = None
