@@ -47,6 +47,10 @@ class SpecMismatchError(BadInputError):
     """Two items do not match, e.g. a trained model and the pipeline that it should monitor."""
 
 
+class NotInstalledError(BadInputError):
+    """An optional package is needed, but not installed."""
+
+
 class MachineError(MavfiError):
     """A failure of the machine (disk, memory, file handles, external signal), not of the flight; never recorded.
 

@@ -18,7 +18,7 @@ from mavfi.campaign.mission import scenarios_of
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
 from mavfi.config import Config, config_root, parse, shipped
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
 from mavfi.files import is_file
 from mavfi.hosts.watching import detector_for
 
@@ -164,14 +164,14 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
 
 
 def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
-    """The part without schemes whose detectors were trained for a different configuration."""
+    """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
     left_out = {}
     for arm in arms_of(campaign):
         if arm.detector:
             scenario = next(iter(scenarios_of(campaign, [arm]).values()))
             try:
                 detector_for(scenario, arm.detector, arm.profile, models_dir)
-            except SpecMismatchError as error:
+            except (NotInstalledError, SpecMismatchError) as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
     return Entry(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)

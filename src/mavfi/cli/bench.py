@@ -168,7 +168,10 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
     same = {None: "no list of them is published", faults: f"as published in {bench.name}"}
     drawn = f"{faults.count(chr(10)) - 1} faults, sha256 {checksum(faults)[:16]}…: "
     drawn += same.get(frozen, f"NOT those published in {bench.name} (sha256 {checksum(frozen or '')[:16]}…)")
-    left_out = [f"{arm}: not flown ({reason})" for arm, reason in entry.left_out.items()]
+    reasons = {
+        reason: [arm for arm in entry.left_out if entry.left_out[arm] == reason] for reason in entry.left_out.values()
+    }
+    left_out = [f"{', '.join(arms)}: not flown ({reason})" for reason, arms in reasons.items()]
     found = table(runs, entry.part.view)
     return replace(found, name=name, title=entry.part.title, notes=(drawn, *left_out, *found.notes))
 

@@ -168,6 +168,7 @@ def load_detector(
     Raises:
         BadInputError: Unknown detector, profile or model, or limits are needed but absent.
         SpecMismatchError: The model was trained for another configuration.
+        NotInstalledError: A package that the detector needs is absent.
     """
     settings = settings_of(name, profile)
     if name == "none":
@@ -182,7 +183,7 @@ def load_detector(
     if kind is None:
         return _build(name, factory, *_needed(name, factory, fits), **_config_of(name).options), ""
     path = (models_dir or SHIPPED_MODELS) / f"{model_name(fits['stack'], fits['platform'], str(kind), profile)}.json"
-    model = _load_model(path, str(kind), profile, fits)
+    model = _load_model(path, str(kind), profile, fits, "--baselines " if getattr(factory, "extra", "") else "")
     try:
         detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
     except BadInputError as error:
@@ -192,11 +193,11 @@ def load_detector(
     return detector, model.sha256
 
 
-def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) -> Model:
+def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any], option: str) -> Model:
     if not is_file(path):
         raise SpecMismatchError(
-            f"{path}: no model is trained for this autopilot and platform; train one (mavfi train --autopilot ... "
-            "--platform ... --out FOLDER), then name the folder with --models"
+            f"{path}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
+            "--autopilot ... --platform ... --out FOLDER), then name the folder with --models"
         )
     model = Model.load(path)
     if (model.kind, model.profile) != (kind, profile):

@@ -7,12 +7,15 @@ from mavfi.campaign.bench import COLUMNS, Bench, checksum, entries, faults_of, f
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.config import names, parse
+from mavfi.detectors.baselines import library
+from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import BadInputError
 from mavfi.faults.strata import STRATA
 from mavfi.states import STATES
 from tests.unit.campaign.fakes import DETECTOR, small
 
 BENCH = load_bench("mavfi-bench-1")
+LIBRARIES = set(of_all_fields(["bench"])) - set(of_all_fields())
 
 
 def test_every_part_of_a_shipped_bench_can_be_flown():
@@ -27,6 +30,20 @@ def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason
     found = entries(BENCH, "quick", parts=["cortex-a57"])["cortex-a57"]
     assert "no model is trained" in found.left_out["gaussian"]
     assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
+
+
+def test_schemes_of_libraries_that_are_not_installed_are_left_out_with_the_reason(monkeypatch):
+    monkeypatch.setattr(library, "find_spec", lambda name: None)
+    found = entries(BENCH, "quick", parts=["sites"])["sites"]
+    assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
+    assert all("not installed; install it with: pip install 'mavfi[bench]'" in one for one in found.left_out.values())
+
+
+def test_schemes_of_libraries_without_a_model_are_left_out_with_the_command_that_fits_them(monkeypatch):
+    monkeypatch.setattr(library, "find_spec", lambda name: True)
+    found = entries(BENCH, "quick", parts=["sites"])["sites"]
+    assert set(found.left_out) == {name for name, arm in BENCH.arms.items() if arm.detector in LIBRARIES}
+    assert all("train one (mavfi train --baselines --autopilot" in one for one in found.left_out.values())
 
 
 def test_parts_by_level_and_by_name():

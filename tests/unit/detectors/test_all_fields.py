@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -93,6 +96,59 @@ def test_a_number_that_is_not_finite_is_an_alarm_and_leaves_the_rest_as_it_was(f
 def test_no_training_flight_raises_an_alarm(folder, name):
     for seed in (0, 7):
         assert fly(load(name, folder), flight(seed)) == []
+
+
+def struck_in_many_places():
+    events = flight(6)
+    for place, (state, _, field, value) in enumerate(GROSS):
+        events = strike(events, later(events, state, 30 + place), field, value)
+    return events
+
+
+def finish(detector, events):
+    """Alarms of the rest of a flight, and the memory at its end."""
+    found = []
+    for state, time_us in events:
+        found.append(detector.check(state, time_us))
+        detector.accept(state, time_us)
+    return found, detector.memory()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda detector: pickle.loads(pickle.dumps(detector))])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_copy_made_in_flight_does_as_the_detector_and_shares_no_memory_with_it(folder, name, copied):
+    detector, events = load(name, folder), struck_in_many_places()
+    detector.start()
+    finish(detector, events[:300])
+    detector.check(*events[300])  # judged, not yet accepted
+    other = copied(detector)
+    assert finish(other, events[300:]) == finish(detector, events[300:])
+    assert any(finish(load(name, folder), events)[0])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_detector_with_replaced_functions_does_as_the_compiled_one(folder, name):
+    plain, replaced, events = load(name, folder), load(name, folder), struck_in_many_places()
+    called = dict.fromkeys(replaced.compiled, 0)
+
+    def counting(own):
+        def function(*arguments):
+            called[own] += 1
+            return replaced.compiled[own](*arguments)
+
+        return function
+
+    replaced.instrument({own: counting(own) for own in called})
+    for detector in (plain, replaced):
+        detector.start()
+    assert finish(replaced, events) == finish(plain, events)
+    silent = {own for own, count in called.items() if count == 0}
+    assert silent == {"measure_path", "measure_trajectory", "measure_tracking"}, "the stream has no such publication"
+    before = dict(called)
+    replaced.instrument({})
+    replaced.start()
+    finish(replaced, events)
+    assert called == before
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -15,7 +15,7 @@ from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import StateScorer, state_peaks
 from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample, regime_limits
-from mavfi.errors import BadInputError
+from mavfi.errors import NotInstalledError
 
 _BATCH = 20_000
 
@@ -36,9 +36,9 @@ class Judge(Protocol):
 
 
 def require(package: str) -> None:
-    """Check that a package of the extra `bench` is installed; `BadInputError` if not."""
+    """Check that a package of the extra `bench` is installed; `NotInstalledError` if not."""
     if find_spec(package) is None:
-        raise BadInputError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
+        raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
 
 
 class LibraryScorer(StateScorer):
@@ -108,7 +108,7 @@ class LibraryDetector(AllFieldsDetector):
 
     @classmethod
     def check_installed(cls) -> None:
-        """Check that the library is installed; the `BadInputError` names the extra to install."""
+        """Check that the library is installed; the `NotInstalledError` names the extra to install."""
         require(cls.package)
 
     @classmethod
