@@ -19,7 +19,8 @@ PAGE = DOCS / "models.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
 DETECTORS = (
     ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0), ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0),
-    ("autoencoder", "tuned", 5.0),
+    ("autoencoder", "tuned", 5.0), ("limits", "paper", 5.0), ("autoencoder_all", "paper", 5.0), ("cusum", "paper", 5.0),
+    ("conformal", "paper", 5.0),
 )  # fmt: skip
 """Detector, profile, and the largest share of the kernels' time that is wanted (%)."""
 

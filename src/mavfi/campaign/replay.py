@@ -153,7 +153,8 @@ def explain(directory: Path, run_id: str) -> Explanation:
         run = store.run(run_id)
         if run.spec.fault is None:
             raise BadInputError(
-                f"{directory}: run {run.spec.run_id}: is a golden run; explain needs a run with a fault"
+                f"{directory}: run {run.spec.run_id}: is a golden run; explain needs a run with a fault, "
+                "mavfi replay flies this one"
             )
         stored = run.record
         if stored is None or not stored.flown:

@@ -26,6 +26,8 @@ def lines(found: Shrunk) -> Lines:
                      + (f", with {when}" if when else "")))  # fmt: skip
     elif hasattr(found.smallest.fault, "time_us"):
         rows.append(("instants", "the golden run has no other one of this site, or none was asked for"))
+    else:
+        rows.append(("instants", "none tried: the fault names a call, not a time"))
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.label} after {float(golden.column('time')[-1]):.2f} s"))
     return rows
