@@ -24,7 +24,7 @@ class CodeScorer(Scorer):
 
     def __init__(self, everything: Everything) -> None:
         self.everything, self.kept = everything, {"known": everything.book.known}
-        self.fields, self.stages = everything.fields, everything.stages
+        self.fields, self.stages, self.states = everything.fields, everything.stages, everything.states
         self._codes = everything.book.codes
         self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
 
@@ -204,9 +204,11 @@ class CompiledScorer(CodeScorer):
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
         """Record a published value."""
-        if state is not self._candidate and self.score(state) is None:
-            self.everything.note(state)
-            return
+        if state is not self._candidate:
+            if state.spec.name not in self._slots:
+                self.everything.note(state)
+                return
+            self.score(state)
         self.everything.accept()
 
     def _settle(self) -> None:

@@ -28,13 +28,14 @@ _WAITING = 100
 class _Watched(NamedTuple):
     """A state: its residuals, and the number of leading columns of the header or of an element that they read.
 
-    `names` are (name, field of the table, unit; "" = the field's).
+    `names` are (name, field of the table, unit; "" = the field's); `from_vehicle`: they depend on its odometry.
     """
 
     measure: Callable[..., None]
     names: tuple[tuple[str, str, str], ...]
     in_list: bool
     width: int
+    from_vehicle: bool = False
 
 
 def _fields(*names: str) -> tuple[tuple[str, str, str], ...]:
@@ -56,20 +57,20 @@ _WATCHED = {
         book.measure_path,
         (*_fields("entry_speed", "future_collision_seq", "junction"),
          ("start", "x", ""), ("end", "x", ""), ("detour", "x", "")),
-        True, 3,
+        True, 3, True,
     ),
     "planning.trajectory": _Watched(
         book.measure_trajectory,
         (*_fields("trajectory_seq", "future_collision_seq"),
          ("step", "x", ""), ("change", "vx", ""), ("speed", "vx", ""), ("acceleration", "ax", ""),
          ("duration", "duration", ""), ("turn", "yaw", ""), ("start", "x", ""), ("end", "x", "")),
-        True, 11,
+        True, 11, True,
     ),
     "planning.waypoint": _Watched(
         book.measure_waypoint,
         _fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration", "trajectory_seq",
                 "future_collision_seq", "index"),
-        False, 11,
+        False, 11, True,
     ),
     "control.command": _Watched(
         book.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
@@ -95,12 +96,14 @@ class Everything:
         fields: Names of the residuals, "state.field"; lists have residuals over all elements.
         stages: Stage of each.
         slots: Index of each state, by name.
+        states: Names of these states and of the vehicle's odometry.
         quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
         book: The publication measured last, and the memory between publications.
     """
 
     def __init__(self, autopilot: str) -> None:
         self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
+        self.states = frozenset(self.slots).union(ODOMETRY.values())
         self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
         self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
         self.quanta = np.array(
@@ -164,9 +167,9 @@ class Everything:
 
     def read(self, state: State, slot: int) -> None:
         """Compute the codes of a publication of the state with this slot, in `book`."""
-        if self._vehicles:
-            self._see()
         own = self._watched[slot]
+        if own.from_vehicle and self._vehicles:
+            self._see()
         if own.in_list:
             elements = self._empty[slot]
             if len(state.elements):

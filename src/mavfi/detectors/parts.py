@@ -258,7 +258,7 @@ class ScoringDetector:
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
         self._persists = np.zeros(1, np.bool_)
-        self._adapts, self._accept = scorer.adapts, scorer.accept
+        self._adapts, self._accept, self._measure = scorer.adapts, scorer.accept, scorer.score
         self._scored: State | None = None
         self._score: float | None = None
 
@@ -270,13 +270,13 @@ class ScoringDetector:
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
         if self._scored is not state:
-            self._scored, self._score = state, self.scorer.score(state)
+            self._scored, self._score = state, self._measure(state)
         return self._score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
         if self._scored is not state:  # as `score`, without another call
-            self._scored, self._score = state, self.scorer.score(state)
+            self._scored, self._score = state, self._measure(state)
         score = self._score
         if score is None or score <= 1.0:
             return None

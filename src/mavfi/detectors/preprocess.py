@@ -35,6 +35,7 @@ class Preprocessor:
         fields: Names of the watched fields, "state.field", in the order of the vector.
         stages: Stage of each.
         slots: Index of each watched state, by name.
+        predicts: Whether a watched state, by slot, has fields that are predicted from the vehicle's odometry.
         states: States that it reads: the watched ones and, for predictions, the vehicle's odometry.
         watch: Tables and memory.
     """
@@ -91,8 +92,10 @@ class Preprocessor:
             last=np.zeros((len(specs), size), np.uint8),
             vehicle=np.zeros(features.KNOWN + 1),
         )
-        predicts = bool((self.watch.table[:, features.RULE] >= features.CODE_OF_INTERVAL).any())
-        self.states = frozenset(self.slots).union(ODOMETRY.values() if predicts else ())
+        rules = self.watch.table[:, features.RULE]
+        spans = map(self.range_of, range(len(specs)))
+        self.predicts = tuple(bool((rules[first:last] >= features.CODE_OF_INTERVAL).any()) for first, last in spans)
+        self.states = frozenset(self.slots).union(ODOMETRY.values() if any(self.predicts) else ())
 
     @property
     def kept(self) -> dict[str, np.ndarray]:
@@ -162,6 +165,7 @@ class DeltaScorer(Scorer):
         self.fields, self.stages, self.states = preprocessor.fields, preprocessor.stages, preprocessor.states
         self._tables: tuple[Any, ...] = tables
         self._slots, self._last = preprocessor.slots, preprocessor.watch.last
+        self._predicts = preprocessor.predicts
         self._candidate: State | None = None
         self._vehicles: list[np.ndarray] = []
 
@@ -219,7 +223,7 @@ class DeltaScorer(Scorer):
         slot = self._slots.get(state.spec.name)
         if slot is None:
             return None
-        if self._vehicles:
+        if self._vehicles and self._predicts[slot]:
             self._see()
         self._candidate = state
         return self._judge(bytes_of(state.header), slot, self._stored.address)
