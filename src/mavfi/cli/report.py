@@ -1,7 +1,7 @@
 """`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -89,11 +89,16 @@ def report(  # noqa: PLR0913 - one parameter per option
         console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
 
 
-def _write_figures(drawn: Iterable["Drawn"], folder: Path) -> str:
+def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     """Write figures; return one line of text."""
+    from mavfi.cli.progress import Bar
     from mavfi.reports.figure_files import write_figure
 
-    paths = [path for one in drawn for path in write_figure(one.figure, folder, one.name)]
+    paths: list[Path] = []
+    with Bar("figures", "figures") as bar:
+        for done, one in enumerate(drawn, start=1):
+            paths += write_figure(one.figure, folder, one.name)
+            bar.show(done, len(drawn))
     return f"{', '.join(path.name for path in paths) or 'no figure'} in {folder}"
 
 

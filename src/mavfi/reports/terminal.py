@@ -53,14 +53,18 @@ def rendered(table: Table, width: int) -> Group:
 
 
 def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[list[int], list[int]]:
-    """Minimum widths of columns (longest word; for names, longest cell) and full widths (longest cell)."""
+    """Minimum widths of columns and full widths (longest cell).
+
+    The minimum is the longest word; for names and for numbers with their units, the longest cell.
+    """
     least, whole = [], []
     for place, column in enumerate(columns):
         cells = [column.heading, *(row[place] for row in rows)]
         whole.append(max(map(len, cells)))
         words = max(len(word) for cell in cells for word in cell.split() or [""])
         is_name = column.form == TEXT and not any(" " in cell for cell in cells[1:])
-        least.append(whole[-1] if is_name else words)
+        is_number = column.form.startswith("number")
+        least.append(max(words, *map(len, cells[1:])) if is_number and rows else whole[-1] if is_name else words)
     return least, whole
 
 
