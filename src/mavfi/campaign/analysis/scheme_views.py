@@ -8,6 +8,7 @@ import polars as pl
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis.flight_views import INSTRUCTION, MEMORY, ONE_FAULT, SENSOR, STATE
 from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.pairs import Paired, mcnemar
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, SMALL
@@ -20,6 +21,8 @@ _SEPARATOR = ", "
 LOST = (pl.col("kind") == PAIR) & pl.col("golden_success") & ~pl.col("success")
 """Pairs in which the fault loses the mission in `fi`."""
 LATE = (pl.col("kind") == PAIR) & (pl.col("inflation") > m.SLOWER).fill_null(value=False)
+RANKED = (("autoencoder", "gaussian"), ("autoencoder tuned", "gaussian tuned"), ("autoencoder all", "limits"))
+"""Arms of benches that differ in their detector alone."""
 VEHICLE_LOST = ("collision", "fly_away", "invalid_state")
 """Statuses after which there is no vehicle; a mission that fails otherwise ends in the air."""
 _CRASHED = LOST & pl.col("status").is_in(VEHICLE_LOST)
@@ -88,10 +91,33 @@ def _watched(runs: Runs) -> list[str]:
     return [f"in {inside} of {len(lost)} lost missions the fault is in a field that the paper's detectors monitor"]
 
 
+def _mcnemar(own: Runs) -> Paired:
+    """Missions with the fault, without and with the scheme."""
+    pairs = own.where(kind=PAIR)
+    return mcnemar(pairs["success"], pairs["dr_success"])
+
+
+def _ranking(runs: Runs) -> list[str]:
+    """Notes with paired tests of the paper's ranking: its AAD against its GAD, and the same at equal fields."""
+    arms = {str(arm): own.frame for (arm,), own in pairs_only(runs).groups("arm").items()}
+    found = []
+    for first, second in RANKED:
+        if first in arms and second in arms:
+            other = arms[second].select("world", "target", "index", second=pl.col("dr_success"))
+            both = arms[first].join(other, on=["world", "target", "index"])
+            test = mcnemar(both["dr_success"].to_list(), both["second"].to_list())
+            found.append(
+                f"{first} against {second}: missions that only one of them flies to the end {test.first_only} : "
+                f"{test.second_only} of {test.n}, p = {test.p_value:.2g}"
+            )
+    return found
+
+
 _COUNTED = (
     m.count("pairs", "faults", kind=PAIR), m.count("lost", "lost", LOST),
     _lost_by("dr_success", "back", "brought back"),
 )  # fmt: skip
+_TESTED = (*_COUNTED, Measure("p", "p", "number .2g", lambda own: _mcnemar(own).p_value))
 _LOST_UNDER = Measure(
     "lost_under", "lost under it", NUMBER,
     lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
@@ -117,30 +143,33 @@ _HARM_NOTE = (
     "the scheme; late, in time: of missions that succeed > 5 % later with the fault, those that are at most 5 % late "
     "under the scheme"
 )
+_TEST_NOTE = "p: McNemar's exact test of missions with the fault: those that succeed with and without the scheme"
 _NOTES_OF_PAIRS = (_LOST_NOTE, _HARM_NOTE.format(" with the fault"), ONE_FAULT)
-_NOTES = (
+_NOTES_OF_SCHEMES = (
     _LOST_NOTE, _HARM_NOTE.format(", golden ones included,"),
     "false alarms: per hour of golden flight; recomputation: its modelled time / compute time, golden flights",
 )  # fmt: skip
+_NOTES = (*_NOTES_OF_SCHEMES[:1], _TEST_NOTE, *_NOTES_OF_SCHEMES[1:])
 register(
     View(
-        "schemes", "Schemes on the same faults in states", ("arm",), (*_COUNTED, *_HARM, _DETECTED, *_ALARMS),
+        "schemes", "Schemes on the same faults in states", ("arm",), (*_TESTED, *_HARM, _DETECTED, *_ALARMS),
         where=against_base, headings=("scheme",),
         notes=lambda runs: (
-            *_NOTES, "detected: of the lost ones, alarm on the corrupted publication", *_watched(runs), ONE_FAULT
+            *_NOTES, "detected: of the lost ones, alarm on the corrupted publication", *_watched(runs), *_ranking(runs),
+            ONE_FAULT,
         ),
         applies=lambda runs: _schemes_on(runs, STATE), by_name=True,
     ),
     View(
-        "schemes_memory", "Schemes on the same faults in memory", ("arm",), (*_COUNTED, *_HARM, *_ALARMS),
-        where=against_base, headings=("scheme",), notes=lambda _: (*_NOTES, ONE_FAULT),
+        "schemes_memory", "Schemes on the same faults in memory", ("arm",), (*_TESTED, *_HARM, *_ALARMS),
+        where=against_base, headings=("scheme",), notes=lambda runs: (*_NOTES, *_ranking(runs), ONE_FAULT),
         applies=lambda runs: _schemes_on(runs, MEMORY), by_name=True,
     ),
     View(
         "schemes_sensor", "Schemes on the same failures of sensors and motors", ("arm",),
         (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
         notes=lambda _: (
-            *_NOTES, "a failure lasts from its instant to the end of the flight: every message then carries what the "
+            *_NOTES_OF_SCHEMES, "a failure lasts from its instant to the end of the flight: every message then carries what the "
             "device gave, and its checksum and its copy agree with it", ONE_FAULT,
         ),
         applies=lambda runs: _schemes_on(runs, SENSOR), by_name=True,
@@ -148,12 +177,12 @@ register(
     View(
         "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
         (
-            *_COUNTED, _lost_by("dr_success", "died_back", "died, back", DIED),
+            *_TESTED, _lost_by("dr_success", "died_back", "died, back", DIED),
             _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM_OF_CALLS, *_ALARMS,
         ),
         where=against_base, headings=("scheme",),
-        notes=lambda _: (
-            *_NOTES, "died / sdc: the kernel died of the fault, or continued with a wrong value",
+        notes=lambda runs: (
+            *_NOTES, *_ranking(runs), "died / sdc: the kernel died of the fault, or continued with a wrong value",
             "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
             "latencies (duplicate), that call computes something else. Same value injected: faults that meet the same "
             "value at the same instant; only it lost counts these and golden flights. Else compare lost with lost "

@@ -1,5 +1,8 @@
 """Schemes on the same faults: what is lost, brought back, newly lost, detected."""
 
+import pytest
+from scipy.stats import binomtest
+
 from mavfi.campaign.analysis import VIEWS
 from mavfi.faults.sensor.fault import SensorFault
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, alarm, died, flown, golden, injected, runs
@@ -35,6 +38,26 @@ def test_what_is_lost_and_what_comes_back():
     notes = VIEWS["schemes"].table(runs(*scenario())).notes
     assert any(note.startswith("in 2 of 2 lost missions the fault is in a field") for note in notes)  # way-points
     assert found["newly_lost"] == 1
+    assert found["p"] == 1.0, "one mission only with the scheme, one only without"
+
+
+def test_the_p_value_is_that_of_the_binomial_test_of_discordant_pairs():
+    faults = [pair(seed, LOST, flown()) for seed in range(1, 8)] + [pair(8, flown(), LOST), pair(9, LOST, LOST)]
+    own = [golden(seed, arm=arm) for seed in range(1, 10) for arm in ("", "one")]
+    found = row(runs(*own, *(run for both in faults for run in both)))
+    assert found["p"] == pytest.approx(binomtest(1, 8).pvalue)
+
+
+def test_the_ranking_of_detectors_is_tested_on_the_same_faults():
+    ends = [(LOST, flown(), flown()), (LOST, LOST, flown()), (LOST, LOST, flown()), (LOST, flown(), LOST)]
+    arms = ("", "autoencoder all", "limits")
+    own = [golden(seed, arm=arm) for seed in range(1, 5) for arm in arms]
+    own += [
+        injected(seed, end, arm=arm) for seed, every in enumerate(ends, 1) for arm, end in zip(arms, every, strict=True)
+    ]
+    notes = VIEWS["schemes"].table(runs(*own)).notes
+    assert "autoencoder all against limits: missions that only one of them flies to the end 1 : 2 of 4, p = 1" in notes
+    assert not any(note.startswith("autoencoder against") for note in notes)
 
 
 def test_a_golden_flight_that_only_the_scheme_loses_counts():
