@@ -3,7 +3,8 @@
 python -m tools.build_leaderboard out/bench [quick|paper]
 
 Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  A bench without the paper's detectors
-leaves engineers.md and README.md as they are; sections of the page that it did not fly remain, with their date.
+or without faults in instructions leaves engineers.md and README.md as they are; sections of the page that it did not fly
+remain, with their date.
 """
 
 import csv
@@ -147,7 +148,7 @@ def main(arguments: list[str]) -> int:
     try:
         compared = load(bench / "sites").values("arm")
         worth = recovery = ""
-        if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared):
+        if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared) and (bench / "instruction").is_dir():
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "")

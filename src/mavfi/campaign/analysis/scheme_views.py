@@ -169,7 +169,8 @@ register(
         "schemes_sensor", "Schemes on the same failures of sensors and motors", ("arm",),
         (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
         notes=lambda _: (
-            *_NOTES_OF_SCHEMES, "a failure lasts from its instant to the end of the flight: every message then carries what the "
+            *_NOTES_OF_SCHEMES,
+            "a failure lasts from its instant to the end of the flight: every message then carries what the "
             "device gave, and its checksum and its copy agree with it", ONE_FAULT,
         ),
         applies=lambda runs: _schemes_on(runs, SENSOR), by_name=True,
