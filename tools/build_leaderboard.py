@@ -3,8 +3,8 @@
 python -m tools.build_leaderboard out/bench [quick|paper]
 
 Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  A bench without the paper's detectors
-or without faults in instructions leaves engineers.md and README.md as they are; sections of the page that it did not fly
-remain, with their date.
+or without faults in instructions leaves engineers.md and README.md as they are; sections of the page that it did not
+fly remain, with their date.
 """
 
 import csv
