@@ -93,6 +93,10 @@ pytestmark = pytest.mark.long
 in_ci = pytest.mark.machines
 
 
+STORING = {"stored._put", "stored._space"}
+"""Functions that are compiled for each kind of values, see `mavfi.numerics.stored`."""
+
+
 def ends_and_digests(machine: dict[str, str], folder: Path, workers: int = 1) -> list[str]:
     """Of flights and campaigns, in a process that thinks it runs on another machine."""
     result = subprocess.run(
@@ -133,7 +137,8 @@ def test_they_have_the_same_bits_in_another_folder_with_an_empty_cache_and_two_w
     assert ends_and_digests({**MACHINES[LAST], **place}, tmp_path / "out", workers=2) == here
     compiled = [path.name.rsplit(".", 2)[0] for path in (tmp_path / "cache").rglob("*.nbc")]
     assert len(compiled) > 100
-    assert {name for name in compiled if compiled.count(name) > 1} == set()
+    repeated = {name.partition("-")[0] for name in compiled if compiled.count(name) > 1}
+    assert repeated <= STORING
 
 
 @pytest.mark.skipif(not PYTHONS, reason="MAVFI_PYTHONS: no other interpreters with mavfi are named")
