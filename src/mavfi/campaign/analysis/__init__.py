@@ -13,6 +13,7 @@ from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views
     node_views,
     paper_claims,
     paper_views,
+    platform_claims,
     platform_views,
     redundancy_views,
     scheme_views,

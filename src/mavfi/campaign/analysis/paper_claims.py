@@ -30,11 +30,13 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def _tested(found: Difference | None, one: str, other: str, *, more: bool, what: str) -> Evidence:
+def tested(
+    found: Difference | None, one: str, other: str, *, more: bool, what: str, form: Callable[[float], str] = _percent
+) -> Evidence:
     """Evidence from a difference, which the claim states to be positive (`more`) or negative."""
     if found is None:
         return Evidence("no runs to compare", None, supports=False)
-    here = f"{what}: {one} {_percent(found.first)} (n = {found.first_n}), {other} {_percent(found.second)} "
+    here = f"{what}: {one} {form(found.first)} (n = {found.first_n}), {other} {form(found.second)} "
     here += f"(n = {found.second_n}), {found.worlds} worlds"
     return Evidence(here, found.p_value, supports=(found.difference > 0) == more)
 
@@ -56,7 +58,7 @@ def _compared(
     def test(runs: Runs) -> Evidence:
         own = select(runs)
         found = within_worlds(own.where(first[1]), own.where(second[1]), value)
-        return _tested(found, first[0], second[0], more=more, what=what)
+        return tested(found, first[0], second[0], more=more, what=what)
 
     return test
 
@@ -76,21 +78,23 @@ def _lost(select: pl.Expr | None = None) -> Callable[[Runs], Evidence]:
         own = own if select is None else own.where(select)
         golden = pl.col("golden_success")
         found = within_worlds(own.adding(value=golden), own.adding(value=SUCCESS), pl.col("value"))
-        return _tested(found, "golden", "fault", more=True, what="success")
+        return tested(found, "golden", "fault", more=True, what="success")
 
     return test
 
 
-def _paired(setting: str, other: str, column: str, *, more: bool, what: str) -> Callable[[Runs], Evidence]:
+def paired(
+    setting: str, other: str, column: str, *, more: bool, what: str, **where: str
+) -> Callable[[Runs], Evidence]:  # fmt: skip
     """Paired test of two settings with the same faults; pairs with a null value in either setting are excluded."""
 
     def test(runs: Runs) -> Evidence:
-        own = leading_faults(runs).where(pl.col("setting").is_in((setting, other)))
+        own = leading_faults(runs).where(pl.col("setting").is_in((setting, other)), **where)
         pair = ("environment", "target", "index")
         complete = (pl.len().over(pair) == 2) & pl.col(column).is_not_null().all().over(pair)
         own = own.where(complete)
         found = within_worlds(own.where(setting=setting), own.where(setting=other), pl.col(column))
-        return _tested(found, _WORDS[setting], _WORDS[other], more=more, what=what)
+        return tested(found, _WORDS[setting], _WORDS[other], more=more, what=what)
 
     return test
 
@@ -99,7 +103,7 @@ def _hardest(runs: Runs) -> Evidence:
     own = _faults(runs).where(pl.col("golden_success").is_not_null())
     dense, others = own.where(environment="dense"), own.where(pl.col("environment") != "dense")
     found = between_worlds(dense, others, LOSS)
-    return _tested(found, "Dense", "other environments", more=True, what="success lost to a fault")
+    return tested(found, "Dense", "other environments", more=True, what="success lost to a fault")
 
 
 def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
@@ -249,7 +253,7 @@ def _of_success() -> Iterable[Claim]:
                 "VI-A",
                 campaign,
                 _WITHIN,
-                _paired(f"dr_{arm}", FI, "success", more=True, what="success"),
+                paired(f"dr_{arm}", FI, "success", more=True, what="success"),
             )
         yield Claim(
             f"autoencoder_beats_gaussian{end}",
@@ -257,7 +261,7 @@ def _of_success() -> Iterable[Claim]:
             "VI-A",
             campaign,
             _WITHIN,
-            _paired("dr_autoencoder", "dr_gaussian", "success", more=True, what="success"),
+            paired("dr_autoencoder", "dr_gaussian", "success", more=True, what="success"),
         )
         for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
             yield Claim(
@@ -266,7 +270,7 @@ def _of_success() -> Iterable[Claim]:
                 "VI-A",
                 campaign,
                 _WITHIN,
-                _paired(f"dr_{arm}", FI, "inflation", more=False, what="flight time over golden"),
+                paired(f"dr_{arm}", FI, "inflation", more=False, what="flight time over golden"),
             )
 
 

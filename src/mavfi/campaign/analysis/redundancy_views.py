@@ -117,13 +117,14 @@ def _number(key: str, heading: str, form: str) -> Measure:
     return Measure(key, heading, form, of)
 
 
-def _between(low: float, high: float) -> str:
+def between(low: float, high: float) -> str:
+    """Words for a band of ratios; an infinite end means that the vehicle cannot hover there."""
     return f"≥ {low:.2f}" if math.isinf(high) else f"{low:.2f}–{high:.2f}"
 
 
 def _band(own: Runs) -> str | None:
     low, high = own.first("low"), own.first("high")
-    return _between(low, high) if low < high and own.first("scheme") != AUTOENCODER else None
+    return between(low, high) if low < high and own.first("scheme") != AUTOENCODER else None
 
 
 _TIMES, _WHO = "number .3f ×", ("vehicle", "calibration")
@@ -193,7 +194,7 @@ def summary(designs: Sequence[DesignConfig]) -> list[str]:
     for design in designs:
         times, (low, high) = ratio(design, TMR), band(design, TMR)
         printed = paper.figure("redundancy_time", vehicle=design.craft, scheme=TMR)
-        reach = f", band {_between(low, high)}" if design.bands else ""
+        reach = f", band {between(low, high)}" if design.bands else ""
         reference = f"; the paper: {printed:.2f} times" if printed is not None else ""
         what = "cannot hover" if math.isinf(times) else f"takes {times:.2f} times as long as with a detector{reach}"
         found.append(f"{design.craft} ({design.calibration}): with TMR it {what}{reference}.")

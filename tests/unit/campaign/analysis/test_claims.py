@@ -3,6 +3,7 @@ import pytest
 from mavfi.campaign.analysis.claims import CLAIMS, Claim, Evidence, claims_table, holm, register, verdict
 from mavfi.campaign.overheads import ALL
 from mavfi.errors import BadInputError
+from mavfi.flight_record import EnergyTerms
 from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
 
 
@@ -81,3 +82,40 @@ def test_a_bound_is_tested_on_recomputation_over_compute_time():
         own = [injected(seed, flight(spent), arm="gaussian") for seed in range(10)]
         [found] = claims_table(["gaussian_overhead"], [runs(*own, name="table1_instructions")]).entries()
         assert found["verdict"] == expected and "10 runs" in found["here"]
+
+
+PLATFORMS = {"i9-9940x": {"platform": "i9-9940x"}, "cortex-a57": {"platform": "cortex-a57"}}
+
+
+def on_platforms(slow, faulty, detected):
+    """Ten missions per platform with one fault each; flight times (s) on the Cortex-A57, 40 s elsewhere."""
+    own = []
+    for seed in range(10):
+        for place, times in (("i9-9940x", (40.0, 40.0, 40.0)), ("cortex-a57", (slow, faulty, detected))):
+            one, fault, cured = (flown(flight_time_s=time + 0.01 * seed, energy=EnergyTerms(time)) for time in times)
+            own += [
+                golden(seed, one, environment=place),
+                injected(seed, fault, environment=place),
+                injected(seed, cured, environment=place, arm="gaussian"),
+            ]
+    return runs(*own, name="platforms", parts=PLATFORMS)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "expected", "here"),
+    [
+        ("slow_platform_time", (100, 100, 100), "confirmed", "cortex-a57 100.0 s (n = 10), i9-9940x 40.0 s (n = 10)"),
+        ("slow_platform_time", (30, 30, 30), "contradicted", "cortex-a57 30.0 s"),
+        ("slow_platform_energy", (100, 100, 100), "confirmed", "kJ (n = 10), i9-9940x"),
+        ("slow_platform_ratio", (100, 150, 100), "confirmed", "150.0 s (n = 10), 2.8 x i9-9940x 112.1 s"),
+        ("slow_platform_ratio", (100, 100, 100), "contradicted", "100.0 s (n = 10), 2.8 x i9-9940x 112.1 s"),
+        ("platforms_alike", (100, 150, 100), "contradicted", "cortex-a57 100.0 % (n = 10), i9-9940x 0.0 % (n = 10)"),
+        ("platforms_alike", (100, 100, 100), "undecided", "cortex-a57 0.0 % (n = 10), i9-9940x 0.0 % (n = 10)"),
+        ("gaussian_recovers_slow_platform", (100, 150, 100), "confirmed", "fault with GAD 0.0 % (n = 10)"),
+        ("gaussian_recovers_slow_platform", (100, 110, 150), "contradicted", "fault 10.0 % (n = 10)"),
+        ("redundancy_airsim", (100, 100, 100), "undecided", "calibrated to this value after the fact"),
+    ],
+)
+def test_claims_of_platforms_follow_the_runs(name, times, expected, here):
+    [found] = claims_table([name], [on_platforms(*times)]).entries()
+    assert found["verdict"] == expected and here in found["here"], found["here"]

@@ -1,0 +1,117 @@
+"""Claims of the paper's sections VI-C and VI-D: computing platforms on flights, redundant processors by a model."""
+
+from collections.abc import Callable, Iterable
+
+import polars as pl
+
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.claims import Claim, Evidence, register
+from mavfi.campaign.analysis.paper_claims import HURT, paired, tested
+from mavfi.campaign.analysis.paper_views import leading_faults
+from mavfi.campaign.analysis.platform_views import compared
+from mavfi.campaign.analysis.redundancy_views import TMR, band, between, ratio
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.worlds import between_worlds
+from mavfi.campaign.plan import FI, GOLDEN
+from mavfi.platforms.redundancy import shipped_designs
+
+PLATFORMS = "platforms"
+FAST, SLOW = "i9-9940x", "cortex-a57"
+"""Parts of the campaign."""
+_BETWEEN = "worlds shuffled between the platforms"
+_WITHIN = "random signs of the differences of worlds"
+_MODEL = "none: a model without chance"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.1f} s"
+
+
+def _kilojoules(value: float) -> str:
+    return f"{value / 1000:.1f} kJ"
+
+
+def _of_golden(column: str, what: str, form: Callable[[float], str]) -> Callable[[Runs], Evidence]:
+    """Test of successful golden flights on both platforms."""
+
+    def test(runs: Runs) -> Evidence:
+        own = compared(runs).where(setting=GOLDEN)
+        found = between_worlds(own.where(environment=SLOW), own.where(environment=FAST), pl.col(column))
+        return tested(found, SLOW, FAST, more=True, what=what, form=form)
+
+    return test
+
+
+def _times_as_long(factor: float) -> Callable[[Runs], Evidence]:
+    """Test of successful flights with a fault: mean time on the slow platform - factor x mean time on the fast one."""
+
+    def test(runs: Runs) -> Evidence:
+        own = compared(runs).where(setting=FI)
+        scaled = own.where(environment=FAST).adding(flight_time_s=factor * pl.col("flight_time_s"))
+        found = between_worlds(own.where(environment=SLOW), scaled, pl.col("flight_time_s"))
+        return tested(found, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", form=_seconds)
+
+    return test
+
+
+def _same_trend(runs: Runs) -> Evidence:
+    """Test of the share of faults that harm; equality can be contradicted, not confirmed."""
+    own = leading_faults(runs).where(setting=FI)
+    found = between_worlds(own.where(environment=SLOW), own.where(environment=FAST), HURT)
+    evidence = tested(found, SLOW, FAST, more=True, what="fails or > 5 % longer")
+    return Evidence(evidence.here, evidence.p_value, supports=False)
+
+
+def _redundant(vehicle: str) -> Callable[[Runs], Evidence]:
+    """Flight time with TMR by the model; its inputs were calibrated to the claim, so it tests nothing."""
+
+    def test(_: Runs) -> Evidence:
+        designs = [design for design in shipped_designs() if design.craft == vehicle]
+        found = []
+        for design in designs:
+            found.append(f"{design.calibration}: {ratio(design, TMR):.3f} (band {between(*band(design, TMR))})")
+        return Evidence(
+            f"by the model, calibrated to this value after the fact: {'; '.join(found)}", None, supports=True
+        )
+
+    return test
+
+
+def _of_redundancy() -> Iterable[Claim]:
+    for name, vehicle in (("redundancy_airsim", "airsim_uav"), ("redundancy_spark", "dji_spark")):
+        times = paper.figure("redundancy_time", vehicle=vehicle, scheme=TMR)
+        text = f"TMR makes flights of {vehicle} {times:g} times as long as detection does"
+        yield Claim(name, text, "VI-C", PLATFORMS, _MODEL, _redundant(vehicle))
+
+
+def _of_platforms() -> Iterable[Claim]:
+    yield Claim(
+        "slow_platform_time", "Flights on the Cortex-A57 take longer (115 s : 322 s)", "VI-D", PLATFORMS, _BETWEEN,
+        _of_golden("flight_time_s", "mean flight time", _seconds),
+    )  # fmt: skip
+    yield Claim(
+        "slow_platform_energy", "Flights on the Cortex-A57 need more energy (61.7 kJ : 177.1 kJ)", "VI-D", PLATFORMS,
+        _BETWEEN, _of_golden("energy_j", "mean energy", _kilojoules),
+    )  # fmt: skip
+    factor = float(paper.figure("platforms_worst", quantity="flight_time_ratio"))
+    text = f"With a fault, flights on the Cortex-A57 take at least {factor:g} times as long (the paper: the worst)"
+    yield Claim("slow_platform_ratio", text, "VI-D", PLATFORMS, _BETWEEN, _times_as_long(factor))
+    yield Claim("platforms_alike", "Faults harm alike on both platforms", "VI-D", PLATFORMS, _BETWEEN, _same_trend)
+
+    def shorter(setting: str, other: str) -> Callable[[Runs], Evidence]:
+        return paired(setting, other, "inflation", more=False, what="flight time over golden", environment=SLOW)
+
+    for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
+        share = paper.figure("platforms_recovered", setting=f"dr_{arm}")
+        text = f"On the Cortex-A57 {short} recovers flight time (by {100 * share:.1f} % of the worst)"
+        yield Claim(
+            f"{arm}_recovers_slow_platform", text, "VI-D", PLATFORMS, _WITHIN,
+            shorter(f"dr_{arm}", FI),
+        )  # fmt: skip
+    yield Claim(
+        "autoencoder_beats_gaussian_slow_platform", "On the Cortex-A57 AAD recovers more flight time than GAD", "VI-D",
+        PLATFORMS, _WITHIN, shorter("dr_autoencoder", "dr_gaussian"),
+    )  # fmt: skip
+
+
+register(*_of_redundancy(), *_of_platforms())
