@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors airsim airsim-old coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting firmware hardening pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim airsim-old coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -95,6 +95,10 @@ many-injections: setup  ## inject 100,000 faults in forked children, and look fo
 bench-detectors: setup  ## fly every detector on the same faults, write docs/generated/leaderboard.md and docs/engineers.md
 	@$(BIN)/mavfi bench detectors --scale $(SCALE) --out out/bench-$(SCALE) --workers $(JOBS)
 	@$(BIN)/python -m tools.build_leaderboard out/bench-$(SCALE) $(SCALE)
+
+single-rules: setup  ## fly each of the five rules alone, write its table in docs/engineers.md (SCALE=quick|paper)
+	@$(BIN)/mavfi bench detectors five-rules --scale $(SCALE) --out out/rules-$(SCALE) --workers $(JOBS)
+	@$(BIN)/python -m tools.build_rules out/rules-$(SCALE)
 
 cluster: setup  ## cost of campaigns of up to 100,000 missions without their flights; writes the table in docs/cluster.md (N="1000 10000")
 	@$(BIN)/python -m benchmarks.cluster

@@ -3,9 +3,9 @@
     python -m benchmarks.memory [--flights 1500] [--injections 300]
 
 One worker flies the short missions of two campaigns, one with state faults, one with instruction faults.  It reads its
-resident memory at the start of each mission, after the memory of the previous one is released.  Growth is the interquartile
-mean of the increments between readings of the second half: caches fill in the first, and a single step of the heap
-(measured: 7 MiB once in 1500 runs) is no leak, while a leak shows in most increments.
+resident memory at the start of each mission, after the memory of the previous one is released.  Growth is the
+interquartile mean of the increments between readings of the second half: caches fill in the first, and a single step of
+the heap (measured: 7 MiB once in 1500 runs) is no leak, while a leak shows in most increments.
 """
 
 import argparse

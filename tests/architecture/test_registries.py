@@ -132,6 +132,7 @@ def test_detectors_that_learn_are_entry_points_with_a_file_each():
     assert list(of_monitored_fields()) == ["gaussian", "autoencoder"]
     assert {"limits", "autoencoder_all", "cusum", "conformal"} <= set(of_all_fields())
     others = {"recommended", "checksum", "checksum_large", "duplicate", "oracle", "random"}
+    others |= {f"rule_{number}" for number in range(1, 6)}
     assert set(config.names("detectors")) == {*trainable(), *others} <= set(detector_names())
     assert all(settings_of(name, "tuned").gate for name in (*of_monitored_fields(), "another"))
     assert set(of_all_fields(["bench"])) - set(of_all_fields()) == {
