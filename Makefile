@@ -154,7 +154,7 @@ lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, w
 
 firmware: setup  ## fly register faults in a flight controller's firmware, write docs/generated/firmware.md (N=400)
 	@for pattern in hover square; do $(BIN)/python -m tools.firmware_faults fly $$pattern --count $(or $(N),400) && $(BIN)/python -m tools.firmware_faults check $$pattern || exit 1; done
-	@for environment in sparse dense farm factory; do $(BIN)/python -m tools.firmware_faults golden $$environment || exit 1; done
+	@for environment in sparse dense farm factory; do $(BIN)/python -m tools.firmware_faults golden $$environment && $(BIN)/python -m tools.firmware_faults healthy $$environment --count 10 && $(BIN)/python -m tools.firmware_faults healthy $$environment --first 1 --count 4 --noises 3 || exit 1; done
 	@$(BIN)/mavfi campaign run firmware --out out/firmware-campaign
 	@$(BIN)/python -m tools.firmware_faults write out/firmware-campaign
 

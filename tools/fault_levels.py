@@ -68,7 +68,8 @@ def _kernels(study: str) -> Cells:
 
 def _firmware(page: str) -> Cells:
     """What faults in registers of the firmware did to whole missions."""
-    (row,) = (cells for cells in _rows(page.split("## Whole missions")[1]) if cells[0] == "in all")
+    part = page.split("### What one bit in a register of the firmware does to the mission")[1].split("\n### ")[0]
+    (row,) = (cells for cells in _rows(part) if cells[0] == "in all")
     (masked, runs), (arrives, _), (lost, _), (ends, _), (hangs, _) = _shares(row)
     counts = masked, arrives + lost, ends, hangs
     return [str(runs), *(_cell(count, runs) for count in counts), "–", str(runs), _cell(masked + arrives, runs)]

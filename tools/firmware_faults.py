@@ -3,6 +3,7 @@
     python -m tools.firmware_faults fly hover --count 400    # appends to out/firmware/hover.jsonl; resumes
     python -m tools.firmware_faults check square --count 20  # repeats the last ones, and compares digests
     python -m tools.firmware_faults golden sparse --count 20 # golden missions in an environment
+    python -m tools.firmware_faults healthy sparse --count 5 # missions without a fault, with other gyro noises
     python -m tools.firmware_faults write [DIR]              # the page; DIR: ledger of the campaign `firmware`
 
 Flight i has seed i, so several processes may each fly a part (--first).
@@ -14,6 +15,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +24,18 @@ import numpy as np
 from mavfi.api import load
 from mavfi.api import table as table_of
 from mavfi.bridges.firmware.build import installed
+from mavfi.bridges.firmware.controller import BetaflightController
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.campaign.analysis.statistics import wilson
+from mavfi.campaign.analysis.views import views_for
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.sampling import stream
+from mavfi.flight_log import FlightLog
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import MissionSpec
+from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
+from mavfi.qof import energy
 from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.text import markdown_grid
 from tools import firmware_patterns as patterns
@@ -38,6 +46,11 @@ OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 _MOST_FUNCTIONS = 12
 _FIRST_MISSION = 10_000
+_OTHER_NOISE = 100_000
+_VIEWS = (
+    "firmware_control", "firmware_control_phases", "firmware_classes", "firmware_faults", "firmware_phases",
+    "firmware_functions",
+)  # fmt: skip
 Row = dict[str, Any]
 
 
@@ -103,6 +116,41 @@ def golden_missions(environment: str, count: int) -> None:
         print(row, flush=True)
 
 
+def healthy_missions(environment: str, first: int, count: int, noises: int) -> None:
+    """Missions without a fault: each with its own gyro noise and with others, which are classified as with a fault."""
+    known = {row["seed"] for row in rows_of("healthy")}
+    for seed in range(first, first + count):
+        scenario = resolve(MissionSpec(environment=environment, seed=seed, flight_controller="betaflight"))
+        if f"{environment}-{seed}-{noises}" in known:
+            continue
+        golden = fly(scenario)
+        for noise in range(1, noises + 1):
+            other = fly(scenario, observers=(partial(_other_noise, seed + noise * _OTHER_NOISE),))
+            ends = golden.record(), other.record()
+            found = control_of(*ends)
+            row: Row = {"seed": f"{environment}-{seed}-{noise}", "mission": seed, "control": found and found.value}
+            row |= {"errors": [flight.extra[ControlErrors.KEY] for flight in (golden, other)]}
+            row |= {"time": ends[1].flight_time_s / ends[0].flight_time_s - 1}
+            row |= {"energy": energy(ends[1].energy) / energy(ends[0].energy) - 1}
+            row |= {"distance_m": _apart(golden.log, other.log)}
+            _append(f"healthy-{environment}", row)
+            print(row, flush=True)
+
+
+def _other_noise(seed: int, loop: Loop) -> None:
+    """Draw the gyro's noise of a flight that has not started from a seed."""
+    controller = getattr(loop.plant, "controller", None)
+    assert isinstance(controller, BetaflightController)  # as the mission says
+    controller.draw_noise(seed)
+
+
+def _apart(golden: FlightLog, other: FlightLog) -> float:
+    """Largest distance at the same instant (m)."""
+    count = min(len(golden.rows), len(other.rows))
+    first, second = (log.columns("x", "y", "z")[:count] for log in (golden, other))
+    return float(np.linalg.norm(first - second, axis=1).max())
+
+
 def _append(name: str, row: Row) -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     with (OUT / f"{name}.jsonl").open("a", encoding="utf-8") as file:
@@ -150,7 +198,7 @@ def page(campaign: Path | None) -> str:
         "How it is done: [firmware.md](../firmware.md).", "", "## Hover and square", "",
         f"Flights of {patterns.LENGTH_S:g} s without the pipeline; the fault comes between {patterns.FIRST_S:g} and "
         f"{patterns.LAST_S:g} s.  Slight: at most {100 * patterns.SLIGHT_M:g} cm from the golden flight.  Loss of "
-        f"control: contact, more than {patterns.LOST_M:g} m off, or tilt above {np.degrees(patterns.LOST_TILT):.0f} "
+        f"control: contact, more than {patterns.LOST_M:g} m off, or tilt above {np.degrees(LOST_TILT):.0f} "
         f"degrees.  Not activated: {missed} of {sum(map(len, drawn.values()))}.", "",
     ]  # fmt: skip
     flown = {name: [row["outcome"] for row in part] for name, part in short.items()}
@@ -169,7 +217,7 @@ def page(campaign: Path | None) -> str:
     walls = [row["wall_s"] for row in rows]
     lines += ["", f"Wall time per flight: median {np.median(walls):.1f} s (load of the machine "
               f"{np.median([row['load'] for row in rows]):.1f} on {os.cpu_count()} cores).", ""]  # fmt: skip
-    return "\n".join([*lines, *_golden_lines(), *_mission_lines(campaign)]).rstrip() + "\n"
+    return "\n".join([*lines, *_golden_lines(), *_mission_lines(campaign), *_healthy_lines()]).rstrip() + "\n"
 
 
 def headline() -> str:
@@ -211,10 +259,45 @@ def _mission_lines(campaign: Path | None) -> list[str]:
         "## Whole missions", "", "`mavfi campaign run firmware`: the whole pipeline flies, the instant is uniform over "
         f"the golden flight.  {len(runs.injected.where('judged'))} runs.", "",
     ]  # fmt: skip
-    for view in ("firmware_faults", "firmware_phases", "firmware_functions"):
+    held = {view.name for view in views_for(runs)}  # ledgers of older versions have no classes of control
+    for view in (view for view in _VIEWS if view in held):
         found = table_of(runs, view)
         lines += [markdown_table(found).rstrip().replace("## ", "### ", 1), ""]
     return lines
+
+
+def _healthy_lines() -> list[str]:
+    """What the classes say of missions without a fault, and why the distance from the golden run is none of them."""
+    rows = rows_of("healthy")
+    parts = {
+        "": [row for row in rows if row["mission"] >= _FIRST_MISSION],
+        "Design seeds, from which the limits are: ": [row for row in rows if row["mission"] < _FIRST_MISSION],
+    }
+    found = [f"{title}{_healthy(part)}" for title, part in parts.items() if part]
+    return [
+        "### Without a fault", "", "Missions flown again with another noise of the gyro, and classified as if a fault "
+        "had come at their start.  The pipeline plans anew and amplifies any difference, so that the distance from the "
+        "golden run is no measure of control; the errors are ([limits](../firmware.md#classes-of-control)).", "",
+        *(f"- {line}" for line in found), "",
+    ] if found else []  # fmt: skip
+
+
+def _healthy(rows: Sequence[Row]) -> str:
+    """Classes, distances and largest errors of missions without a fault."""
+    classes = Counter(row["control"] for row in rows)
+    shown = ", ".join(f"{one.value} {_cell(classes[one.value], len(rows))}" for one in Control if classes[one.value])
+    apart = [row["distance_m"] for row in rows]
+    time, joule = (100 * max(row[name] for row in rows) for name in ("time", "energy"))
+    every = [errors for row in rows for errors in row["errors"]]
+    tilt, attitude, velocity, yaw_rate = (
+        max(errors[name] for errors in every) for name in ("tilt", "attitude", "velocity", "yaw_rate")
+    )
+    return (
+        f"{len(rows)} flights: {shown}.  Up to {max(apart):.1f} m from the golden run (median {np.median(apart):.2f} "
+        f"m), {time:.0f} % longer and with {joule:.0f} % more energy.  Largest tilt {np.degrees(tilt):.0f} degrees, "
+        f"attitude error {np.degrees(attitude):.1f} degrees, velocity error {velocity:.2f} m/s, yaw rate error "
+        f"{yaw_rate:.2f} rad/s."
+    )
 
 
 def main() -> None:
@@ -225,12 +308,15 @@ def main() -> None:
         ("fly", tuple(patterns.PATTERNS)),
         ("check", tuple(patterns.PATTERNS)),
         ("golden", ENVIRONMENTS),
+        ("healthy", ENVIRONMENTS),
     ):
         one = verbs.add_parser(verb)
         one.add_argument("name", choices=names)
         one.add_argument("--count", type=int, default=20)
-        if verb == "fly":
-            one.add_argument("--first", type=int, default=0)
+        if verb in ("fly", "healthy"):
+            one.add_argument("--first", type=int, default=0 if verb == "fly" else _FIRST_MISSION)
+        if verb == "healthy":
+            one.add_argument("--noises", type=int, default=1)
     verbs.add_parser("write").add_argument("campaign", nargs="?", type=Path)
     asked = parser.parse_args()
     if asked.verb == "fly":
@@ -239,6 +325,8 @@ def main() -> None:
         check(asked.name, asked.count)
     elif asked.verb == "golden":
         golden_missions(asked.name, asked.count)
+    elif asked.verb == "healthy":
+        healthy_missions(asked.name, asked.first, asked.count, asked.noises)
     else:
         PAGE.write_text(page(asked.campaign), encoding="utf-8")
         fill(DOCS / "fault-model.md", {"firmware": headline(), "levels": level_table()})

@@ -15,6 +15,7 @@ from mavfi.faults.register.classes import class_of, function_of
 from mavfi.flight_log import Injection
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
+from mavfi.outcomes import LOST_TILT, Control
 from mavfi.sim.environments import build_world
 from mavfi.sim.scene import STEP_US
 from mavfi.sim.simulator import Simulator
@@ -28,15 +29,13 @@ LEG_S = 2.0
 TURN_S = 0.5
 """Time after a corner that counts as turning (s)."""
 SLIGHT_M = 0.02
-LOST_M, LOST_TILT = 5.0, math.radians(60.0)
-"""Distance from the golden flight and tilt beyond which control counts as lost."""
+LOST_M = 5.0
+"""Distance from the golden flight beyond which control counts as lost (m), as beyond `LOST_TILT`."""
 _SIDES = ((3.0, 0.0, 0.0, 0.0), (0.0, 3.0, 0.0, 0.5), (-3.0, 0.0, 1.0, 0.0), (0.0, -3.0, -1.0, -0.5))
 PATTERNS = {"hover": ((0.0, 0.0, 0.0, 0.0),), "square": _SIDES}
 """Commands of each pattern, one after the other: velocity (m/s) and yaw rate (rad/s)."""
 _MISSION = MissionSpec(environment="farm", seed=1, start=(5.0, 0.0, 8.0), flight_controller="betaflight")
-_IDENTICAL, _SLIGHT, _DEGRADED, _LOST = "bit-identical", "slight", "degraded", "loss of control"
-_LOST_PROCESS = {"crash": "process ends", "hang": "hang"}
-OUTCOMES = (_IDENTICAL, _SLIGHT, _DEGRADED, _LOST, *_LOST_PROCESS.values())
+OUTCOMES = _IDENTICAL, _SLIGHT, _DEGRADED, _LOST, _ENDS, _HANGS = tuple(one.value for one in Control)
 """What a fault does to a flight, from harmless to worst."""
 
 
@@ -102,7 +101,7 @@ def _states(plant: Simulator, pattern: str) -> Iterator[np.ndarray]:
 def outcome(golden: PatternFlight, flight: PatternFlight) -> str:
     """What the fault did to a flight, one of `OUTCOMES`."""
     if flight.lost[0]:
-        return _LOST_PROCESS[flight.lost[0]]
+        return _HANGS if flight.lost[0] == "hang" else _ENDS
     if flight.digest == golden.digest:
         return _IDENTICAL
     off = distance(golden, flight)

@@ -1,8 +1,13 @@
-"""Effect of a fault on the computation: `effect_of` compares an injected run with its golden run."""
+"""Verdicts on an injected run and its golden run: `effect_of` on the computation, `control_of` on the flight."""
 
+import math
+from dataclasses import dataclass
 from enum import Enum
+from typing import ClassVar
 
 from mavfi.flight_record import End, FlightRecord
+from mavfi.mission import MissionStatus
+from mavfi.qof import energy
 
 
 class Effect(Enum):
@@ -42,3 +47,103 @@ def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
         return Effect.MASKED
     detected = injected.kernel is not None and injected.kernel.effect == Effect.DETECTED.label
     return Effect.DETECTED if detected else Effect.SDC
+
+
+# ---- faults in a flight controller -------------------------------------------------------------------------------
+class Control(Enum):
+    """What a fault in a flight controller does to a mission, from harmless to worst; the value names it in tables."""
+
+    IDENTICAL = "bit-identical"
+    SLIGHT = "slight"
+    DEGRADED = "degraded"
+    LOST = "loss of control"
+    ENDS = "process ends"
+    HANGS = "hang"
+
+
+@dataclass(frozen=True, slots=True)
+class ControlErrors:
+    """How well a flight controller followed its set-points, from the fault on.
+
+    They compare what is flown with what is commanded in the same flight: after any difference, the pipeline plans other
+    paths, so that the distance from the golden run says nothing about control.
+
+    Attributes:
+        tilt: Largest angle between the body's and the world's z axis (rad).
+        attitude: Between the body's z axis and the commanded thrust (rad): the largest that lasted `LASTING_S`.
+        velocity: Between commanded and flown velocity (m/s): likewise.
+        yaw_rate: Between commanded and flown yaw rate (rad/s): likewise.
+    """
+
+    KEY: ClassVar[str] = "control"
+    """Of the errors in `FlightRecord.extra`."""
+
+    tilt: float
+    attitude: float
+    velocity: float
+    yaw_rate: float
+
+    @staticmethod
+    def of(record: FlightRecord) -> "ControlErrors | None":
+        """The errors in a record; None = not measured."""
+        stored = record.extra.get(ControlErrors.KEY)
+        return None if stored is None else ControlErrors(**{name: float(value) for name, value in stored.items()})
+
+    def beyond(self, limits: "ControlErrors") -> bool:
+        """Whether any of them is not within its limit; NaN is not."""
+        return not (
+            self.tilt <= limits.tilt and self.attitude <= limits.attitude and self.velocity <= limits.velocity
+            and self.yaw_rate <= limits.yaw_rate
+        )  # fmt: skip
+
+
+LASTING_S = 0.5
+"""An error lasts if it never falls below a value for so long (s): longer than an attitude takes to settle."""
+HEALTHY = ControlErrors(math.radians(50.0), math.radians(4.0), 1.5, 0.4)
+"""Beyond these, control is degraded: 1.4 to 1.5 times the largest errors of missions without a fault, rounded.
+
+In 16 missions of 4 environments (design seeds), flown with 7 gyro noises each, these were 34 degrees, 2.6 degrees,
+1.1 m/s and 0.27 rad/s.
+"""
+LOST_TILT = math.radians(60.0)
+"""Tilt beyond which control counts as lost (rad)."""
+LOST = ControlErrors(LOST_TILT, math.radians(30.0), 3.0, 2.0)
+"""Beyond these, control is lost: an error lasts that is about as large as all that may be commanded (by default
+33 degrees, 3 m/s, 2 rad/s)."""
+LONGER, COSTLIER = 0.2, 0.25
+"""Increase in flight time and in energy over the golden run, relative, beyond which a mission is degraded; largest
+of the same flights: 11 % and 17 %."""
+_ASTRAY = (MissionStatus.COLLISION.label, MissionStatus.FLY_AWAY.label)
+
+
+def control_of(golden: FlightRecord | None, injected: FlightRecord) -> Control | None:
+    """Class of a mission with a fault in its flight controller; the worst that applies.
+
+    Args:
+        golden: The golden run of the same arm; None = there is none.
+        injected: The run with the fault.
+
+    Returns:
+        None: It cannot be judged, e.g. if errors were not measured.
+    """
+    known = {Effect.MASKED: Control.IDENTICAL, Effect.CRASH: Control.ENDS, Effect.HANG: Control.HANGS}
+    effect, errors = effect_of(golden, injected), ControlErrors.of(injected)
+    if effect in known:
+        return known[effect]
+    if golden is None or effect is not Effect.SDC or errors is None:
+        return None
+    follows = not errors.beyond(HEALTHY)
+    lost = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
+    if lost or (injected.status in _ASTRAY and not follows):
+        return Control.LOST
+    return Control.SLIGHT if follows and not _is_worse(golden, injected) else Control.DEGRADED
+
+
+def _is_worse(golden: FlightRecord, injected: FlightRecord) -> bool:
+    """Whether a mission is lost that succeeds in the golden run, or takes clearly more time or energy."""
+    success = MissionStatus.SUCCESS.label
+    if golden.status != success:
+        return False
+    longer = injected.flight_time_s > (1.0 + LONGER) * golden.flight_time_s
+    costlier = energy(injected.energy) > (1.0 + COSTLIER) * energy(golden.energy)
+    return injected.status != success or longer or costlier

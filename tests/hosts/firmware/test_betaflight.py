@@ -2,6 +2,7 @@
 
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.observe import Attached
 from mavfi.mission import MissionSpec, MissionStatus
+from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -68,6 +70,25 @@ def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
     null = fly(scenario(), replace(register_fault(3_000_000, 5), null=True)).log
     assert null.injections[0].activated
     assert null.digest() == golden.log.digest()
+
+
+def test_another_gyro_noise_is_another_flight_that_is_controlled_as_well(golden):
+    other = fly(scenario(), observers=(lambda loop: loop.plant.controller.draw_noise(99),))
+    assert other.log.digest() != golden.log.digest()
+    assert control_of(golden.record(), other.record()) is Control.SLIGHT
+
+
+def test_a_vehicle_whose_rotors_stop_is_out_of_control_without_tilting(golden):
+    struck = fly(scenario(), observers=(partial(_stop_rotors, 3_000_000),))
+    errors = ControlErrors.of(struck.record())
+    assert struck.log.status is MissionStatus.COLLISION
+    assert errors.velocity > 3.0 and errors.tilt < LOST_TILT
+    assert control_of(golden.record(), struck.record()) is Control.LOST
+
+
+def _stop_rotors(time_us, loop):
+    rotors = loop.plant.controller.rotors
+    loop.plant.controller.rotors = lambda now, *rest: rotors(now, *rest) * (now < time_us)
 
 
 def test_a_failure_of_a_sensor_reaches_the_firmware(golden):

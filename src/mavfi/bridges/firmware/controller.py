@@ -13,6 +13,7 @@ from mavfi.bridges.firmware.betaflight import PERIOD_NS
 from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.injector import FirmwareInjector
 from mavfi.bridges.firmware.process import NEVER, Firmware, FirmwareLostError
+from mavfi.bridges.firmware.tracking import Tracking
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
@@ -35,6 +36,7 @@ class BetaflightController:
         injector: Injects a register fault; None = no fault.
         lost: How the firmware ended or hung; None = it runs.  Without it, all rotor commands are 0.
         most_calls: Most calls of the shim in a period.
+        tracking: Notes how well it follows its set-points; None = not noted.
     """
 
     period_us = PERIOD_NS // 1000
@@ -44,12 +46,11 @@ class BetaflightController:
         self._airframe = airframe_of(start.vehicle)
         self._memory = np.zeros(MEMORY_SIZE)
         self._matrix = np.empty((3, 3))
-        seed = np.random.SeedSequence(start.seed, spawn_key=(_PURPOSE_GYRO_NOISE,))
-        self._random = np.random.default_rng(seed)
-        self._noise, self._used = np.empty((0, 3)), 0
+        self.draw_noise(start.seed)
         self.injector: FirmwareInjector | None = None
         self.lost: FirmwareLostError | None = None
         self.most_calls = 0
+        self.tracking: Tracking | None = None
         needed = installed()
         self.firmware = Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})
         try:
@@ -58,12 +59,18 @@ class BetaflightController:
             self.close()
             raise
 
+    def draw_noise(self, seed: int) -> None:
+        """Draw the gyro's noise from a seed, from now on; as a rule, that of the mission."""
+        sequence = np.random.SeedSequence(seed, spawn_key=(_PURPOSE_GYRO_NOISE,))
+        self._random = np.random.default_rng(sequence)
+        self._noise, self._used = np.empty((0, 3)), 0
+
     def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See `Controller.rotors`; zero after the firmware has ended."""
         if self.lost is not None:
             return np.zeros(4)
         state = _state(odometry, self._gyro_noise(), force)
-        rc = None if time_us % STEP_US else self._channels(setpoint, odometry)
+        rc = None if time_us % STEP_US else self._channels(time_us, setpoint, odometry)
         try:
             self._run(time_us, betaflight.packets(self.firmware.now_ns, state, rc))
         except FirmwareLostError as error:
@@ -79,11 +86,14 @@ class BetaflightController:
             assert self.injector is not None  # only then it stops
             self.injector.inject(self.firmware, time_us)
 
-    def _channels(self, setpoint: np.ndarray, odometry: np.ndarray) -> list[int]:
+    def _channels(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray) -> list[int]:
         """Sticks for a velocity command: angles and throttle of the force that our own velocity loop wants."""
         airframe = self._airframe
-        forward, left, up = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6]).tolist()
+        wanted = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6])
         rotation_matrix(odometry[6:10], self._matrix)
+        if self.tracking is not None:
+            self.tracking.sample(time_us, setpoint, odometry, wanted, self._matrix[:, 2])
+        forward, left, up = wanted.tolist()
         along = self._matrix[0, 2] * forward + self._matrix[1, 2] * left + self._matrix[2, 2] * up
         yaw = yaw_of(odometry[6:10])
         ahead, aside = cos(yaw), sin(yaw)

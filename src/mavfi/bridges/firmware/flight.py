@@ -1,12 +1,13 @@
 """One mission flown by a firmware, with a fault in its registers, or in sensors and motors; bit-reproducible."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
-from typing import cast
+from typing import Any, cast
 
 from mavfi.bridges.firmware.controller import BetaflightController
 from mavfi.bridges.firmware.injector import NODE, WALK, FirmwareInjector
+from mavfi.bridges.firmware.tracking import Tracking
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
@@ -21,6 +22,7 @@ from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.mission import Scenario
+from mavfi.outcomes import ControlErrors
 
 
 def register_fault(time_us: int, seed: int, registers: str = "all") -> RegisterFault:
@@ -53,8 +55,10 @@ def fly(
         if not isinstance(controller, BetaflightController):
             text = "has no registers of its own; allowed: betaflight"
             raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
-        if fault is not None and not inject_sensor_fault(loop, fault):
-            loop.taps.injector = controller.injector = FirmwareInjector(cast(RegisterFault, fault))
+        if fault is None or not inject_sensor_fault(loop, fault):
+            controller.tracking = Tracking()
+            if fault is not None:
+                loop.taps.injector = controller.injector = FirmwareInjector(cast(RegisterFault, fault))
         loop.before_tick.append(partial(_note_loss, loop.record, controller))
         watch(loop, detector, recovery)
         for attach in observers:
@@ -63,9 +67,17 @@ def fly(
         check_flown(scenario.protection)
     finally:
         loop.plant.close()
-    lost, extra = controller.lost, {"node": NODE, "most_calls": controller.most_calls}
+    lost, extra = controller.lost, {"node": NODE, "most_calls": controller.most_calls, **_errors(controller, flight)}
     log = flight.log if lost is None else replace(flight.log, kernel=KernelEffect(lost.effect, lost.detail))
     return replace(flight, log=log, extra=extra)
+
+
+def _errors(controller: BetaflightController, flight: Flight) -> dict[str, Any]:
+    """Entry of the record: how well the firmware followed its set-points from the fault on, or from the start."""
+    if controller.tracking is None:
+        return {}
+    since = max((one.time_s for one in flight.log.injections if one.activated), default=0.0)
+    return {ControlErrors.KEY: asdict(controller.tracking.since(since))}
 
 
 def _note_loss(record: Record, controller: BetaflightController, now: int) -> None:

@@ -1,11 +1,17 @@
-"""Views of register faults in a flight controller's firmware: outcomes of the missions."""
+"""Views of register faults in a flight controller's firmware: outcomes of the missions, and classes of control."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import SIGNED, Cell
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.faults.register.classes import class_of, function_of
+from mavfi.outcomes import COSTLIER, HEALTHY, LASTING_S, LONGER, LOST, Control
 
 FIRMWARE = "firmware"
 """Value of the column `kernel` for faults in a firmware."""
@@ -18,6 +24,10 @@ _OUTCOMES = {
     "hangs": ("hang", pl.col("effect") == "hang"),
 }
 _MEASURES = (m.count("n", "runs"), *(m.rate(key, heading, test) for key, (heading, test) in _OUTCOMES.items()))
+_CLASSES = (
+    m.count("n", "runs"),
+    *(m.rate(one.name.lower(), one.value, pl.col("control") == one.value) for one in Control),
+)
 _INTERVALS = "per cent, [95 % interval, Wilson, adjusted for runs that share a mission], count"
 
 
@@ -34,7 +44,64 @@ def _faults(runs: Runs) -> Runs:
     return runs.injected.where("activated", kernel=FIRMWARE).adding(registers=kind, function=function, third=third)
 
 
+def _has_classes(runs: Runs) -> bool:
+    """Whether every mission with a fault in the firmware has its class; ledgers of older versions lack the errors."""
+    return _in_firmware(runs) and not has(runs.injected.where("activated", "judged", kernel=FIRMWARE), control="")
+
+
+def _by_class(runs: Runs) -> Runs:
+    """Activated faults, the classes from harmless to worst."""
+    own = _faults(runs)
+    place = pl.col("control").replace_strict({one.value: rank for rank, one in enumerate(Control)}, default=None)
+    return replace(own, frame=own.frame.sort(place, maintain_order=True))
+
+
+def _largest(column: str, scale: float = 1.0) -> Callable[[Runs], Cell]:
+    """Largest value of a column; None if there is none."""
+
+    def of(own: Runs) -> Cell:
+        known = own.frame[column].drop_nulls()
+        return None if known.is_empty() else scale * float(known.max())  # type: ignore[arg-type]
+
+    return of
+
+
+def _definitions(_: Runs) -> tuple[str, ...]:
+    """Lines below the table of classes."""
+    return (
+        f"slight: another flight that follows its commands (tilt to {np.degrees(HEALTHY.tilt):.0f} degrees; for "
+        f"{LASTING_S:g} s never beyond {np.degrees(HEALTHY.attitude):.0f} degrees off the commanded attitude, "
+        f"{HEALTHY.velocity:g} m/s off the velocity, {HEALTHY.yaw_rate:g} rad/s off the yaw rate) and succeeds if "
+        f"its golden run does, with at most {100 * LONGER:.0f} % more time and {100 * COSTLIER:.0f} % more energy",
+        f"loss of control: tilt above {np.degrees(LOST.tilt):.0f} degrees, for {LASTING_S:g} s beyond "
+        f"{np.degrees(LOST.attitude):.0f} degrees, {LOST.velocity:g} m/s or {LOST.yaw_rate:g} rad/s, or a contact "
+        "while not following; degraded: all others whose process runs",
+        _INTERVALS,
+    )
+
+
 register(
+    View(
+        "firmware_control", "How a mission is controlled after one bit in a register of the firmware", ("registers",),
+        _CLASSES, where=_faults, total=("registers", "in all"), notes=_definitions, largest="n", applies=_has_classes,
+    ),
+    View(
+        "firmware_control_phases", "Classes of control by third of the golden flight in which the fault comes",
+        ("third",), _CLASSES, where=_faults, applies=_has_classes,
+    ),
+    View(
+        "firmware_classes", "What the flights of each class have in common", ("control",),
+        (
+            m.count("n", "runs"), m.rate("success", "mission succeeds", "success"),
+            m.Measure("time", "longest against golden", SIGNED, _largest("inflation")),
+            m.Measure("tilt", "largest tilt", "number .0f deg", _largest("tilt", np.degrees(1.0))),
+            m.Measure("attitude", "attitude error", "number .1f deg", _largest("attitude_error", np.degrees(1.0))),
+            m.Measure("velocity", "velocity error", "number .2f m/s", _largest("velocity_error")),
+            m.Measure("yaw_rate", "yaw rate error", "number .2f rad/s", _largest("yaw_rate_error")),
+        ),
+        where=_by_class, headings=("class",), applies=_has_classes,
+        notes=lambda _: (f"errors: what lasted for {LASTING_S:g} s, from the fault on; largest of all runs",),
+    ),
     View(
         "firmware_faults", "What one bit in a register of the firmware does to the mission", ("registers",), _MEASURES,
         where=_faults, total=("registers", "in all"), notes=lambda _: (_INTERVALS,), largest="n",

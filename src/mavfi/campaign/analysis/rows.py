@@ -13,7 +13,7 @@ from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
 from mavfi.mission import MissionStatus
-from mavfi.outcomes import DUE, effect_of
+from mavfi.outcomes import DUE, ControlErrors, control_of, effect_of
 from mavfi.qof import energy
 from mavfi.states import KERNEL_STAGES, KERNELS, STATES
 
@@ -34,9 +34,10 @@ SCHEMA: dict[str, Any] = {
     "function": _TEXT, "file": _TEXT, "line": _INT, "opcode": _TEXT, "value_class": _TEXT, "value_type": _TEXT,
     "variable": _TEXT, "replayable": _FLAG, "register": _TEXT, "symbol": _TEXT, "library": _TEXT,
     "end": _TEXT, "status": _TEXT, "success": _FLAG, "success_if_ended": _FLAG, "golden_success": _FLAG,
-    "judged": _FLAG, "effect": _TEXT, "kernel_effect": _TEXT, "kernel_effect_detail": _TEXT, "activated": _FLAG,
-    "site_outcome": _TEXT, "time_s": _REAL, "before": _REAL, "after": _REAL,
+    "judged": _FLAG, "effect": _TEXT, "control": _TEXT, "kernel_effect": _TEXT, "kernel_effect_detail": _TEXT,
+    "activated": _FLAG, "site_outcome": _TEXT, "time_s": _REAL, "before": _REAL, "after": _REAL,
     "error_state": _TEXT, "error_field": _TEXT, "error_elements": _REAL, "error_size": _REAL,
+    "tilt": _REAL, "attitude_error": _REAL, "velocity_error": _REAL, "yaw_rate_error": _REAL,
     "flight_time_s": _REAL, "energy_j": _REAL, "distance_m": _REAL, "replans": _INT, "time_limit_s": _REAL,
     "course_m": _REAL, "golden_flight_time_s": _REAL, "inflation": _REAL, "energy_inflation": _REAL,
     "detected_at_site": _FLAG, "detected_downstream": _FLAG, "alarms_total": _INT,
@@ -67,7 +68,8 @@ def row_of(
         "seed": spec.seed, "world": f"{environment} {spec.seed}", "target": spec.target, "index": spec.index,
         "weight": 1.0, "has_site": False, "population": "all", **planned,
         **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
-        **_judged(record, own, reference, spec), **_detected(record, own, planned.get("state", "")),
+        **_judged(record, own, reference, spec), **_controlled(record, own, spec),
+        **_detected(record, own, planned.get("state", "")),
         "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
     }  # fmt: skip
 
@@ -180,6 +182,18 @@ def _judged(
             spent = energy(reference.energy)
             columns["energy_inflation"] = energy(record.energy) / spent - 1 if spent > 0 else None
     return columns
+
+
+def _controlled(record: FlightRecord, own: FlightRecord | None, spec: RunSpec) -> dict[str, Any]:
+    """Class of a firmware's mission, and how well it was controlled from the fault on (golden run: from the start)."""
+    errors = ControlErrors.of(record)
+    if errors is None:
+        return {}
+    found = None if spec.kind == GOLDEN else control_of(own, record)
+    return {
+        "control": None if found is None else found.value, "tilt": errors.tilt, "attitude_error": errors.attitude,
+        "velocity_error": errors.velocity, "yaw_rate_error": errors.yaw_rate,
+    }  # fmt: skip
 
 
 def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
