@@ -22,9 +22,10 @@ class _Forests:
     def _forest(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
         from river.anomaly import HalfSpaceTrees
 
+        make: Any = HalfSpaceTrees  # its types are those of dictionaries with any key
         limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
         window = max(1, min(_WINDOW, len(rows)))
-        forest = HalfSpaceTrees(n_trees=_TREES, height=_HEIGHT, window_size=window, limits=limits, seed=0)
+        forest = make(n_trees=_TREES, height=_HEIGHT, window_size=window, limits=limits, seed=0)
         for row in rows:
             forest.learn_one(dict(enumerate(row.tolist())))
         return forest
