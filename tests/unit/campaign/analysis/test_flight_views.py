@@ -88,7 +88,7 @@ def test_recovery_and_paired_tests(fake):
 def test_undefined_recovery_is_said_so():
     own = [golden(1), injected(1, flown()), injected(1, flown(), arm="gaussian")]
     [entry] = table(runs(*own), "recovery").entries()
-    assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("undefined", 0, 0, 0)
+    assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("no estimate", 0, 0, 0)
 
 
 def test_false_alarms_have_exposure_and_bound(fake):
