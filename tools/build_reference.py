@@ -92,10 +92,8 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
 
 def with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
     """A model and its nested models, without duplicates, in order."""
-    found = [model]
-    for field in model.model_fields.values():
-        found += [part for inner in _models(field.annotation) for part in with_parts(inner) if part not in found]
-    return found
+    inner = (part for field in model.model_fields.values() for part in _models(field.annotation))
+    return list(dict.fromkeys([model, *(part for one in inner for part in with_parts(one))]))
 
 
 def _models(annotation: Any) -> Iterable[type[BaseModel]]:
@@ -197,7 +195,9 @@ def row(*cells: str) -> str:
 def pages() -> dict[Path, str]:
     """Content of every reference page, by path."""
     written = {
-        GENERATED / name: _page(head, (model_section(part) for model in models for part in with_parts(model)))
+        GENERATED / name: _page(
+            head, map(model_section, dict.fromkeys(part for model in models for part in with_parts(model)))
+        )
         for name, (head, models) in SECTIONS.items()
     }
     sections = (fault_section(level, fault) for level, fault in LEVELS.items())

@@ -52,8 +52,13 @@ class MissionStatus(Enum):
 
     @property
     def label(self) -> str:
-        """Lower-case name, as in tables and JSON."""
+        """Lower-case name, as in columns and JSON."""
         return self.name.lower()
+
+    @property
+    def words(self) -> str:
+        """The name in words, as in sentences and pictures."""
+        return self.label.replace("_", " ")
 
 
 def _names(kind: str) -> str:

@@ -19,6 +19,7 @@ def test_the_time_limit_is_150_s_at_the_defaults():
 def test_every_end_is_a_sentence():
     assert all(status.value[0].isupper() and status.value.endswith(".") for status in MissionStatus)
     assert MissionStatus.FLY_AWAY.label == "fly_away"
+    assert MissionStatus.FLY_AWAY.words == "fly away"
 
 
 def test_a_scenario_survives_json_with_the_same_key():

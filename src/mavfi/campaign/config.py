@@ -218,7 +218,7 @@ class Campaign(Config):
     scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: Sampling = Field(default_factory=StateSampling)
-    monitored_set: str = Field("paper-13", description="fields that count as watched")
+    monitored_set: str = Field("paper-13", description="fields that count as monitored, in tables and sampling")
     until_halfwidth: float | None = Field(
         None, ge=0.01, le=0.5,
         description="of success rates: an environment is done when its confidence sequences are that narrow",

@@ -10,7 +10,7 @@ from typing import Any
 from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum
 from mavfi.campaign.connection import connect
 from mavfi.campaign.soundness import PLANNED, TABLES, strange_schema
-from mavfi.campaign.store import FILE, SCHEMA
+from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.errors import BadInputError, writing
 from mavfi.files import is_file
 from mavfi.flight_record import canonical
@@ -28,10 +28,13 @@ class Repair:
 
     kept: int  # runs
     lost: int  # runs with a checksum mismatch
+    was_intact: bool = False  # nothing was damaged, and nothing is changed
 
 
 def repair(directory: Path) -> Repair:
     """Replace a damaged ledger by one with all its intact rows; the damaged file is kept as a backup.
+
+    An intact ledger is left as it is.
 
     Raises:
         BadInputError: The ledger is absent, its metadata are damaged, or a backup exists already.
@@ -39,6 +42,8 @@ def repair(directory: Path) -> Repair:
     path, damaged, whole = directory / FILE, directory / DAMAGED, directory / f"{FILE}.repaired"
     if not is_file(path):
         raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
+    if (runs_of_intact := _intact(directory)) is not None:
+        return Repair(runs_of_intact, 0, was_intact=True)
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
     with closing(connect(path, "ro")) as source:
@@ -74,6 +79,15 @@ def repair(directory: Path) -> Repair:
                 path.with_name(path.name + ending).rename(damaged.with_name(damaged.name + ending))
         whole.rename(path)
     return Repair(len(sound), len(runs) - len(sound))
+
+
+def _intact(directory: Path) -> int | None:
+    """Number of runs of an intact ledger; None if it is damaged."""
+    try:
+        with Store.open(directory) as store:
+            return len(list(store.rows()))
+    except BadInputError:
+        return None
 
 
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:

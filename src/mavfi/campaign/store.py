@@ -154,12 +154,12 @@ class Store:
                 raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
-        version = self._ask("PRAGMA user_version")
+        path, version = self.directory / FILE, self._ask("PRAGMA user_version")
+        if version == 0:  # what SQLite gives for a file that no mavfi wrote
+            raise BadInputError(f"{path}: is not a ledger of mavfi{'' if path.stat().st_size else ' (it is empty)'}")
         if version != SCHEMA:
-            raise BadInputError(
-                f"{self.directory / FILE}: schema version {version}; allowed: {SCHEMA}"
-                + (" (it was written by an older mavfi, which still reads it)" if version < SCHEMA else "")
-            )
+            older = " (it was written by an older mavfi, which still reads it)" if version < SCHEMA else ""
+            raise BadInputError(f"{path}: schema version {version}; allowed: {SCHEMA}{older}")
 
     def _check(self, identity: Mapping[str, Any]) -> None:
         self._check_schema()

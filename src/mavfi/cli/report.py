@@ -42,7 +42,7 @@ def report(  # noqa: PLR0913 - one parameter per option
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
-    """Print the headline of a campaign, and write report.md, figures and summary.json to its folder.
+    """Print the headline of a campaign, and write report.md, figures, summary.json and readme_block.md to its folder.
 
     The folder of a study (`mavfi reproduce`) gives the report of the study; `--view` shows the campaign in it.
 

@@ -44,6 +44,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """Judge recorded flights with one of the paper's detectors, trained on others.
 
     Reports false alarms per hour, the share of injected flips that are detected, and the delay of known faults.
+    A LOG must not be among those of --train.
 
     Example: [bold]mavfi watch flight.ulg --train normal1.ulg --train normal2.ulg --inject 300[/bold]
     """
@@ -62,6 +63,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 raise BadInputError(f"{path}: no such file")
         given = "neither given" if split is None else "both given"
         raise BadInputError(f"--train, --split: {given}; allowed: one of them, what a normal flight is learned from")
+    _check_apart(logs, train or [])
     with stoppable("Stopped."):
         wanted = [part.strip() for part in fields.split(",") if part.strip()]
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
@@ -81,6 +83,20 @@ def watch(  # noqa: PLR0913 - one parameter per option
     out.print(f"{detector} ({profile}), {monitored}; trained on {used} messages", markup=False, soft_wrap=True)
     out.print(_table(judged))
     _list_alarms(judged)
+
+
+def _check_apart(logs: list[Path], train: list[Path]) -> None:
+    """Refuse a log that is judged by a detector trained on it, also as a copy under another name."""
+    from filecmp import cmp
+
+    for log in logs:
+        for path in train:
+            if log.is_file() and path.is_file() and (log.samefile(path) or cmp(log, path, shallow=False)):
+                copy = "" if log == path else f" (it is {path})"
+                raise BadInputError(
+                    f"{log}: is also trained on{copy}: a detector has no false alarms on its own training data; "
+                    "allowed: other flights for --train, or --split"
+                )
 
 
 def _judge(

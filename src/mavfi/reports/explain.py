@@ -119,11 +119,11 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
     end, golden_end = log.status, golden.status
     now, before = _duration(log), _duration(golden)
     if MissionStatus.SUCCESS not in (end, golden_end):
-        return f"the mission fails without the fault, too ({golden_end.label}; with it {end.label})"
+        return f"the mission fails without the fault, too ({golden_end.words}; with it {end.words})"
     if end is not MissionStatus.SUCCESS:
-        return f"the mission is lost: {end.label} after {now:.2f} s (golden run: success after {before:.2f} s)"
+        return f"the mission is lost: {end.words} after {now:.2f} s (golden run: success after {before:.2f} s)"
     if golden_end is not MissionStatus.SUCCESS:
-        return f"the mission succeeds after {now:.2f} s, which the golden run does not ({golden_end.label})"
+        return f"the mission succeeds after {now:.2f} s, which the golden run does not ({golden_end.words})"
     if now == before:
         return f"the mission succeeds after {now:.2f} s, as without the fault"
     return f"the mission succeeds after {now:.2f} s ({signed_percent(now / before - 1)} against the golden run)"
@@ -269,7 +269,7 @@ def _alarm(alarm: AlarmRecord, *, also: bool) -> str:
 
 def end_of(log: FlightLog) -> str:
     """Final status and end time of a flight."""
-    return f"{log.status.value} ({log.status.label}) after {_duration(log):.2f} s"
+    return f"{log.status.value} ({log.status.words}) after {_duration(log):.2f} s"
 
 
 def _duration(log: FlightLog) -> float:

@@ -252,7 +252,7 @@ def _marks(flight: Flight) -> list[_Drawn]:
         marks.append(_Drawn("injection", positions(flight, times), look))
     if log.status is not MissionStatus.SUCCESS:
         look = {"marker": "X", "markersize": 11, "color": style.ORANGE}
-        marks.append(_Drawn(log.status.label.replace("_", " "), positions(flight)[-1:], look))
+        marks.append(_Drawn(log.status.words, positions(flight)[-1:], look))
     return marks
 
 
@@ -310,7 +310,7 @@ def _ending(flight: Flight) -> str:
     """End time of a flight, with the status unless it succeeded."""
     time = f"{flight.log.column('time')[-1]:.1f} s"
     success = flight.log.status is MissionStatus.SUCCESS
-    return time if success else f"{flight.log.status.label.replace('_', ' ')} at {time}"
+    return time if success else f"{flight.log.status.words} at {time}"
 
 
 def _line(course: _Drawn) -> Line2D:

@@ -29,7 +29,7 @@ def lines(found: Shrunk) -> Lines:
     else:
         rows.append(("instants", "none tried: the fault names a call, not a time"))
     golden = found.golden.log
-    rows.append(("golden run", f"{golden.status.label} after {float(golden.column('time')[-1]):.2f} s"))
+    rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows
 
 

@@ -55,7 +55,16 @@ def test_what_was_changed_is_flown_again(flown, tmp_path, change, lost, flown_ag
     found = repair(tmp_path)
     assert found.lost == lost and found.kept == flown[2] - flown_again
     assert again(tmp_path) == (flown[1], flown_again)
-    assert (tmp_path / DAMAGED).is_file()
+    assert (tmp_path / DAMAGED).is_file() != found.was_intact
+
+
+def test_an_intact_ledger_is_left_as_it_is(flown, tmp_path, capsys):
+    (tmp_path / FILE).write_bytes(flown[0])
+    assert run(["campaign", "repair", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "nothing to repair" in said and "Backup" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [FILE]
+    assert (tmp_path / FILE).read_bytes() == flown[0]
 
 
 @pytest.mark.slow
@@ -111,11 +120,12 @@ def test_what_cannot_be_repaired_is_one_line_and_left_as_it_is(flown, tmp_path, 
     before = (tmp_path / FILE).read_bytes()
     assert run(["campaign", "repair", str(tmp_path)]) == 2
     assert (tmp_path / FILE).read_bytes() == before and not (tmp_path / DAMAGED).exists()
-    (tmp_path / FILE).write_bytes(flown[0])
-    assert run(["campaign", "repair", str(tmp_path)]) == 0
-    assert run(["campaign", "repair", str(tmp_path)]) == 2
+    for code in (0, 2):
+        (tmp_path / FILE).write_bytes(flown[0])
+        changed(tmp_path, "UPDATE runs SET spec = 'x' WHERE position = 1")
+        assert run(["campaign", "repair", str(tmp_path)]) == code
     printed = capsys.readouterr()
-    assert f"{flown[2]} runs kept, 0 damaged." in printed.out
+    assert f"{flown[2] - 1} runs kept, 1 damaged." in printed.out
     lines = printed.err.splitlines()
     assert len(lines) == 3
     for line, word in zip(lines, ("holds no campaign", "its metadata are damaged", "exists already"), strict=True):

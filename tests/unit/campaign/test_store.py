@@ -180,6 +180,12 @@ def test_directories_that_cannot_be_written_are_bad_input(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
 
 
+def test_an_empty_file_is_no_ledger_of_an_older_version(tmp_path):
+    (tmp_path / FILE).touch()
+    with pytest.raises(BadInputError, match=r"is not a ledger of mavfi \(it is empty\)$"):
+        Store.open(tmp_path)
+
+
 def test_foreign_files_and_versions_are_refused(tmp_path):
     (tmp_path / FILE).write_text("not a ledger, but long enough to be mistaken for one" * 10)
     with pytest.raises(BadInputError, match="is not a ledger"):

@@ -42,6 +42,12 @@ def test_the_report_ends_with_the_headline(capsys, flown):
 
 
 @pytest.mark.slow
+def test_the_help_names_every_kind_of_file_that_is_written(capsys, flown):
+    printed(capsys, "report", flown, "--no-draw-run")
+    said = printed(capsys, "report", "--help")
+    assert all(path.name in said for path in flown.iterdir() if path.suffix in (".md", ".json"))
+
+
 def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
     shutil.copytree(flown, tmp_path / "states")
     write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path, fly=False)

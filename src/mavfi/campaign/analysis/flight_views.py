@@ -138,8 +138,12 @@ def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
     return cell
 
 
+NO_ESTIMATE = "no estimate"
+"""Recovery rate whose denominator may be 0."""
+
+
 def _recovery_rate(_: Runs, found: Recovery) -> Any:
-    return "undefined" if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
+    return NO_ESTIMATE if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
 
 
 def _papers_recovery(own: Runs) -> float | None:
@@ -168,7 +172,7 @@ register(
             Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
             Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
             Measure("paper", "paper", PERCENT, _papers_recovery),
-            Measure("loss", "golden – fi (points)", POINTS, _recovery(
+            Measure("loss", "golden – fault (points)", POINTS, _recovery(
                 lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high))),
         ),
         where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
@@ -176,8 +180,8 @@ register(
             "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
             "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
             "p: McNemar's exact test: newly lost against saved by the detector",
-            "recovery = (dr – fi) / (golden – fi), [exact binomial interval]; undefined while the interval of golden – "
-            "fi contains 0; below 0 where more missions are newly lost than brought back",
+            f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
+            "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
         ), applies=_compared,
@@ -187,7 +191,7 @@ register(
         (
             m.count("pairs", "pairs"),
             Measure("only_golden", "only golden succeeds", NUMBER, lambda own: m.against_golden(own).first_only),
-            Measure("only_fi", "only fi succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
+            Measure("only_fi", "only faulty succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
         ),
         where=lambda runs: named_populations(

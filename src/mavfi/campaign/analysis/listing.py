@@ -4,16 +4,19 @@ from collections.abc import Sequence
 
 import polars as pl
 
+from mavfi.campaign.analysis.rows import ACTIVATED
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import NUMBER, SIGNED, TEXT, Column, Table
 from mavfi.errors import BadInputError
 
 _COLUMNS = (
     Column("run_id", "run"), Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
-    Column("inflation", "against golden", SIGNED), Column("effect", "flight"), Column("site", "site"),
-    Column("bit", "bit", NUMBER), Column("site_outcome", "injection"), Column("kernel_effect", "kernel"),
-    Column("alarms_total", "alarms", NUMBER),
+    Column("inflation", "against golden", SIGNED), Column("effect", "effect"),
+    Column("alarms_total", "alarms", NUMBER), Column("bit", "bit", NUMBER), Column("site", "site"),
+    Column("site_outcome", "injection"), Column("kernel_effect", "kernel"),
 )  # fmt: skip
+_USUAL = {"kernel_effect": {""}, "site_outcome": {"", ACTIVATED}}
+"""Values of columns that are hidden if they have no others."""
 _SHOWN = 12  # values listed where a condition names one that does not occur
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
@@ -33,7 +36,8 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort
         tests.append(~pl.col("success"))
     own = runs.where(*tests)
     frame = _sorted(own.frame, sort)
-    shown = [column for column in _COLUMNS if column.key != "kernel_effect" or (frame[column.key] != "").any()]
+    empty = [key for key, usual in _USUAL.items() if set(frame[key]) <= usual]
+    shown = [column for column in _COLUMNS if column.key not in empty]
     names = {column.key for column in shown}
     hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in names]
     columns = (*shown, *hidden)

@@ -229,7 +229,7 @@ def sites(runs: Runs) -> Figure | None:
     axes.set_xlim(0, None)
     axes.xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="x")
-    axes.tick_params(axis="y", length=0)
+    axes.tick_params(axis="y", length=0, pad=9)  # a marker at 0 does not touch its label
     bits = ", ".join(dict.fromkeys(POPULATIONS.get(population, population) for population, _ in shown.values()))
     environments = judged.values("environment")
     where = environments[0] if len(environments) == 1 else "all environments"

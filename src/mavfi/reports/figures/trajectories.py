@@ -143,7 +143,7 @@ def _ends(case: Case, flights: Sequence[Flight]) -> str:
     ends = []
     for flight, change in zip(flights, (None, case.inflation, case.recovered_inflation), strict=False):
         more = "" if change is None else f" ({signed_percent(change)})"
-        ends.append(f"{flight.log.status.label.replace('_', ' ')} {float(flight.log.column('time')[-1]):.1f} s{more}")
+        ends.append(f"{flight.log.status.words} {float(flight.log.column('time')[-1]):.1f} s{more}")
     words = ("golden", "fault", "detector")
     return ", ".join(f"{word}: {text}" for word, text in zip(words, ends, strict=False))
 

@@ -3,6 +3,7 @@
 
 const STROKES = { golden: 4, injected: 2, recovered: 1.6 };
 const ORDER = ["golden", "injected", "recovered"];
+const APART = 12;
 
 class Charts {
   constructor(root, flight, paths, seek) {
@@ -31,11 +32,12 @@ class Charts {
     const heading = element("h4", {}, line.label, " ", element("small", {}, line.unit));
     if (line.site) heading.append(element("small", { class: "injected-field" }, " injected field"));
     const box = element("div", { class: "chart", role: "img", "aria-label": describe(line, roles) }, heading);
-    const off = Math.max(...roles.flatMap((role) => line.data[role][1].map((value) => beyond(value, range))));
-    if (off > 0) box.append(element("p", {}, `Off the scale: up to ${off.toPrecision(3)}.`));
+    const off = roles.map((role) => beyond(line.data[role], range));
+    const said = roles.flatMap((role, place) => (off[place].length ? [`${this.labelOf(role)} ${reach(off[place])}`] : []));
+    if (said.length) box.append(element("p", {}, `Off the scale (▴ ▾): ${said.join("; ")}.`));
     this.root.append(box);
-    const times = bounds(roles.flatMap((role) => line.data[role][0]));
-    const plot = new uPlot(this.options(roles, range, stepped, times), joined(roles, line, range), box);
+    const times = line.window || bounds(roles.flatMap((role) => line.data[role][0]));
+    const plot = new uPlot(this.options(roles, range, stepped, times, off), joined(roles, line, range), box);
     const fault = element("i", { class: "faultline" });
     const head = element("i", { class: "playhead" });
     plot.over.append(fault, head);
@@ -44,7 +46,11 @@ class Charts {
     placeAt(fault, times, this.flight.fault);
   }
 
-  options(roles, range, stepped, times) {
+  labelOf(role) {
+    return this.paths.find((path) => path.role === role).label;
+  }
+
+  options(roles, range, stepped, times, off) {
     const axis = { stroke: css("soft"), grid: { stroke: css("line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
     const paths = stepped ? uPlot.paths.stepped({ align: 1 }) : undefined;
     return {
@@ -52,6 +58,7 @@ class Charts {
       scales: { x: { time: false, range: times }, y: { range } },
       axes: [{ ...axis, size: 26, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(3)} s`) },
         { ...axis, size: 52, values: (_, ticks) => ticks.map((tick) => String(+tick.toPrecision(6))) }],
+      hooks: { draw: [(plot) => roles.forEach((role, place) => markBeyond(plot, css(role), off[place]))] },
       series: [{}, ...roles.map((role) => ({
         stroke: css(role), width: STROKES[role], paths, spanGaps: true, points: { show: false },
         dash: role === "recovered" ? [6, 4] : undefined,
@@ -99,13 +106,62 @@ function bounds(values) {
   return values.length ? [Math.min(...values), Math.max(...values)] : [0, 1];
 }
 
-function beyond(value, [low, high]) {
-  return value === null || (value >= low && value <= high) ? -Infinity : Math.abs(value);
+/** Stretches of a line off the scale: instant of the first sample, and the value farthest away. */
+function beyond([times, values], [low, high]) {
+  const found = [];
+  let last = 0;
+  values.forEach((value, place) => {
+    const side = value === null ? last : Math.sign(Math.max(0, value - high) - Math.max(0, low - value));
+    if (side && side !== last) found.push({ time: times[place], side, value });
+    if (side && value !== null) found.at(-1).value = side * Math.max(side * found.at(-1).value, side * value);
+    last = side;
+  });
+  return found;
 }
 
-/** One table of all instants; values off the scale stay at its edge. */
+/** Farthest values of the stretches in words. */
+function reach(stretches) {
+  const ends = [[-1, "down to", Math.min], [1, "up to", Math.max]].map(([side, words, farthest]) => {
+    const values = stretches.filter((one) => one.side === side).map((one) => one.value);
+    return values.length ? `${words} ${short(farthest(...values))}` : "";
+  });
+  return ends.filter(Boolean).join(", ");
+}
+
+function short(value) {
+  return value.toPrecision(3).replaceAll("-", "−");
+}
+
+/** Draw a triangle and its value at the edge where a line leaves the scale; where they would overlap, the first. */
+function markBeyond(plot, colour, stretches) {
+  const { ctx, bbox } = plot;
+  const ratio = devicePixelRatio;
+  const free = { "-1": -Infinity, 1: -Infinity };
+  const freeText = { ...free };
+  ctx.save();
+  Object.assign(ctx, { fillStyle: colour, font: `${10 * ratio}px system-ui`, textAlign: "left", textBaseline: "middle" });
+  for (const { time, side, value } of stretches) {
+    const x = Math.min(plot.valToPos(time, "x", true) + 6 * ratio, bbox.left + bbox.width - 5 * ratio);
+    if (x < free[side]) continue;
+    free[side] = x + APART * ratio;
+    const [edge, inward] = side > 0 ? [bbox.top, ratio] : [bbox.top + bbox.height, -ratio];
+    ctx.beginPath();
+    ctx.moveTo(x, edge + inward);
+    ctx.lineTo(x - 4 * ratio, edge + 8 * inward);
+    ctx.lineTo(x + 4 * ratio, edge + 8 * inward);
+    ctx.fill();
+    const wide = ctx.measureText(short(value)).width;
+    if (x < freeText[side] || x + 6 * ratio + wide > bbox.left + bbox.width) continue;
+    freeText[side] = x + 12 * ratio + wide;
+    ctx.fillText(short(value), x + 6 * ratio, edge + 6 * inward);
+  }
+  ctx.restore();
+}
+
+/** One table of all instants.  A value off the scale leaves the frame, which cuts it, instead of following its edge. */
 function joined(roles, line, [low, high]) {
-  const clip = (value) => (value === null ? null : Math.min(high, Math.max(low, value)));
+  const outside = high - low;
+  const clip = (value) => (value === null ? null : Math.min(high + outside, Math.max(low - outside, value)));
   return uPlot.join(roles.map((role) => [line.data[role][0], line.data[role][1].map(clip)]));
 }
 

@@ -42,7 +42,9 @@ def svg_of(figure: Figure, name: str, caption: str, sets: RunSets) -> Markup:
     for colour, variable in _COLOURS.items():
         text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)
     text = re.sub(r'<a xlink:href="(#runs?[?/][^"]*)" target="_blank"', lambda found: _link(found[1], sets), text)
+    # without its height it scales; the style sheet limits the scale, so that the text of all figures has one size
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg[^>]*?) width="([^"]*)"', r'\1 style="--drawn: \2"', text, count=1)
     label = escape(caption, quote=True)
     return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - from matplotlib
 

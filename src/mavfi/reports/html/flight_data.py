@@ -83,7 +83,7 @@ def course_data(course: Course) -> dict[str, Any]:
         "role": course.role, "label": course.label, "n": len(rows),
         "rows": encoded(np.column_stack([rows[:, :4], speed]), "f4"),
         "attitude": encoded(np.clip(127 * np.nan_to_num(rows[:, 7:11]), -127, 127).round(), "i1"),
-        "success": log.status is MissionStatus.SUCCESS, "status": log.status.label.replace("_", " "),
+        "success": log.status is MissionStatus.SUCCESS, "status": log.status.words,
         "end": round(float(log.column("time")[-1]), 3), "fault": injected[0] if injected else None,
         "alarms": [
             [round(alarm.time_s, 3), int(alarm.time_s in near_times), f"{alarm.source}: {alarm.action} {alarm.stage}"]

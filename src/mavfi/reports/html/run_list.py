@@ -22,6 +22,7 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
     frames = [runs.frame.with_columns(folder=pl.lit(folder)) for folder, runs in ledgers.items()]
     frame = pl.concat(frames).with_columns(
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
+        status=pl.col("status").str.replace_all("_", " "),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
     )
     texts = {name: _coded(frame[name]) for name in FILTERS}

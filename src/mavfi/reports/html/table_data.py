@@ -6,11 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mavfi.campaign.analysis.table import TEXT, Table
+from mavfi.reports.style import setting_label
 from mavfi.reports.text import ABSENT, cell
 
 LONGEST_NAME = 40
 """Longest text of a cell that is shown on one line (characters)."""
 
+_SETTINGS = ("setting", "row")
+"""Columns with names of settings, which are shown in words; CSV keeps the names."""
 _INTERVAL = re.compile(r"^(\S+) (\[.*)$")
 
 
@@ -61,8 +64,11 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
         cells = []
         for column in shown:
             text = cell(row[column], table.columns[column].form)
+            if table.columns[column].key in _SETTINGS:
+                text = setting_label(text)
             value, interval = _split(text)
-            link = sets.link(ids[column]) if kinds[column] == "number" and text != ABSENT else ""
+            is_value = kinds[column] == "number" and text != ABSENT and not isinstance(row[column], str)
+            link = sets.link(ids[column]) if is_value else ""
             cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
         rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
     columns = [

@@ -58,7 +58,8 @@ def time_lines(
     scores = {site: _difference(near["golden"], injected, site) for site in _candidates() if site not in first}
     worst = sorted((site for site in scores if scores[site] > 0), key=lambda site: -scores[site])[: MOST - len(first)]
     shown = first + [site for site in scores if site in worst]
-    return [_line(site, near, is_site=site == own) for site in shown]
+    ends = {role: min(1e-6 * published[role][-1].time_us, at + AFTER) for role in near}
+    return [_line(site, near, at, ends, is_site=site == own) for site in shown]
 
 
 def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
@@ -123,14 +124,28 @@ def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Si
     return largest / (span + 1e-3)
 
 
-def _line(site: Site, near: Mapping[str, Mapping[str, Sequence[Publication]]], *, is_site: bool) -> dict[str, Any]:
+def _line(
+    site: Site, near: Mapping[str, Mapping[str, Sequence[Publication]]], at: float, ends: Mapping[str, float], *,
+    is_site: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """One time line; `ends` has the instant until which a flight's last value is held, by role."""
     unit = STATES[site.state].find(site.field).unit
-    lines = {role: _thinned(*_samples(own, site)) for role, own in near.items()}
+    lines = {role: _thinned(*_held(*_samples(own, site), at - BEFORE, ends[role])) for role, own in near.items()}
     return {
         "label": site.label, "unit": "" if unit == "-" else unit, "site": is_site,
+        "window": [round(at - BEFORE, 4), round(at + AFTER, 4)],
         "data": {role: [[round(t, 4) for t in line[0].tolist()], [_number(v) for v in line[1].tolist()]]
                  for role, line in lines.items()},
     }  # fmt: skip
+
+
+def _held(times: np.ndarray, values: np.ndarray, start: float, end: float) -> Line:
+    """The samples between two instants (s); a value holds until the next one, the last one until the end."""
+    kept = np.append(times[1:], np.inf)[: len(times)] > start
+    times, values = np.maximum(times[kept], start), values[kept]
+    if len(times) and times[-1] < end:
+        times, values = np.append(times, end), np.append(values, values[-1])
+    return times, values
 
 
 def _thinned(times: np.ndarray, values: np.ndarray) -> Line:

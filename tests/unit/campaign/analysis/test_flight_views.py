@@ -88,7 +88,7 @@ def test_recovery_and_paired_tests(fake):
 def test_undefined_recovery_is_said_so():
     own = [golden(1), injected(1, flown()), injected(1, flown(), arm="gaussian")]
     [entry] = table(runs(*own), "recovery").entries()
-    assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("undefined", 0, 0, 0)
+    assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("no estimate", 0, 0, 0)
 
 
 def test_false_alarms_have_exposure_and_bound(fake):
@@ -104,11 +104,19 @@ def test_false_alarms_have_exposure_and_bound(fake):
 def test_detections_and_overheads(fake):
     found = table(fake, "detections").entries()
     assert {entry["detected"].rate for entry in found} == {entry["downstream"].rate for entry in found} == {1.0}
-    assert {entry["field_watched"] for entry in found} == {"yes", "no"}
+    assert {entry["in_monitored_set"] for entry in found} == {"yes", "no"}
     [entry] = entries(fake, "overheads", environment="sparse", setting="golden_gaussian")
     alarms = sum(seed % 3 == 0 for seed in range(10_000, 10_010))
     assert entry["perception"] == pytest.approx(alarms * 0.289 / 10.0)
     assert entry["control"] == 0
+
+
+def test_fields_outside_the_papers_set_are_not_called_unwatched(fake):
+    for view in ("unmonitored_failures", "detections"):
+        found = table(fake, view)
+        headings = [column.heading for column in found.columns]
+        assert not any("watch" in text for text in (found.title, *headings)), view
+        assert any(note.startswith("monitored set paper-13: the fields that the paper's") for note in found.notes), view
 
 
 def test_endings_golden_flights_and_shares(fake):

@@ -18,6 +18,12 @@ def test_every_run_is_a_row_with_all_columns_in_files(own):
     assert [column.key for column in found.columns if not column.hidden][:3] == ["run_id", "status", "flight_time_s"]
 
 
+def test_the_outcome_stands_together_and_says_effect(own):
+    visible = [column.heading for column in listing(own).columns if not column.hidden]
+    assert visible[:7] == ["run", "status", "flight time", "against golden", "effect", "alarms", "bit"]
+    assert "injection" not in [column.heading for column in listing(own, ["kind=golden"]).columns if not column.hidden]
+
+
 def test_failed_are_those_that_did_not_succeed(own):
     assert listing(own, failed=True).column("status") == ["collision", "unknown"]
 

@@ -2,6 +2,7 @@
 
 import base64
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,29 @@ def test_the_page_of_a_flight_shows_it_and_can_be_played(browser, flight_html, f
     browser.click(".play")
     assert browser.run("return player.playing") is False
     assert browser.complaints() == []
+
+
+def test_a_chart_marks_what_is_off_the_scale_with_its_sign(browser, flight, tmp_path):
+    data = {"golden": [[19.0, 24.0], [1.0, 1.0]], "injected": [[19.0, 20.0, 22.0, 23.0], [1.0, -3.3e39, 1.0, 9e9]]}
+    line = {"label": "planning.path.y[2]", "unit": "m", "site": True, "window": [19.0, 24.0], "data": data}
+    browser.open(write_flight_page(tmp_path / "off.html", replace(flight, data=flight.data | {"lines": [line]})))
+    assert browser.text(".chart p") == "Off the scale (▴ ▾): with the fault down to −3.30e+39, up to 9.00e+9."
+    assert browser.complaints() == []
+    browser.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    in_each_second = """const {ctx, bbox: {left, top, width, height}} = player.charts.plots[0].plot;
+        const [down] = arguments, y = down < 0 ? top + height + down : top + down;
+        const row = ctx.getImageData(left, y, width, 1);
+        return [0, 1, 2, 3, 4].map((second) => {
+            const first = Math.ceil(second * width / 5) + 3, end = Math.floor((second + 1) * width / 5) - 3;
+            const reds = Array.from({length: end - first}, (_, x) => row.data[4 * (first + x) + 3] > 200
+                && row.data[4 * (first + x)] > 190 && row.data[4 * (first + x) + 2] < 80);
+            return reds.filter(Boolean).length;
+        });"""
+    above, below = browser.run(in_each_second, 5), browser.run(in_each_second, -6)  # rows through the triangles
+    assert above[:4] == [0, 0, 0, 0] and above[4] > 0
+    assert below[1] > 0 and [below[0], *below[3:]] == [0, 0, 0]
+    assert browser.run(in_each_second, -1)[2] == 0  # no line along the edge
+    assert browser.run("return player.charts.plots[0].times") == [19.0, 24.0]
 
 
 def test_keys_and_the_slider_move_through_the_flight(browser, flight_html, flight):

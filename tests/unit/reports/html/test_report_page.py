@@ -44,6 +44,28 @@ def test_a_cell_links_to_the_runs_that_it_counts(runs):
         assert sum(_length(part) for part in ranges.split()) == row[place].n
 
 
+@pytest.mark.parametrize("view", ["success", "success_as_in_the_paper"])
+def test_settings_are_shown_in_words_and_stored_by_name(runs, view):
+    data = table_data(table_of(runs, view), RunSets({}))
+    shown = {cell["value"] for row in data["rows"] for cell in row["cells"]}
+    assert "fault + idle" in shown and not any(text.startswith(("fi_", "dr_", "golden_")) for text in shown)
+    assert "dr_idle" in data["csv"]
+
+
+def test_one_row_is_not_rows(tmp_path, report, flown):
+    table = Table.of_text("A table", ("a",), [("b",)], ())
+    page = tmp_path / "one.html"
+    write_report_page(page, [Part(flown, report)], [Section("first"), Section("A table", (table,))], [])
+    assert "1 row<" in page.read_text(encoding="utf-8")
+
+
+def test_figures_have_one_scale(runs):
+    for one in drawn(runs):
+        wide, text = one.figure.get_figwidth(), svg_of(one.figure, "f", one.caption, RunSets({}))
+        start = text[: text.index(">")]
+        assert f"--drawn: {72 * wide:g}" in start and " width=" not in start
+
+
 def _length(part):
     low, _, high = part.partition("-")
     return int(high or low) - int(low) + 1

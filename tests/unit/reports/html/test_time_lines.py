@@ -66,6 +66,20 @@ def test_only_the_surroundings_of_the_fault_are_kept():
     assert values == pytest.approx(times)
 
 
+def test_a_field_that_is_rarely_published_is_shown_in_the_whole_window():
+    def rarely(value):
+        return [publication for publication in waypoints(lambda time_s: value * (time_s >= AT))
+                if publication.time_us in (2_000_000, 5_000_000)] + trailing()  # fmt: skip
+
+    def trailing():
+        return [Publication(time_us, new_state("control.command")) for time_us in (8_000_000, 12_000_000)]
+
+    line = time_lines({"golden": rarely(0.0), "injected": rarely(3.0)[:3]}, AT, SITE)[0]
+    assert line["window"] == [AT - BEFORE, AT + AFTER]
+    assert line["data"]["golden"] == [[4.0, 5.0, 9.0], [2.0, 5.0, 5.0]]
+    assert line["data"]["injected"] == [[4.0, 5.0, 8.0], [2.0, 8.0, 8.0]]  # its flight ends
+
+
 def test_values_that_are_not_finite_can_be_written_as_json():
     values = {5.0: math.nan, 5.02: math.inf}
     injected = waypoints(lambda time_s: values.get(round(time_s, 3), 0.0))
