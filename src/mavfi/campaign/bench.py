@@ -9,15 +9,15 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
 from mavfi.campaign.mission import scenarios_of
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
-from mavfi.config import Config, config_root, parse, shipped
+from mavfi.config import Config, Name, config_root, parse, shipped
 from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
 from mavfi.files import is_file
 from mavfi.hosts.watching import detector_for
@@ -27,8 +27,6 @@ SCORES, REGIMES = "scores", "regimes"
 """Names of the tables of detection at any threshold, and of false alarms by regime."""
 SCORED = ("state",)
 """Fault levels that corrupt publications."""
-Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$")]
-"""Folder name."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
 """Columns of a fault list."""
 ROWS = ".rows.csv"

@@ -10,7 +10,7 @@ from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata, label_of
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.sensor_sampling import SensorSampling
-from mavfi.config import Config, config_root, load, parse
+from mavfi.config import Config, Name, config_root, load, parse
 from mavfi.errors import BadInputError, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.hosts.node.config import NodeConfig
@@ -167,6 +167,7 @@ class ArmConfig(Config):
     In addition to the keys below, an arm accepts any key of a mission except `environment` and `seed`.
     """
 
+    also_accepts: ClassVar = tuple(key for key in MissionSpec.model_fields if key not in ("environment", "seed"))
     detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
     profile: str = Field("paper", description="of the detector: paper or tuned")
     mission: dict[str, Any] = Field(default_factory=dict, description="keys that differ; also allowed in the arm")
@@ -206,7 +207,7 @@ class Campaign(Config):
     `missions`.
     """
 
-    name: str
+    name: Name
     host: str = Field(
         "local",
         description="where missions are flown: local, ros1, node, firmware, airsim_program, or another entry point",

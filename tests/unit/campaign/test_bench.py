@@ -92,7 +92,7 @@ def test_a_detector_that_watches_nothing_is_no_scheme():
 
 @pytest.mark.parametrize(
     ("name", "more", "message"),
-    [("../p", {}, "pattern"), ("scores", {}, "is the name of a table"),
+    [("../p", {}, "key 'parts.../p': '../p': allowed: a plain folder name"), ("scores", {}, "is the name of a table"),
      ("regimes", {}, "is the name of a table"),
      ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state")],
 )  # fmt: skip

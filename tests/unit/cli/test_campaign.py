@@ -250,6 +250,15 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
 
 
+def test_a_campaign_whose_name_leads_elsewhere_writes_nothing(capsys, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    Path("n.yaml").write_text(FAKE.format(missions=1).replace("tiny", "../../x"))
+    assert run(["campaign", "run", "n.yaml"]) == 2
+    assert capsys.readouterr().err.startswith("mavfi: n.yaml: key 'name': '../../x': allowed: a plain folder name, ")
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "n.yaml"]
+
+
 def _of_sqlite(code, text):
     error = sqlite3.OperationalError(text)
     error.sqlite_errorcode = code
