@@ -21,7 +21,7 @@ from pydantic import (
 
 from mavfi.errors import BadInputError, warn_of_older
 from mavfi.files import LARGEST_TEXT, is_file, read_file
-from mavfi.wording import finding
+from mavfi.wording import finding, refuse_other_kind
 
 Vector = tuple[float, float, float]
 _Part = Annotated[float, Field(ge=0, le=1e6)]
@@ -47,9 +47,15 @@ Name = Annotated[str, AfterValidator(_plain)]
 
 
 class Config(BaseModel):
-    """Base of all configuration: frozen, and strict about keys."""
+    """Base of all configuration: frozen, strict about keys; true and false are no numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: object, info: ValidationInfo) -> object:
+        refuse_other_kind(cls.model_fields[str(info.field_name)].annotation, value)
+        return value
 
 
 ConfigType = TypeVar("ConfigType", bound=Config)

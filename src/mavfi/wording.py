@@ -1,6 +1,7 @@
 """Pydantic's errors in mavfi's wording: one line that names key, value and what is allowed."""
 
 from collections.abc import Mapping
+from functools import cache
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -67,6 +68,24 @@ def shown(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
+def refuse_other_kind(annotation: Any, value: object) -> None:  # noqa: ANN401
+    """Raise a ValueError for true or false where a number is expected, and for anything else where they are."""
+    kinds = _members(annotation)
+    if isinstance(value, bool):
+        if {int, float} & set(kinds) and bool not in kinds:
+            raise ValueError(f"{shown(value)}: allowed: {'a number' if float in kinds else 'a whole number'}")
+    elif bool in kinds and set(kinds) <= {bool, type(None)} and value is not None:
+        raise ValueError(f"{shown(value)}: allowed: true, false")
+    elif isinstance(value, (list, tuple, dict)):
+        origins = (dict,) if isinstance(value, dict) else (list, tuple)
+        inner = tuple(get_args(kind) for kind in kinds if get_origin(kind) in origins)
+        parts = tuple(part for one in inner for part in (one[1:] if origins == (dict,) else one) if part is not ...)
+        elements = value.values() if isinstance(value, dict) else value
+        for element in elements if parts else ():  # models check their own values
+            refuse_other_kind(Union[parts], element)  # noqa: UP007 - of any number
+
+
+@cache
 def _members(annotation: Any) -> tuple[Any, ...]:  # noqa: ANN401
     """The kinds of value that an annotation allows, without constraints."""
     if get_origin(annotation) is Annotated:

@@ -31,6 +31,10 @@ class Ship(Config):
     hull: Literal["wood", "steel"]
     masts: int = 0
     crew: tuple[str, ...] = ()
+    sails: dict[str, tuple[float, ...]] = {}
+    speed: float | Literal["inf"] | None = None
+    afloat: bool = True
+    armed: bool | None = None
 
     @model_validator(mode="after")
     def _floats(self) -> "Ship":
@@ -83,8 +87,16 @@ def test_bad_data_are_refused_in_one_line_that_names_key_value_and_what_is_allow
         ({"hull": "wood", "crew": {"a": 1}}, "key 'crew': keys with values: allowed: a list"),
         ({"hull": "stel"}, "key 'hull': 'stel': not known (did you mean 'steel'?); allowed: 'wood' or 'steel'"),
         ({"hull": "wood", "masts": "two"}, "key 'masts': 'two': allowed: a whole number"),
+        ({"hull": "wood", "masts": True}, "key 'masts': true: allowed: a whole number"),
+        ({"hull": "wood", "speed": False}, "key 'speed': false: allowed: a number"),
+        ({"hull": "wood", "sails": {"main": [1, True]}}, "key 'sails': true: allowed: a number"),
+        ({"hull": "wood", "afloat": 1}, "key 'afloat': 1: allowed: true, false"),
+        ({"hull": "wood", "armed": "yes"}, "key 'armed': 'yes': allowed: true, false"),
         ({"hull": "wood", "masts": None}, "key 'masts': nothing: allowed: a whole number"),
-        ({"hul": "wood"}, "unknown key 'hul' (did you mean 'hull'?); allowed: hull, masts, crew"),
+        (
+            {"hul": "wood"},
+            "unknown key 'hul' (did you mean 'hull'?); allowed: hull, masts, crew, sails, speed, afloat, armed",
+        ),
     ],
 )
 def test_messages_show_what_is_wrong_and_not_the_whole_mapping(ship, message):
