@@ -19,8 +19,8 @@ from pydantic import (
     field_validator,
 )
 
-from mavfi.errors import BadInputError, warn_of_older
-from mavfi.files import LARGEST_TEXT, is_file, read_file
+from mavfi.errors import BadInputError, hint, warn_of_older
+from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
 from mavfi.wording import finding, refuse_other_kind
 
 Vector = tuple[float, float, float]
@@ -364,9 +364,10 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
         return load(model, Path(name))
     path = config_root() / kind / f"{name}.yaml"
     if not is_file(path):
-        allowed = ", ".join(names(kind))
+        allowed, what = ", ".join(names(kind)), "is a folder" if is_dir(Path(name)) else "not known"
         files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
-        raise BadInputError(f"{kind.rstrip('s')} {name!r}: not known; allowed: {allowed}, or a path to a {files} file")
+        text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
+        raise BadInputError(f"{kind.rstrip('s')} {name!r}: {text}")
     return load(model, path)
 
 

@@ -176,6 +176,15 @@ def test_an_unknown_name_is_refused_with_what_is_allowed():
         shipped("autopilots", AutopilotConfig, "soft")
 
 
+def test_a_folder_and_a_similar_name_are_told_as_such(tmp_path):
+    with pytest.raises(
+        BadInputError, match=r"environment '.*': is a folder; allowed: .*, or a path to a .yaml, .bt or"
+    ):
+        shipped("environments", EnvironmentConfig, str(tmp_path))
+    with pytest.raises(BadInputError, match=r"'spars': not known \(did you mean 'sparse'\?\); allowed: clutter, dense"):
+        shipped("environments", EnvironmentConfig, "spars")
+
+
 def test_a_file_of_ones_own_is_read_by_path(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("name: mine\nlatency_us: {pid: 1}\n")

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
 from mavfi.campaign.mission import scenarios_of
+from mavfi.campaign.names import check_names
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped
@@ -56,6 +57,9 @@ class Bench(Config):
     def _consistent(self) -> "Bench":
         for taken in {SCORES, REGIMES}.intersection(self.parts):
             raise ValueError(f"parts: {taken!r}: is the name of a table; allowed: any other name")
+        for name in self.arms:  # names of the folder of a bench with these schemes alone
+            if "/" in name or not name.isprintable():
+                raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")
         for name, part in self.parts.items():
             level = load_campaign(part.campaign).sampling.level
             if part.scores and level not in SCORED:
@@ -163,6 +167,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
 
 def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
     """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
+    check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
     for arm in arms_of(campaign):
         if arm.detector:

@@ -11,8 +11,9 @@ from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.config import Config, Name, config_root, load, parse
-from mavfi.errors import BadInputError, warn_of_older
+from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
+from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
@@ -389,6 +390,7 @@ def config_path(folder: str, name: str | Path) -> Path:
         return Path(name)
     shipped = {file.stem: file for file in sorted((config_root() / folder).glob("*.yaml"))}
     if str(name) not in shipped:
-        kind, allowed = {"campaigns": "campaign", "studies": "study"}[folder], ", ".join(shipped)
-        raise BadInputError(f"{kind} {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+        kind, what = {"campaigns": "campaign", "studies": "study"}[folder], "is a folder" if is_dir(Path(name)) else ""
+        what = what or f"not known{hint(str(name), shipped)}"
+        raise BadInputError(f"{kind} {str(name)!r}: {what}; allowed: {', '.join(shipped)}, or a path to a .yaml file")
     return shipped[str(name)]

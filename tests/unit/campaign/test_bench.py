@@ -102,6 +102,12 @@ def test_names_are_folders_and_scores_need_publications(name, more, message):
         parse(Bench, {"name": "b", "parts": {name: part}, "arms": {"a": {"detector": "acceptance"}}}, "b.yaml")
 
 
+def test_names_of_schemes_lead_to_no_other_folder():
+    parts = {"p": {"campaign": "bench_sites", "title": "t"}}
+    with pytest.raises(BadInputError, match=r"^b.yaml: arms: '../x': allowed: any name without a slash"):
+        parse(Bench, {"name": "b", "parts": parts, "arms": {"../x": {"detector": "acceptance"}}}, "b.yaml")
+
+
 def test_a_part_names_a_campaign():
     part = {"campaign": "nothing", "title": "t"}
     with pytest.raises(BadInputError, match="nothing"):
