@@ -21,7 +21,7 @@ from pydantic import (
 
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
-from mavfi.wording import finding, refuse_other_kind
+from mavfi.wording import finding, refuse_other_kind, shown
 
 Vector = tuple[float, float, float]
 _Part = Annotated[float, Field(ge=0, le=1e6)]
@@ -295,12 +295,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
         if sum(map(text.count, _OPENINGS)) > _MOST_OPENINGS:
             raise BadInputError(f"{path}: is too long; allowed: {_MOST_OPENINGS:,} lists and mappings")
         data = yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        raise BadInputError(f"{path}{where}: not a YAML file ({error.problem or _first_line(error)})") from None
     except RecursionError:
         raise BadInputError(f"{path}: not a YAML file (too many lists and mappings within each other)") from None
     except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:  # includes tags that do not fit their value
         raise BadInputError(f"{path}: not a YAML file ({_first_line(error)})") from None
     if not isinstance(data, dict):
-        raise BadInputError(f"{path}: must hold keys and values, holds {type(data).__name__}")
+        held = "is empty" if data is None else f"holds {shown(data)}"
+        raise BadInputError(f"{path}: {held}; allowed: keys with values")
     return data
 
 

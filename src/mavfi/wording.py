@@ -52,8 +52,13 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None) -> str
     if kind == "literal_error":
         words = [word.strip("'") for word in context["expected"].replace(" or ", ", ").split(", ")]
         return f"key {key!r}: {shown(value)}: not known{hint(value, words)}; allowed: {context['expected']}"
-    allowed_text = f"allowed: {_ALLOWED[kind].format(**context)}" if kind in _ALLOWED else message
-    return f"key {key!r}: {shown(value)}: {allowed_text}" if key else f"{shown(value)}: {allowed_text}"
+    return f"key {key!r}: {shown(value)}: {allowed_by(first)}"
+
+
+def allowed_by(error: Mapping[str, Any]) -> str:
+    """What one of pydantic's errors allows."""
+    pattern = _ALLOWED.get(error["type"])
+    return error["msg"] if pattern is None else f"allowed: {pattern.format(**error.get('ctx', {}))}"
 
 
 def shown(value: object) -> str:

@@ -117,10 +117,14 @@ def test_an_absent_key_is_named():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("name: [1", "not a YAML file"),
-        ("- 1\n- 2\n", "must hold keys and values, holds list"),
-        ("", "must hold keys and values, holds NoneType"),
-        ("just text", "must hold keys and values, holds str"),
+        (
+            "name: a\nwheels: [1\nwheel: {radius: 1}\n",
+            r"bad.yaml:3:6: not a YAML file \(.*expected ',' or ']'",
+        ),
+        ("name: a\n\t- b\n", r"bad.yaml:2:1: not a YAML file \(found "),
+        ("- 1\n- 2\n", r"holds \[1, 2\]; allowed: keys with values"),
+        ("", "bad.yaml: is empty; allowed: keys with values"),
+        ("just text", "bad.yaml: holds 'just text'; allowed: keys with values"),
         ("name: a\nwheels: 1\nname: b\n", r"not a YAML file \(key 'name' twice, again in line 3\)"),
         ("wheel: {radius: 1, radius: 2}\n", r"not a YAML file \(key 'radius' twice, again in line 1\)"),
         ("name: " + 5000 * "[" + "\n", "not a YAML file"),

@@ -89,8 +89,11 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"sampling": {"lifetime": {"lasts_s": "x"}}}, "key 'sampling.lifetime.lasts_s': 'x': allowed: a number"),
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
-        ({"sampling": {"scheme": "groups"}}, "groups go with scheme groups, and only with it"),
-        ({"sampling": {"groups": [GROUP]}}, "groups go with scheme groups, and only with it"),
+        (
+            {"sampling": {"scheme": "groups"}},
+            "campaign.yaml: sampling.groups: is required with scheme 'groups'; allowed",
+        ),
+        ({"sampling": {"groups": [GROUP]}}, "sampling.scheme: 'stage_balanced': allowed with the key groups: groups"),
         (groups(GROUP, GROUP), "groups: 'g': named 2 times; allowed: once"),
         (groups({"name": "g", "sites": ["planning.waypoint.roll"]}), "no field 'roll'"),
         (groups({"name": "g", "sites": ["planning.nothing.x"]}), "no state 'planning.nothing'"),
