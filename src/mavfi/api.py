@@ -105,9 +105,12 @@ def run(
         BadInputError: See `campaign.run.run_campaign`.
     """
     from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.names import check_names
     from mavfi.campaign.run import run_campaign
 
     chosen = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    if chosen is not campaign:
+        check_names(chosen, str(campaign))
     run_campaign(
         chosen, Path(directory), executor=executor or LocalExecutor(workers),
         models_dir=None if models is None else Path(models), progress=progress,

@@ -1,15 +1,27 @@
 """Configuration: YAML files become frozen, validated models; an unknown key is an error that names file and key."""
 
 import math
+import re
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, Tag, TypeAdapter, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
-from mavfi.errors import BadInputError, warn_of_older
-from mavfi.files import LARGEST_TEXT, is_file, read_file
+from mavfi.errors import BadInputError, hint, warn_of_older
+from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
+from mavfi.wording import finding, refuse_other_kind, shown
 
 Vector = tuple[float, float, float]
 _Part = Annotated[float, Field(ge=0, le=1e6)]
@@ -18,12 +30,32 @@ Gain = Annotated[float, Field(ge=-1e3, le=1e3)]
 Gains = tuple[Gain, Gain, Gain]
 STRONGEST_WIND = 30.0
 """Largest gust and mean wind (m/s)."""
+STORED = {"stored": True}
+"""Pydantic's context of data that mavfi itself has stored."""
+_FOLDER = re.compile(r"\w[\w.-]*")
+
+
+def _plain(name: str, info: ValidationInfo) -> str:
+    """The name, which cannot lead out of a folder; a ledger keeps the name under which it was flown."""
+    if info.context != STORED and not _FOLDER.fullmatch(name):
+        raise ValueError(f"{name!r}: allowed: a plain folder name, of letters, digits, _, . and -, not . or - first")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_plain)]
+"""Name of a file or folder."""
 
 
 class Config(BaseModel):
-    """Base of all configuration: frozen, and strict about keys."""
+    """Base of all configuration: frozen, strict about keys; true and false are no numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: object, info: ValidationInfo) -> object:
+        refuse_other_kind(cls.model_fields[str(info.field_name)].annotation, value)
+        return value
 
 
 ConfigType = TypeVar("ConfigType", bound=Config)
@@ -179,7 +211,7 @@ class PlannerConfig(Config):
 class PlatformConfig(Config):
     """A computer: latency of each kernel in simulated time (modelled, not measured on that hardware)."""
 
-    name: str
+    name: Name
     latency_us: dict[str, Annotated[int, Field(ge=0, le=60_000_000)]] = Field(description="by kernel")
     tracker_slowdown: float = Field(1.0, ge=1, le=1e3, description="control loop time / reference time it advances")
     time_limit_factor: float = Field(1.0, ge=1, le=1e3)
@@ -188,7 +220,7 @@ class PlatformConfig(Config):
 class AutopilotConfig(Config):
     """The rules of one autopilot profile.  Two are shipped: the paper's, and one of current good practice."""
 
-    name: str
+    name: Name
     sampling: Literal["held", "interpolated"] = Field(description="trajectory points: every 0.5 s and held, or dense")
     point_period: float = Field(ge=1e-3, le=10, description="s between trajectory points")
     look_ahead: float = Field(ge=0, le=60, description="s, velocity reference")
@@ -263,12 +295,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
         if sum(map(text.count, _OPENINGS)) > _MOST_OPENINGS:
             raise BadInputError(f"{path}: is too long; allowed: {_MOST_OPENINGS:,} lists and mappings")
         data = yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        raise BadInputError(f"{path}{where}: not a YAML file ({error.problem or _first_line(error)})") from None
     except RecursionError:
         raise BadInputError(f"{path}: not a YAML file (too many lists and mappings within each other)") from None
     except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:  # includes tags that do not fit their value
         raise BadInputError(f"{path}: not a YAML file ({_first_line(error)})") from None
     if not isinstance(data, dict):
-        raise BadInputError(f"{path}: must hold keys and values, holds {type(data).__name__}")
+        held = "is empty" if data is None else f"holds {shown(data)}"
+        raise BadInputError(f"{path}: {held}; allowed: keys with values")
     return data
 
 
@@ -279,15 +316,15 @@ def _first_line(error: Exception) -> str:
 def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored: bool = False) -> ConfigType:
     """Validate data from a source (named in messages) as a model.
 
-    Warns of older names of keys, unless mavfi itself has `stored` the data, in which some names stay.
+    Warns of older names of keys, unless mavfi itself has `stored` the data, in which some names stay, also of folders.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
     """
     try:
-        parsed = model.model_validate(data)
+        parsed = model.model_validate(data, context=STORED if stored else None)
     except ValidationError as error:
-        raise BadInputError(f"{source}: {_worded(model, {**error.errors()[0]})}") from None
+        raise BadInputError(f"{source}: {finding(error, model)}") from None
     for name, field in model.model_fields.items():
         if isinstance(field.validation_alias, AliasChoices) and name not in data and not stored:
             for old in data.keys() & set(field.validation_alias.choices):
@@ -313,63 +350,6 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:  # noqa: ANN401 - a dataclass
     return TypeAdapter(kind)
 
 
-def finding(error: ValidationError) -> str:
-    """The first of pydantic's errors: key, value and what is allowed."""
-    first = error.errors()[0]
-    key, value = ".".join(map(str, first["loc"])), first["input"]
-    return f"key {key!r}: {_shown(value)}: {first['msg']}"
-
-
-def _shown(value: object) -> str:
-    """The value, or its type if it is long."""
-    return type(value).__name__ if isinstance(value, (dict, list, tuple)) else repr(value)
-
-
-def _worded(model: type[BaseModel], error: dict[str, Any]) -> str:
-    """A pydantic error in mavfi's wording; checks of a whole model name their keys themselves."""
-    owner, location = _owner(model, error["loc"])
-    kind, key = error["type"], ".".join(str(part) for part in location)
-    message: str = error["msg"].removeprefix("Value error, ")
-    if not key:
-        return message
-    if kind == "extra_forbidden":
-        return f"unknown key {key!r}; allowed: {', '.join(owner.model_fields)}"
-    if kind == "missing":
-        field = owner.model_fields.get(str(location[-1]))
-        allowed = get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
-        return f"key {key!r}: is required" + (f"; allowed: {', '.join(map(str, allowed))}" if allowed else "")
-    value = error["input"]
-    shown = _shown(value)
-    if kind == "literal_error":
-        return f"key {key!r}: {shown}: not known; allowed: {error['ctx']['expected']}"
-    return f"key {key!r}: {message}" if kind == "value_error" else f"key {key!r}: {shown}: {message}"
-
-
-def _owner(
-    model: type[BaseModel], location: tuple[int | str, ...]
-) -> tuple[type[BaseModel], tuple[int | str, ...]]:  # fmt: skip
-    """The model that has the key, and the location in the file: without the tag of a union's member.
-
-    Follows models nested directly or as members of a tagged union, without a collection in between.
-    """
-    if len(location) < 2:
-        return model, location
-    key, rest = location[0], location[1:]
-    field = model.model_fields.get(str(key))
-    annotation = None if field is None else field.annotation
-    members: dict[Any, Any] = {tag.tag: get_args(part)[0] for part in get_args(annotation) for tag in _tags(part)}
-    if len(rest) > 1 and rest[0] in members:
-        annotation, rest = members[rest[0]], rest[1:]
-    if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-        return model, (key, *rest)
-    owner, inner = _owner(annotation, rest)
-    return owner, (key, *inner)
-
-
-def _tags(part: Any) -> list[Tag]:  # noqa: ANN401 - a member of an annotation
-    return [data for data in getattr(part, "__metadata__", ()) if isinstance(data, Tag)]
-
-
 def load(model: type[ConfigType], path: Path) -> ConfigType:
     """Read a YAML file as a model.
 
@@ -389,9 +369,10 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
         return load(model, Path(name))
     path = config_root() / kind / f"{name}.yaml"
     if not is_file(path):
-        allowed = ", ".join(names(kind))
+        allowed, what = ", ".join(names(kind)), "is a folder" if is_dir(Path(name)) else "not known"
         files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
-        raise BadInputError(f"{kind.rstrip('s')} {name!r}: not known; allowed: {allowed}, or a path to a {files} file")
+        text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
+        raise BadInputError(f"{kind.rstrip('s')} {name!r}: {text}")
     return load(model, path)
 
 

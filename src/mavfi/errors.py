@@ -4,7 +4,7 @@ import errno
 import os
 import sqlite3
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import cache
@@ -79,6 +79,12 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
     ordered = [*likely, *sorted(set(names) - set(likely))]
     more = f", and {len(ordered) - _MOST_SHOWN} more" if len(ordered) > _MOST_SHOWN else ""
     return (", ".join(ordered[:_MOST_SHOWN]) + more) if ordered else "none, there are none"
+
+
+def hint(wanted: object, names: Iterable[str]) -> str:
+    """A question after an unknown name: whether the most similar of some names is meant; "" = none is similar."""
+    similar = get_close_matches(wanted, list(names), 1, 0.7) if isinstance(wanted, str) else []
+    return f" (did you mean {similar[0]!r}?)" if similar else ""
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MavfiError, hint
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -83,7 +83,8 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         names = known(group, shipped)
         place = names.get(name, "")
     if not place:
-        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(sorted(names))}, or package:object")
+        text = f"not known{hint(name, names)}; allowed: {', '.join(sorted(names))}, or package:object"
+        raise BadInputError(f"{what} {name!r}: {text}")
     module, _, attribute = place.partition(":")
     if place == name:
         require_allowed(what, name)

@@ -31,6 +31,10 @@ class Ship(Config):
     hull: Literal["wood", "steel"]
     masts: int = 0
     crew: tuple[str, ...] = ()
+    sails: dict[str, tuple[float, ...]] = {}
+    speed: float | Literal["inf"] | None = None
+    afloat: bool = True
+    armed: bool | None = None
 
     @model_validator(mode="after")
     def _floats(self) -> "Ship":
@@ -62,11 +66,11 @@ def test_sound_data_become_a_frozen_model():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"weels": 2}, "cart.yaml: unknown key 'weels'; allowed: name, wheel, wheels"),
+        ({"weels": 2}, "cart.yaml: unknown key 'weels' (did you mean 'wheels'?); allowed: name, wheel, wheels"),
         ({"wheel": {"radius": 1, "spokes": 8}}, "cart.yaml: unknown key 'wheel.spokes'; allowed: radius"),
-        ({"wheels": 0}, "cart.yaml: key 'wheels': 0: Input should be greater than or equal to 1"),
-        ({"wheel": {"radius": -1}}, "cart.yaml: key 'wheel.radius': -1: Input should be greater than 0"),
-        ({"wheel": {"radius": float("nan")}}, "cart.yaml: key 'wheel.radius': nan: Input should be a finite number"),
+        ({"wheels": 0}, "cart.yaml: key 'wheels': 0: allowed: 1 or more"),
+        ({"wheel": {"radius": -1}}, "cart.yaml: key 'wheel.radius': -1: allowed: above 0"),
+        ({"wheel": {"radius": float("nan")}}, "cart.yaml: key 'wheel.radius': nan: allowed: a finite number"),
         ({"wheel": {}}, "cart.yaml: key 'wheel.radius': is required"),
     ],
 )
@@ -80,7 +84,19 @@ def test_bad_data_are_refused_in_one_line_that_names_key_value_and_what_is_allow
         ({"hull": "steel", "masts": 2}, "masts: 2: ships of steel have none"),
         ({}, "key 'hull': is required; allowed: wood, steel"),
         ({"hull": "wax"}, "key 'hull': 'wax': not known; allowed: 'wood' or 'steel'"),
-        ({"hull": "wood", "crew": {"a": 1}}, "key 'crew': dict: Input should be a valid tuple"),
+        ({"hull": "wood", "crew": {"a": 1}}, "key 'crew': keys with values: allowed: a list"),
+        ({"hull": "stel"}, "key 'hull': 'stel': not known (did you mean 'steel'?); allowed: 'wood' or 'steel'"),
+        ({"hull": "wood", "masts": "two"}, "key 'masts': 'two': allowed: a whole number"),
+        ({"hull": "wood", "masts": True}, "key 'masts': true: allowed: a whole number"),
+        ({"hull": "wood", "speed": False}, "key 'speed': false: allowed: a number"),
+        ({"hull": "wood", "sails": {"main": [1, True]}}, "key 'sails': true: allowed: a number"),
+        ({"hull": "wood", "afloat": 1}, "key 'afloat': 1: allowed: true, false"),
+        ({"hull": "wood", "armed": "yes"}, "key 'armed': 'yes': allowed: true, false"),
+        ({"hull": "wood", "masts": None}, "key 'masts': nothing: allowed: a whole number"),
+        (
+            {"hul": "wood"},
+            "unknown key 'hul' (did you mean 'hull'?); allowed: hull, masts, crew, sails, speed, afloat, armed",
+        ),
     ],
 )
 def test_messages_show_what_is_wrong_and_not_the_whole_mapping(ship, message):
@@ -101,10 +117,14 @@ def test_an_absent_key_is_named():
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("name: [1", "not a YAML file"),
-        ("- 1\n- 2\n", "must hold keys and values, holds list"),
-        ("", "must hold keys and values, holds NoneType"),
-        ("just text", "must hold keys and values, holds str"),
+        (
+            "name: a\nwheels: [1\nwheel: {radius: 1}\n",
+            r"bad.yaml:3:6: not a YAML file \(.*expected ',' or ']'",
+        ),
+        ("name: a\n\t- b\n", r"bad.yaml:2:1: not a YAML file \(found "),
+        ("- 1\n- 2\n", r"holds \[1, 2\]; allowed: keys with values"),
+        ("", "bad.yaml: is empty; allowed: keys with values"),
+        ("just text", "bad.yaml: holds 'just text'; allowed: keys with values"),
         ("name: a\nwheels: 1\nname: b\n", r"not a YAML file \(key 'name' twice, again in line 3\)"),
         ("wheel: {radius: 1, radius: 2}\n", r"not a YAML file \(key 'radius' twice, again in line 1\)"),
         ("name: " + 5000 * "[" + "\n", "not a YAML file"),
@@ -145,11 +165,28 @@ def test_every_shipped_file_is_sound_and_carries_its_name(kind, name):
     assert shipped(kind, KINDS[kind], name).name == name
 
 
+@pytest.mark.parametrize("kind", ["autopilots", "platforms"])
+def test_names_of_models_files_are_plain(kind):
+    sound = shipped(kind, KINDS[kind], names(kind)[0]).model_dump()
+    with pytest.raises(BadInputError, match=r"^x.yaml: key 'name': '../x': allowed: a plain folder name"):
+        parse(KINDS[kind], {**sound, "name": "../x"}, "x.yaml")
+    assert parse(KINDS[kind], {**sound, "name": "a b"}, "ledger", stored=True).name == "a b", "flown before"
+
+
 def test_an_unknown_name_is_refused_with_what_is_allowed():
     with pytest.raises(
         BadInputError, match=r"autopilot 'soft': not known; allowed: hardened, published, or a path to a"
     ):
         shipped("autopilots", AutopilotConfig, "soft")
+
+
+def test_a_folder_and_a_similar_name_are_told_as_such(tmp_path):
+    with pytest.raises(
+        BadInputError, match=r"environment '.*': is a folder; allowed: .*, or a path to a .yaml, .bt or"
+    ):
+        shipped("environments", EnvironmentConfig, str(tmp_path))
+    with pytest.raises(BadInputError, match=r"'spars': not known \(did you mean 'sparse'\?\); allowed: clutter, dense"):
+        shipped("environments", EnvironmentConfig, "spars")
 
 
 def test_a_file_of_ones_own_is_read_by_path(tmp_path):

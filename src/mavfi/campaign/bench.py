@@ -9,15 +9,16 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
 from mavfi.campaign.mission import scenarios_of
+from mavfi.campaign.names import check_names
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
-from mavfi.config import Config, config_root, parse, shipped
+from mavfi.config import Config, Name, config_root, parse, shipped
 from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
 from mavfi.files import is_file
 from mavfi.hosts.watching import detector_for
@@ -27,8 +28,6 @@ SCORES, REGIMES = "scores", "regimes"
 """Names of the tables of detection at any threshold, and of false alarms by regime."""
 SCORED = ("state",)
 """Fault levels that corrupt publications."""
-Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$")]
-"""Folder name."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
 """Columns of a fault list."""
 ROWS = ".rows.csv"
@@ -58,6 +57,9 @@ class Bench(Config):
     def _consistent(self) -> "Bench":
         for taken in {SCORES, REGIMES}.intersection(self.parts):
             raise ValueError(f"parts: {taken!r}: is the name of a table; allowed: any other name")
+        for name in self.arms:  # names of the folder of a bench with these schemes alone
+            if "/" in name or not name.isprintable():
+                raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")
         for name, part in self.parts.items():
             level = load_campaign(part.campaign).sampling.level
             if part.scores and level not in SCORED:
@@ -165,6 +167,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
 
 def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
     """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
+    check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
     for arm in arms_of(campaign):
         if arm.detector:

@@ -10,9 +10,10 @@ from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata, label_of
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.sensor_sampling import SensorSampling
-from mavfi.config import Config, config_root, load, parse
-from mavfi.errors import BadInputError, warn_of_older
+from mavfi.config import Config, Name, config_root, load, parse
+from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
+from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
@@ -72,8 +73,10 @@ class StateSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
-        if (self.scheme == "groups") != bool(self.groups):
-            raise ValueError(f"sampling.scheme: {self.scheme!r}: groups go with scheme groups, and only with it")
+        if self.scheme == "groups" and not self.groups:
+            raise ValueError("sampling.groups: is required with scheme 'groups'; allowed: a list of 1 or more")
+        if self.groups and self.scheme != "groups":
+            raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key groups: groups")
         check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             check_strata(strata)
@@ -167,6 +170,7 @@ class ArmConfig(Config):
     In addition to the keys below, an arm accepts any key of a mission except `environment` and `seed`.
     """
 
+    also_accepts: ClassVar = tuple(key for key in MissionSpec.model_fields if key not in ("environment", "seed"))
     detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
     profile: str = Field("paper", description="of the detector: paper or tuned")
     mission: dict[str, Any] = Field(default_factory=dict, description="keys that differ; also allowed in the arm")
@@ -206,7 +210,7 @@ class Campaign(Config):
     `missions`.
     """
 
-    name: str
+    name: Name
     host: str = Field(
         "local",
         description="where missions are flown: local, ros1, node, firmware, airsim_program, or another entry point",
@@ -388,6 +392,7 @@ def config_path(folder: str, name: str | Path) -> Path:
         return Path(name)
     shipped = {file.stem: file for file in sorted((config_root() / folder).glob("*.yaml"))}
     if str(name) not in shipped:
-        kind, allowed = {"campaigns": "campaign", "studies": "study"}[folder], ", ".join(shipped)
-        raise BadInputError(f"{kind} {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+        kind, what = {"campaigns": "campaign", "studies": "study"}[folder], "is a folder" if is_dir(Path(name)) else ""
+        what = what or f"not known{hint(str(name), shipped)}"
+        raise BadInputError(f"{kind} {str(name)!r}: {what}; allowed: {', '.join(shipped)}, or a path to a .yaml file")
     return shipped[str(name)]

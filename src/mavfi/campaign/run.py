@@ -27,7 +27,7 @@ from mavfi.campaign.sequential import Precision
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, is_compiled, warm_up
-from mavfi.config import parse
+from mavfi.config import STORED, parse
 from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight_record import End, FlightRecord
@@ -286,7 +286,7 @@ def run_campaign(
 def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
     """The campaign with its keys in the order of its ledger, which determines draws and positions of runs."""
     with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
-        begun = Campaign.model_validate_json(held(directory, ORDERED) or "")
+        begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
         return begun if begun == campaign else campaign
     return campaign
 
@@ -347,7 +347,7 @@ def stored_campaign(store: Store) -> Campaign:
     """The campaign of a ledger (older ones do not store the order of keys); raises a BadInputError if invalid."""
     text = store.meta(ORDERED)
     given = store.meta("identity")["campaign"] if text is None else json.loads(text)
-    return parse(Campaign, given, str(store.directory))
+    return parse(Campaign, given, str(store.directory), stored=True)
 
 
 def check_shard(store: Store, shard: Shard) -> None:

@@ -22,6 +22,7 @@ from mavfi.campaign.plan import FI, Arm, arms_of
 from mavfi.campaign.regimes import Exposure, RegimeClock
 from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
+from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
 from mavfi.faults.state import StateInjector
@@ -228,7 +229,7 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
         judged = Runs.read(directory).injected.where("judged", setting=FI, site_outcome=ACTIVATED)
         lost = {row["run_id"]: bool(row["golden_success"]) and not row["success"] for row in judged}
         with Store.open(directory) as store:
-            campaign = Campaign.model_validate_json(store.meta(ORDERED))
+            campaign = Campaign.model_validate_json(store.meta(ORDERED), context=STORED)
             specs = [run.spec for run in store.runs(done=True) if run.spec.run_id in lost]
         arms = tuple(scored_arms(campaign))
         for environment in campaign.environments:

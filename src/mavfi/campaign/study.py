@@ -2,11 +2,12 @@
 
 from collections.abc import Collection, Iterable
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
-from mavfi.config import Config, load
+from mavfi.config import Config, Name, load
 
 
 class Section(Config):
@@ -30,9 +31,11 @@ class Section(Config):
 class Study(Config):
     """A set of campaigns, and the tables, figures and tested claims computed from them."""
 
-    name: str
+    name: Name
     training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
-    campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
+    campaigns: dict[Name | Literal["."], str] = Field(
+        min_length=1, description="name or path of a campaign, by folder of its ledger"
+    )
     scales: dict[str, dict[str, Scale]] = Field(
         default_factory=dict, description="sizes of campaigns by folder, where they differ from those of the campaign"
     )

@@ -57,11 +57,13 @@ def run(  # noqa: PLR0913 - options
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
     from mavfi.campaign.config import load_campaign
+    from mavfi.campaign.names import check_names
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.shard import WHOLE, Shard
     from mavfi.cli.progress import Bar
 
     campaign = options.until(load_campaign(config).at_scale(scale), until_halfwidth)
+    check_names(campaign, config)
     ledger = out or Path("out") / campaign.name
     flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")
     if dry_run:

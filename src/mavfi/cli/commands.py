@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
 
 from mavfi.cli import (
     airsim,
@@ -35,6 +36,7 @@ from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.errors import BadInputError, MavfiError, machine_failure
 from mavfi.plugins import allow_plugins, allow_typed
+from mavfi.wording import allowed_by, shown
 
 _ALLOW_PLUGINS = "--allow-plugins"
 EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
@@ -104,7 +106,7 @@ def run(arguments: Sequence[str]) -> int:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
         return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
-        message = error.format_message().rstrip(".")
+        message = _refused_value(error) or error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
@@ -114,6 +116,15 @@ def run(arguments: Sequence[str]) -> int:
             raise
         return complain(failed, EXIT_FAILURE)
     return code if isinstance(code, int) else EXIT_DONE
+
+
+def _refused_value(error: typer.TyperException) -> str:
+    """Option, value and what is allowed, if an error is that of a value of the wrong kind; "" for others."""
+    cause, parameter = error.__cause__, getattr(error, "param", None)
+    if parameter is None or not isinstance(cause, ValidationError):
+        return ""
+    first = {**cause.errors()[0]}
+    return f"{parameter.opts[0]}: {shown(first['input'])}: {allowed_by(first)}"
 
 
 def _with_new_names(arguments: Sequence[str]) -> list[str]:

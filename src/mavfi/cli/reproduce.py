@@ -50,6 +50,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.names import check_names as check_campaign
     from mavfi.campaign.overheads import measure, save
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.study import load_study
@@ -66,6 +67,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     campaigns = {folder: options.until(campaign, until_halfwidth) for folder, campaign in found.items()}
     executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
+        check_campaign(campaign, chosen.campaigns[folder])
         _check_ledger(campaign, out / folder)
     check_folder(out)
     flights = chosen.training_flights

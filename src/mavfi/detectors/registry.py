@@ -15,7 +15,7 @@ from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file
 from mavfi.plugins import build, known, load_object, parameters_of
 
@@ -121,6 +121,18 @@ def of_all_fields(extras: Collection[str] = ()) -> dict[str, Any]:
 
 def _watches_all(factory: Any) -> bool:  # noqa: ANN401
     return bool(getattr(factory, "watches_all", False))
+
+
+def check_detector(name: str, profile: str) -> None:
+    """Check the names of a detector and its profile, without importing it; `package:Class` passes.
+
+    Raises:
+        BadInputError: There is no such detector or profile.
+    """
+    settings_of(name, profile)
+    if ":" not in name and name not in (every := detector_names()):
+        text = f"not known{hint(name, every)}; allowed: {', '.join(every)}, or package:object"
+        raise BadInputError(f"detector {name!r}: {text}")
 
 
 def settings_of(name: str, profile: str) -> ProfileSettings:

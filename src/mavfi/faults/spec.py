@@ -12,15 +12,11 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, InstructionFault, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.sensor.fault import SensorFault
+from mavfi.faults.spec_form import wrong_part
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
 from mavfi.states import KERNELS, STATES, WATCHING, Field, StateSpec, states_with
 
-FORM = (
-    "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
-    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], sensor:UNIT[NUMBER]:TYPE[:lasts=S][@SECONDS], "
-    "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
-)
 _PATTERN = re.compile(
     r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(:width=(?P<width>\d+))?(:times=(?P<times>\d+))?"
     r"(:lasts=(?P<lasts>inf|\d+(\.\d*)?))?(:share=(?P<share>\d+(\.\d*)?))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
@@ -228,8 +224,8 @@ def parse_sensor(text: str, seed: int) -> SensorFault:
     return request.resolve(seed, 0)
 
 
-def _not_understood(text: str, _rest: str, _localization: str) -> NoReturn:
-    raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
+def _not_understood(text: str, rest: str, _localization: str) -> NoReturn:
+    raise BadInputError(f"fault {text!r}: {wrong_part(text.partition(':')[0], rest)}")
 
 
 def _parse_null(text: str, rest: str, localization: str) -> StateRequest:
@@ -260,7 +256,7 @@ def _instant(text: str, seconds: str | None) -> int | None:
     """An instant in text form (s), in us."""
     if seconds is None:
         return None
-    if not float(seconds) < _LONGEST:
+    if not float(seconds) <= _LONGEST:
         raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
     return round(float(seconds) * 1e6)
 

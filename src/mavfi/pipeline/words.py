@@ -9,7 +9,7 @@ copies in a node would.  A message shared by kernels is copied before modificati
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,6 +54,14 @@ class Words:
 
     def _has(self, text: str) -> bool:
         return f".{text}." in f".{_INDEX.sub('', self.name)}."
+
+
+def collapsed(names: Iterable[str]) -> list[str]:
+    """Names for a message, those that differ only in indices as one: `crumbs[...].x`."""
+    held: dict[str, list[str]] = {}
+    for name in names:
+        held.setdefault(_INDEX.sub("[...]", name), []).append(name)
+    return [general if len(alike) > 1 else alike[0] for general, alike in held.items()]
 
 
 def words_of(kernel: Remembers) -> Iterator[Words]:

@@ -92,7 +92,7 @@ def test_a_detector_that_watches_nothing_is_no_scheme():
 
 @pytest.mark.parametrize(
     ("name", "more", "message"),
-    [("../p", {}, "pattern"), ("scores", {}, "is the name of a table"),
+    [("../p", {}, "key 'parts.../p': '../p': allowed: a plain folder name"), ("scores", {}, "is the name of a table"),
      ("regimes", {}, "is the name of a table"),
      ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state")],
 )  # fmt: skip
@@ -100,6 +100,12 @@ def test_names_are_folders_and_scores_need_publications(name, more, message):
     part = {"campaign": "bench_sites", "title": "t", **more}
     with pytest.raises(BadInputError, match=message):
         parse(Bench, {"name": "b", "parts": {name: part}, "arms": {"a": {"detector": "acceptance"}}}, "b.yaml")
+
+
+def test_names_of_schemes_lead_to_no_other_folder():
+    parts = {"p": {"campaign": "bench_sites", "title": "t"}}
+    with pytest.raises(BadInputError, match=r"^b.yaml: arms: '../x': allowed: any name without a slash"):
+        parse(Bench, {"name": "b", "parts": parts, "arms": {"../x": {"detector": "acceptance"}}}, "b.yaml")
 
 
 def test_a_part_names_a_campaign():

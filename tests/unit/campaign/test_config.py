@@ -15,6 +15,7 @@ from tests.unit.campaign.fakes import small
 BASE = {"name": "c", "environments": ["sparse"]}
 GROUP = {"name": "g", "sites": ["planning.waypoint.x"]}
 GAUSSIAN = {"gaussian": {"detector": "gaussian"}}
+NO_FOLDERS = ("../../x", "a b/c", "a b", "/tmp/x", ".", "..", ".x", "-x", "", "x\n", "~")
 SHIPPED = sorted(path.stem for path in (config_root() / "campaigns").glob("*.yaml"))
 
 
@@ -68,20 +69,31 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
     ("changes", "message"),
     [
         ({"colour": "red"}, "unknown key 'colour'; allowed: name"),
-        ({"environments": []}, "key 'environments'"),
+        ({"environments": []}, "key 'environments': []: allowed: a list of 1 or more"),
+        *(({"name": name}, f"key 'name': {name!r}: allowed: a plain folder name") for name in NO_FOLDERS),
+        ({"enviroments": []}, "unknown key 'enviroments' (did you mean 'environments'?); allowed: name, host"),
         ({"environments": ["sparse", "sparse"]}, "campaign.yaml: environments: 'sparse': named 2 times; allowed: once"),
-        ({"missions": 0}, "key 'missions': 0"),
+        ({"missions": 0}, "key 'missions': 0: allowed: 1 or more"),
+        ({"missions": True}, "key 'missions': true: allowed: a whole number"),
+        ({"scales": {"huge": {"faults": True}}}, "key 'scales.huge.faults': true: allowed: a whole number"),
+        ({"mission": {"wind": True}}, "mission: key 'wind': true: allowed: a number"),
+        ({"arms": {"x": {"start": [True, 0, 1]}}}, "arms: key 'start': true: allowed: a number"),
         ({"first_seed": 999_990}, "seeds from 1000000 on are for training"),
         ({"scales": {"huge": {"missions": 999_999}}}, "seeds from 1000000 on are for training"),
         ({"scales": {"huge": {"flights": 3}}}, "unknown key 'scales.huge.flights'"),
         ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
         # sampling: states
-        ({"sampling": "groups"}, "key 'sampling"),
-        ({"sampling": {"level": "magnetic"}}, "level"),
+        ({"sampling": "groups"}, "key 'sampling': 'groups': allowed: keys with values"),
+        ({"sampling": {"level": "magnetic"}}, "key 'sampling.level': 'magnetic': not known; allowed: state, memory, "),
+        ({"sampling": {"level": "states"}}, "'states': not known (did you mean 'state'?); allowed: state, memory, "),
+        ({"sampling": {"lifetime": {"lasts_s": "x"}}}, "key 'sampling.lifetime.lasts_s': 'x': allowed: a number"),
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
-        ({"sampling": {"scheme": "groups"}}, "groups go with scheme groups, and only with it"),
-        ({"sampling": {"groups": [GROUP]}}, "groups go with scheme groups, and only with it"),
+        (
+            {"sampling": {"scheme": "groups"}},
+            "campaign.yaml: sampling.groups: is required with scheme 'groups'; allowed",
+        ),
+        ({"sampling": {"groups": [GROUP]}}, "sampling.scheme: 'stage_balanced': allowed with the key groups: groups"),
         (groups(GROUP, GROUP), "groups: 'g': named 2 times; allowed: once"),
         (groups({"name": "g", "sites": ["planning.waypoint.roll"]}), "no field 'roll'"),
         (groups({"name": "g", "sites": ["planning.nothing.x"]}), "no state 'planning.nothing'"),
@@ -128,7 +140,13 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"arms": {"x": {"environment": "dense"}}}, "arms.environment: belongs to the campaign"),
         ({"arms": {"x": {"wind": 99}}}, "arms: key 'wind': 99"),
         ({"arms": {"x": {"mission": {"colour": "red"}}}}, "arms: unknown key 'colour'"),
-        ({"arms": {"x": {"colour": "red"}}}, "unknown key 'arms.x.colour'"),
+        (
+            {"arms": {"x": {"colour": "red"}}},
+            "unknown key 'arms.x.colour'; allowed: detector, profile, mission, start, goal",
+        ),
+        ({"arms": {"x": {"detectr": "a"}}}, "'arms.x.detectr' (did you mean 'detector'?); allowed: detector, profile"),
+        ({"arms": {"x": {"planer": "rrt"}}}, "unknown key 'arms.x.planer' (did you mean 'planner'?)"),
+        ({"arms": ["gaussian"]}, "key 'arms': ['gaussian']: allowed: keys with values"),
         ({"arms": {"rrt": {}}}, "arms: 'rrt': is the name of a planner"),
         # hosts
         ({"host": "node"}, "the key node goes with host node"),

@@ -45,6 +45,8 @@ def test_sizes_of_a_study_come_before_those_of_its_campaigns():
     ("change", "message"),
     [
         ({"campaigns": {}}, "campaigns"),
+        *(({"campaigns": {name: "table1"}}, "allowed: a plain folder name") for name in ("..", "a/b", "/tmp/x", "")),
+        ({"name": "../s"}, "key 'name': '../s': allowed: a plain folder name"),
         ({"sections": [{"title": "a", "campaign": "b"}]}, "sections: campaign: 'b': not known; allowed: ., kernels"),
         ({"sections": [{"title": "a", "views": ["success"]}]}, "section 'a': views and figures are of a campaign"),
         ({"scales": {"quick": {"b": {"missions": 1}}}}, "scales: quick: 'b': not known; allowed: ., kernels"),

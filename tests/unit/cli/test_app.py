@@ -27,6 +27,19 @@ def test_every_verb_has_help_with_an_example(capsys, verb):
     assert "Example:" in text and f"mavfi {verb[0]}" in text
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--seed", "1.5"], "--seed: '1.5': allowed: a whole number; see `mavfi fly --help`"),
+        (["--start", "a", "b", "c"], "--start: 'a': allowed: a number; see `mavfi fly --help`"),
+        (["--wind", "strong"], "--wind: 'strong': allowed: a number; see `mavfi fly --help`"),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_shown(capsys, words, message):
+    assert run(["fly", *words]) == 2
+    assert capsys.readouterr().err == f"mavfi: {message}\n"
+
+
 def commands_of(group, *words):
     """The words of every command."""
     for name, command in getattr(group, "commands", {}).items():

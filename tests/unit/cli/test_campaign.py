@@ -217,6 +217,9 @@ def test_explain_tells_the_story(capsys, really_flown):
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
         (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
         (["campaign", "run", "nothing"], "campaign 'nothing': not known"),
+        (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: bench_golden"),
+        (["campaign", "run", "FLOWN"], ": is a folder; allowed: bench_golden"),
+        (["campaign", "run", "MARS", "--out", "OUT"], "mars.yaml: key 'host': 'mars': not known; allowed: "),
         (["campaign", "run", "OLD"], "key 'flights': is now 'missions'"),
         (["campaign", "status", "OUT"], "holds no campaign"),
         (["campaign", "digest", "OUT"], "holds no campaign"),
@@ -240,6 +243,8 @@ def test_explain_tells_the_story(capsys, really_flown):
 def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, message):
     places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown, "OLD": tmp_path / "old.yaml"}
     places["OLD"].write_text("name: old\nenvironments: [sparse]\nflights: 3\n")
+    places["MARS"] = tmp_path / "mars.yaml"
+    places["MARS"].write_text("name: mars\nenvironments: [sparse]\nhost: mars\n")
     places["STUDY"] = tmp_path / "study"
     shutil.copytree(flown, places["STUDY"])
     assert run([str(places.get(argument, argument)) for argument in arguments]) == 2
@@ -248,6 +253,15 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     assert message in error
     assert not (tmp_path / "out").exists()
     assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
+
+
+def test_a_campaign_whose_name_leads_elsewhere_writes_nothing(capsys, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    Path("n.yaml").write_text(FAKE.format(missions=1).replace("tiny", "../../x"))
+    assert run(["campaign", "run", "n.yaml"]) == 2
+    assert capsys.readouterr().err.startswith("mavfi: n.yaml: key 'name': '../../x': allowed: a plain folder name, ")
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "n.yaml"]
 
 
 def _of_sqlite(code, text):

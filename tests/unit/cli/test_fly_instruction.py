@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys, ker
         ("instruction:pid:which=sometimes", "instructions 'sometimes': not understood; allowed: all, floating_point"),
         ("instruction:pid:which=line:pid.py", "instructions 'line:pid.py': not understood; allowed: all"),
         ("instruction:pid:model=gamma", "no model 'gamma'; allowed: one_bit, bits, random, zero"),
-        ("instruction:pid:bit=7", "not understood; allowed: "),
+        ("instruction:pid:bit=7", "'bit': not known; allowed: which=, model="),
         ("instruction:pid:which=opcode:udiv", "executes no instruction 'opcode:udiv' there; allowed: a class"),
     ],
 )

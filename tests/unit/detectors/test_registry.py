@@ -70,7 +70,10 @@ def test_a_detector_of_ones_own_is_found(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("gausian", "not known; allowed: acceptance, autoencoder, .*, gaussian, .*, none, .*, or package:object"),
+        (
+            "gausian",
+            r"not known \(did you mean 'gaussian'\?\); allowed: acceptance, .*, none, .*, or package:object",
+        ),
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
         ("fractions:Fraction", "lacks start, check, accept"),

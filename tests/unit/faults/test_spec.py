@@ -84,13 +84,13 @@ def test_no_site_without_a_publication():
     ("text", "names"),
     [
         ("", "null, state:STATE"),
-        ("state:", "null, state:STATE"),
+        ("state:", "not understood; allowed: state:STATE"),
         ("nul", "null, state:STATE"),
         ("planning.waypoint.x", "null, state:STATE"),
-        ("state:planning.waypoint.x:bit=x", "null, state:STATE"),
-        ("state:planning.waypoint.x@-3", "null, state:STATE"),
-        ("state:planning.waypoint.x@20.0:bit=3", "null, state:STATE"),
-        ("state:planning.waypoint.x[-1]", "null, state:STATE"),
+        ("state:planning.waypoint.x:bit=x", "bit: 'x': allowed: a whole number"),
+        ("state:planning.waypoint.x@-3", "instant '-3': allowed: a number of seconds from 0 on"),
+        ("state:planning.waypoint.x@20.0:bit=3", "instant '20.0:bit=3': allowed: a number of seconds"),
+        ("state:planning.waypoint.x[-1]", "not understood; allowed: state:STATE"),
         ("state:planning.waypoint.roll", "x, y, z, yaw"),
         ("state:planning.waipoint.x", "sensor.depth"),
         ("state:nothing", "sensor.depth"),
@@ -103,14 +103,23 @@ def test_no_site_without_a_publication():
         ("state:planning.waypoint.x:bit=63:width=2", "no bit 64 in planning.waypoint.x; allowed: 0 to 63"),
         ("state:planning.waypoint.x:share=2", "share: 2.0: allowed: above 0, to 1"),
         ("state:planning.waypoint.x:times=0", "times: 0: allowed: 1 or more"),
-        ("state:planning.waypoint.x:lasts=long", "null, state:STATE"),
+        ("state:planning.waypoint.x:lasts=long", "lasts: 'long': allowed: a number of seconds, or inf"),
+        ("state:planning.waypoint.x:bits=3", "'bits': not known (did you mean 'bit'?); allowed: bit=, width=, times="),
+        ("state:planning.waypoint.x:share=half@3", "share: 'half': allowed: a number above 0, to 1"),
+        *(
+            (f"state:planning.waypoint.x@{time}", f"instant '{time}': allowed: a number of se")
+            for time in ("-1", "nan")
+        ),
+        ("state:planning.waypoint.x[two]", "not understood; allowed: state:STATE[.FIELD][[ELEMENT]]"),
+        ("planning.waypoint.x", "not understood; allowed: null, state:STATE"),
         ("memory:pilot", "no kernel 'pilot'; allowed: point_cloud, octomap"),
         ("memory:state_estimation.aligned", "no kernel 'state_estimation'; allowed: point_cloud"),
-        ("memory:planner.acted_seq:bit=x", "allowed: null, state:"),
+        ("memory:planner.acted_seq:bit=x", "bit: 'x': allowed: a whole number"),
+        ("memory:", "not understood; allowed: memory:KERNEL"),
         ("memory:planner.acted_seq@1e99", "0 to 1e+09"),
-        ("instruction:", "allowed: null, state:"),
-        ("instruction:pid:bit=3", "allowed: null, state:"),
-        ("instruction:pid.track:call=1:index=2:bit=3", "allowed: null, state:"),
+        ("instruction:", "not understood; allowed: instruction:KERNEL"),
+        ("instruction:pid:bit=3", "'bit': not known; allowed: which=, model="),
+        ("instruction:pid.track:call=1:index=2:bit=3", "allowed: instruction:KERNEL"),
         (
             f"instruction:pid.track:call=1:index=2:bit=3:model=two:budget=9:ir={'ab' * 32}",
             "no model 'two'; allowed: one",
@@ -120,7 +129,7 @@ def test_no_site_without_a_publication():
         ("sensor:radar:off@3", "'radar': not known; allowed: gyro, accelerometer, compass, position, depth_camera"),
         ("sensor:gyro:shy@3", "'shy': not known; allowed: ok, off, stuck"),
         ("sensor:motor5:off@3", "instance 5: allowed: 1 to 4"),
-        ("sensor:gyro", "allowed: null, state:"),
+        ("sensor:gyro", "no type of failure; allowed: sensor:gyro:TYPE, with TYPE one of off, stuck, garbage"),
         ("sensor:gyro:off:lasts=0@3", "lasts_s: 0.0: allowed: above 0"),
         ("register:1234", "registers are injected by mavfi inject; allowed: state, memory"),
     ],
@@ -142,6 +151,12 @@ def test_a_lifetime_can_be_named():
     assert (fault.width, fault.times, fault.lasts_s, fault.share) == (3, 2, float("inf"), 0.25)
     drawn = {parse("state:planning.waypoint:width=40@5").resolve(seed, "published").bit for seed in range(300)}
     assert drawn == set(range(25)), "a burst lies within a word that can hold it"
+
+
+def test_the_latest_instant_lies_in_the_range_that_messages_state():
+    assert parse("state:planning.waypoint.x@1e9").time_us == 10**15
+    with pytest.raises(BadInputError, match=r"instant 1.1e9 s; allowed: 0 to 1e\+09"):
+        parse("state:planning.waypoint.x@1.1e9")
 
 
 def test_faults_in_memory_name_kernel_and_word():

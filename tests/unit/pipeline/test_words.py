@@ -10,8 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.pipeline.memory import Memory, Remembers, same
-from mavfi.pipeline.words import Words, change, words_of
+from mavfi.pipeline.words import Words, change, collapsed, words_of
 from mavfi.states import new_state
+
+
+def test_names_that_differ_only_in_indices_are_told_as_one():
+    names = ["odometry", *(f"crumbs[{place}].x" for place in range(60)), "paths[0].x[1]", "last[2]"]
+    assert collapsed(names) == ["odometry", "crumbs[...].x", "paths[0].x[1]", "last[2]"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.errors import BadInputError
-from mavfi.files import is_file
+from mavfi.files import is_dir, is_file
 
 IMAGE = "256x144"
 """Size of images unless chosen (width x height, pixels), as in AirSim's default settings."""
@@ -52,11 +52,15 @@ class ProgramConfig(Config):
         """
         pixels(self.image)
         if not is_file(Path(self.script)):
-            raise BadInputError(f"{self.script}: there is no such file; allowed: a client program of AirSim")
+            raise BadInputError(f"{self.script}: {_no_file(self.script)}; allowed: a client program of AirSim")
         if self.python and not is_file(Path(self.python)):
-            raise BadInputError(f"--python: {self.python}: there is no such file; allowed: a Python interpreter")
+            raise BadInputError(f"--python: {self.python}: {_no_file(self.python)}; allowed: a Python interpreter")
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, with a digest of the program's text."""
         text = Path(self.script).read_bytes() if is_file(Path(self.script)) else b""
         return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
+
+
+def _no_file(name: str) -> str:
+    return "is a folder" if is_dir(Path(name)) else "there is no such file"

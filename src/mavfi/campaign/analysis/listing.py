@@ -75,5 +75,6 @@ def _absent(runs: Runs, text: str) -> str:
     absent = [value for value in _alternatives(values) if value not in held]
     if not absent:
         return ""
+    held = [value for value in held if value]  # runs without a fault have an empty stage
     some = ", ".join(held[:_SHOWN]) + ", ..." * (len(held) > _SHOWN)
     return f"no run has {column} = {', '.join(absent)}; the ledger has: {some or 'none'}"

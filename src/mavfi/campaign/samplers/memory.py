@@ -15,7 +15,7 @@ from mavfi.campaign.config import Campaign, MemorySampling
 from mavfi.campaign.copies import watched_in
 from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled, TargetBlocks
 from mavfi.detectors.detector import Detector
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import MemoryRequest
@@ -27,7 +27,7 @@ from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US, Loop
 from mavfi.mission import Scenario
-from mavfi.pipeline.words import Words, words_of
+from mavfi.pipeline.words import Words, collapsed, words_of
 from mavfi.states import KERNELS, WATCHING
 
 _ACTION = "exposure"
@@ -155,11 +155,12 @@ def draw_memory(
     golden = fly_exposed(scenario, [exposure], request.time_us, detector, recovery)
     (fault,) = exposure.faults()
     if not fault.has_site:
-        names = dict.fromkeys(words.name for words in exposure.latest.get(request.kernel, ()))
+        names = collapsed(words.name for words in exposure.latest.get(request.kernel, ()))
         when = "" if request.time_us is None else f" at {1e-6 * request.time_us:g} s"
         bit = "" if request.bit is None else f" with a bit {request.bit}"
         raise BadInputError(
-            f"fault memory:{request.kernel}.{request.field}: no such word{bit}{when}; allowed: {', '.join(names)}"
+            f"fault memory:{request.kernel}.{request.field}: no such word{bit}{when}{hint(request.field, names)}; "
+            f"allowed: {', '.join(names)}"
         )
     return fault, golden
 

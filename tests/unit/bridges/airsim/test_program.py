@@ -130,6 +130,8 @@ def test_how_a_program_ends(name, arguments, options, how, reason):
 def test_what_cannot_run_is_refused_in_one_line(tmp_path):
     with pytest.raises(BadInputError, match=r"none\.py: there is no such file"):
         run("none.py")
+    with pytest.raises(BadInputError, match="/.*: is a folder; allowed: a client program of AirSim"):
+        ProgramConfig(script=str(tmp_path)).check()
     with pytest.raises(BadInputError, match="--python: .*: there is no such file"):
         run(EXAMPLES / "box.py", python=str(tmp_path / "python"))
     without = tmp_path / "without.py"

@@ -41,6 +41,7 @@ def test_filters(own, where, count):
     [
         (["kind=golden", "success=no,yes"], ()),
         (["status=colision"], ("no run has status = colision; the ledger has: success, collision, unknown",)),
+        (["stage=nosuch"], ("no run has stage = nosuch; the ledger has: planning",)),
         (["seed=1,9"], ("no run has seed = 9; the ledger has: 1, 2, 3",)),
     ],
 )
