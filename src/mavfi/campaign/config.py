@@ -73,10 +73,11 @@ class StateSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
-        if self.scheme == "groups" and not self.groups:
-            raise ValueError("sampling.groups: is required with scheme 'groups'; allowed: a list of 1 or more")
-        if self.groups and self.scheme != "groups":
-            raise ValueError(f"sampling.scheme: {self.scheme!r}: allowed with the key groups: groups")
+        if (self.scheme == "groups") != bool(self.groups):
+            raise ValueError(
+                f"sampling.scheme: {self.scheme!r}: allowed with the key groups: groups" if self.groups
+                else "sampling.groups: is required with scheme 'groups'; allowed: a list of 1 or more"
+            )  # fmt: skip
         check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             check_strata(strata)

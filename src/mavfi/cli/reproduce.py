@@ -50,7 +50,6 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.names import check_names as check_campaign
     from mavfi.campaign.overheads import measure, save
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.study import load_study
@@ -67,8 +66,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     campaigns = {folder: options.until(campaign, until_halfwidth) for folder, campaign in found.items()}
     executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
-        check_campaign(campaign, chosen.campaigns[folder])
-        _check_ledger(campaign, out / folder)
+        _check_campaign(campaign, chosen.campaigns[folder], out / folder)
     check_folder(out)
     flights = chosen.training_flights
     lacking = _untrained(campaigns.values(), out / MODELS, flights)
@@ -143,6 +141,14 @@ def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
     found = forecast(plan_of(campaign, {}, {}), folder, workers)
     total = found.golden + found.injected
     return Part(found.done, total, (found.seconds or 0.0) / max(1, total - found.done))
+
+
+def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
+    """Refuse a campaign of a file that names what does not exist, or whose ledger holds another one."""
+    from mavfi.campaign.names import check_names
+
+    check_names(campaign, source)
+    _check_ledger(campaign, ledger)
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:

@@ -24,6 +24,8 @@ _OPTIONS = {
     "instruction": {"which": (".+", "a class of instructions"), "model": (r"\w+", "a model")},
 }  # fmt: skip
 """By level: names of options in their order, with pattern and words of their values."""
+_OF_WHOLE_KERNELS, _OF_A_TYPE = ("instruction",), ("sensor",)
+"""Levels whose options are of whole kernels, without an instant; levels with a type of failure before the options."""
 _INSTANT = r"(\d+(\.\d*)?([eE][+-]?\d+)?)?"
 
 
@@ -34,9 +36,9 @@ def wrong_part(level: str, rest: str) -> str:
     body, at, instant = rest.partition("@")
     path, *parts = body.split(":")
     general = f"not understood; allowed: {_FORMS[level]}"
-    if not path or (level == "instruction" and (at or "." in path)):
+    if not path or (level in _OF_WHOLE_KERNELS and (at or "." in path)):
         return general
-    if level == "sensor":
+    if level in _OF_A_TYPE:
         if not parts or "=" in parts[0]:
             return f"no type of failure; allowed: sensor:{path}:TYPE, with TYPE one of {', '.join(FAILING)}"
         parts = parts[1:]
