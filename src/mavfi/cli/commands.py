@@ -1,6 +1,8 @@
 """The application with all commands, and its error handling; commands import heavy modules on demand."""
 
 import functools
+import os
+import traceback
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -34,9 +36,11 @@ from mavfi.cli import (
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.errors import BadInputError, MavfiError, machine_failure
-from mavfi.plugins import allow_plugins, allow_typed
+from mavfi.plugins import allow_plugins, allow_typed, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
+_TRACEBACK = "MAVFI_TRACEBACK"
+"""Environment variable: if set, a refusal is preceded by its traceback."""
 EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
@@ -91,7 +95,7 @@ _RENAMED = {
 def run(arguments: Sequence[str]) -> int:
     """Run a command, given as the words after `mavfi` (none = help); returns its exit code.
 
-    Bad input and known failures print one line on stderr; unknown exceptions are raised.
+    Bad input, known failures and exceptions of plug-ins print one line on stderr; those of mavfi itself are raised.
     """
     if _ALLOW_PLUGINS in arguments:
         allow_plugins()
@@ -102,18 +106,25 @@ def run(arguments: Sequence[str]) -> int:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
-        return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
+        return _refused(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
         message = error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
     except Exception as error:
-        failed = machine_failure(error)
-        if not failed:
+        failed, of_plugin = machine_failure(error), plugin_failure(error)
+        if not failed and not of_plugin:
             raise
-        return complain(failed, EXIT_FAILURE)
+        return _refused(failed, EXIT_FAILURE) if failed else _refused(of_plugin, EXIT_BAD_INPUT)
     return code if isinstance(code, int) else EXIT_DONE
+
+
+def _refused(text: str, code: int) -> int:
+    """Write one line on the exception being handled, after its traceback if that is asked for; return the exit code."""
+    if os.environ.get(_TRACEBACK):
+        typer.echo(traceback.format_exc(), err=True, nl=False)
+    return complain(text, code)
 
 
 def _with_new_names(arguments: Sequence[str]) -> list[str]:

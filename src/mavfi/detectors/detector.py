@@ -3,7 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
-from mavfi.states import State
+from mavfi.errors import BadInputError
+from mavfi.states import STAGE_KERNELS, State
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,3 +71,25 @@ def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of 
     if parts is not None:
         return next((found for part in parts if (found := part_of(part, source)) is not None), None)
     return detector if getattr(detector, "source", "") == source and getattr(detector, "compiled", None) else None
+
+
+def class_of(detector: Any) -> str:  # noqa: ANN401 - a user's own
+    """Class of a detector as "package.module:Class", for messages; of several in one, that of the last."""
+    while parts := getattr(detector, "parts", ()):
+        detector = parts[-1]
+    return f"{type(detector).__module__}:{type(detector).__qualname__}"
+
+
+def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user's own
+    """The alarm that a detector's `check` returned.
+
+    Raises:
+        BadInputError: It is no `Alarm`, or names a stage that cannot be recomputed.
+    """
+    if not isinstance(alarm, Alarm):
+        text = f"check returned {alarm!r:.60}; allowed: an Alarm, or None"
+        raise BadInputError(f"detector {class_of(detector)}: {text}")
+    if alarm.stage not in STAGE_KERNELS:
+        text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
+        raise BadInputError(f"detector {class_of(detector)}: alarm {alarm.source!r}: {text}")
+    return alarm
