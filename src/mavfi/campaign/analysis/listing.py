@@ -12,8 +12,10 @@ _COLUMNS = (
     Column("run_id", "run"), Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
     Column("inflation", "against golden", SIGNED), Column("effect", "flight"), Column("site", "site"),
     Column("bit", "bit", NUMBER), Column("site_outcome", "injection"), Column("kernel_effect", "kernel"),
-    Column("alarms_total", "alarms", NUMBER),
+    Column("alarms_total", "alarms", NUMBER), Column("reason", "reason", TEXT),
 )  # fmt: skip
+_RARE = ("kernel_effect", "reason")
+"""Columns that are hidden where no run has a value."""
 _SHOWN = 12  # values listed where a condition names one that does not occur
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
@@ -33,7 +35,7 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort
         tests.append(~pl.col("success"))
     own = runs.where(*tests)
     frame = _sorted(own.frame, sort)
-    shown = [column for column in _COLUMNS if column.key != "kernel_effect" or (frame[column.key] != "").any()]
+    shown = [column for column in _COLUMNS if column.key not in _RARE or (frame[column.key] != "").any()]
     names = {column.key for column in shown}
     hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in names]
     columns = (*shown, *hidden)
