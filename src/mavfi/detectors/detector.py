@@ -1,10 +1,12 @@
 """Interface of host and detector: it checks published states, may request recomputation, and never sees a fault."""
 
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from typing import Any, Protocol
 
 from mavfi.errors import BadInputError
-from mavfi.states import STAGE_KERNELS, State
+from mavfi.states import STAGE_KERNELS, STATES, State
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,24 @@ def class_of(detector: Any) -> str:  # noqa: ANN401 - a user's own
     while parts := getattr(detector, "parts", ()):
         detector = parts[-1]
     return f"{type(detector).__module__}:{type(detector).__qualname__}"
+
+
+def check_states(detector: Any) -> None:  # noqa: ANN401 - a user's own
+    """Refuse a detector that lists states that do not exist: it would never be asked about them.
+
+    Raises:
+        BadInputError: The message names the class, the name and the nearest state.
+    """
+    states = getattr(detector, "states", None)
+    if states is None:
+        return
+    place = f"detector {class_of(detector)}: states"
+    if isinstance(states, str) or not isinstance(states, Collection):
+        raise BadInputError(f"{place}: {states!r:.60}: allowed: a set of names of states, or None")
+    for name in sorted(map(str, states)):
+        if name not in STATES:
+            near = "".join(f"did you mean {one!r}? " for one in get_close_matches(name, STATES, 1))
+            raise BadInputError(f"{place}: {name!r}: no such state; {near}`mavfi states` lists all")
 
 
 def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user's own
