@@ -64,7 +64,9 @@ class Detector(Protocol):
 
 
 def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of ours
-    """The part of a detector that raises alarms as `source`, if its compiled functions can be instrumented; else None.
+    """The part of a detector whose attribute is `source`, if its compiled functions can be instrumented; else None.
+
+    That is the part that raises alarms as `source`, or one with its code, like the single rules of the acceptance test.
 
     It has `compiled`, these functions by name, and `instrument`, which replaces the functions of the given names and
     restores all others.  Of several copies it is in the first, see `replicas.INJECTED`.
