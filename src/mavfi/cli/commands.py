@@ -1,6 +1,7 @@
 """The application with all commands, and its error handling; commands import heavy modules on demand."""
 
 import functools
+import inspect
 import os
 import traceback
 from collections.abc import Sequence
@@ -143,7 +144,17 @@ def _with_new_names(arguments: Sequence[str]) -> list[str]:
 @functools.cache
 def _command() -> Any:
     """The application with all commands; building it takes as long as a short command."""
-    return typer.main.get_command(app)
+    found = typer.main.get_command(app)
+    _unwrap(found)
+    return found
+
+
+def _unwrap(command: Any) -> None:
+    """Make each paragraph of the help of a command, and of those in its group, one line, which fills any width."""
+    paragraphs = inspect.cleandoc(command.help or "").split("\n\n")
+    command.help = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+    for one in getattr(command, "commands", {}).values():
+        _unwrap(one)
 
 
 def _verb(arguments: Sequence[str]) -> str:
