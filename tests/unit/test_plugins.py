@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from mavfi import cli
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
 from mavfi.plugins import allow_plugins, allow_typed, build, known, load_object, plugin_failure
 
@@ -175,3 +176,16 @@ def test_an_exception_of_mavfi_is_none_of_a_plugin(tmp_path, monkeypatch):
     assert _failure(other.check, 5) == "", "raised in a function of mavfi"
     assert _failure(lambda: 1 / 0) == "", "no plug-in takes part"
     assert plugin_failure(ValueError("never raised")) == ""
+
+
+def _decode(text):
+    yield load("two_plugins:One")().check(text)
+
+
+def test_an_exception_of_a_plugin_in_a_worker_keeps_its_place(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    with pytest.raises(BadInputError, match=r"^two_plugins:One: JSONDecodeError: .* \(two_plugins.py:11, deeper\)$"):
+        list(LocalExecutor(1).map(_decode, ["}"]))
