@@ -12,6 +12,8 @@ import sys
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
+from traceback import walk_tb
+from types import FrameType
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError, hint
@@ -20,6 +22,10 @@ _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
 _ALL = "all"
 _ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_OWN = __name__.partition(".")[0]
+"""The package of mavfi itself."""
+_loaded: dict[str, dict[str, Any]] = {}
+"""Plug-ins loaded in this process: by top-level package or module, the objects by the name that was asked for."""
 
 
 class NotAllowedError(BadInputError):
@@ -99,6 +105,8 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         raise BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
     if not callable(found):
         raise BadInputError(f"{what} {name!r}: cannot be called; allowed: a class or a function")
+    if _package(module) != _OWN:
+        _loaded.setdefault(_package(module), {})[name] = found
     return found
 
 
@@ -136,4 +144,31 @@ def build(
 
 def reason(error: BaseException) -> str:
     """An exception of user code, on one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def plugin_failure(error: BaseException) -> str:
+    """The exception as one line with plug-in, file, line and function, if a plug-in raised it; "" = mavfi did.
+
+    The innermost frame that belongs to either decides; those of libraries belong to their caller.
+    """
+    frames = [] if error.__traceback__ is None else list(walk_tb(error.__traceback__))
+    for frame, line in reversed(frames):
+        package = _package(frame.f_globals.get("__name__") or "")
+        if package == _OWN:
+            break
+        if package in _loaded:
+            file = Path(frame.f_code.co_filename).name
+            return f"{_plugin_in(frame, _loaded[package])}: {reason(error)} ({file}:{line}, {frame.f_code.co_name})"
+    return ""
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _plugin_in(frame: FrameType, plugins: Mapping[str, Any]) -> str:
+    """Name of the plug-in whose method a frame executes, or else of the first one of its package."""
+    own = type(frame.f_locals.get("self"))
+    return next((name for name, found in plugins.items() if found is own), next(iter(plugins)))

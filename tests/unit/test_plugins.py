@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from mavfi import cli
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
-from mavfi.plugins import allow_plugins, allow_typed, build, known, load_object
+from mavfi.plugins import allow_plugins, allow_typed, build, known, load_object, plugin_failure
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = {"here": "mavfi.errors:MavfiError"}
@@ -128,3 +129,63 @@ def test_examples_fly_from_the_console_script(options, tmp_path):
         [program, "fly", "--seed", "7", *options], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+_BOTH = """
+import json
+from mavfi.errors import allowed
+
+
+class One:
+    def check(self, text):
+        return self.deeper(text)
+
+    def deeper(self, text):
+        return json.loads(text)
+
+
+class Other(One):
+    def check(self, names):
+        return allowed(names)
+"""
+
+
+def _failure(call, *arguments):
+    with pytest.raises(Exception) as caught:  # noqa: PT011 - any
+        call(*arguments)
+    return plugin_failure(caught.value)
+
+
+def test_an_exception_of_a_plugin_is_one_line_with_its_place(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    one, other = load("two_plugins:One")(), load("two_plugins:Other")()
+    assert _failure(one.check, 5).startswith("two_plugins:One: TypeError: the JSON object")
+    assert _failure(one.check, 5).endswith("(two_plugins.py:11, deeper)"), "frames of libraries are their caller's"
+    assert _failure(other.deeper, "}").startswith("two_plugins:Other: JSONDecodeError: Expecting value: line 1")
+
+
+def test_an_exception_of_mavfi_is_none_of_a_plugin(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    other = load("two_plugins:Other")()
+    assert _failure(other.check, 5) == "", "raised in a function of mavfi"
+    assert _failure(lambda: 1 / 0) == "", "no plug-in takes part"
+    assert plugin_failure(ValueError("never raised")) == ""
+
+
+def _decode(text):
+    yield load("two_plugins:One")().check(text)
+
+
+def test_an_exception_of_a_plugin_in_a_worker_keeps_its_place(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    with pytest.raises(BadInputError, match=r"^two_plugins:One: JSONDecodeError: .* \(two_plugins.py:11, deeper\)$"):
+        list(LocalExecutor(1).map(_decode, ["}"]))

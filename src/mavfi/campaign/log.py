@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
 from mavfi.campaign.mission import MissionPlan
-from mavfi.campaign.plan import Flown
+from mavfi.campaign.plan import Flown, reason_of
 from mavfi.errors import MavfiError
 
 FILE = "log.jsonl"
@@ -84,8 +84,7 @@ class Log:
             return
         self._unknown += 1
         if self._unknown <= MOST_UNKNOWN:
-            reason = item.note.strip().rpartition("\n")[2]
-            self.note("unknown", run=item.run_id, error=item.record.error, reason=reason)
+            self.note("unknown", run=item.run_id, error=item.record.error, reason=reason_of(item.note))
 
     def end(self, error: BaseException | None, **fields: Any) -> None:
         """Log the reason for the end of a session; None = its campaign is complete."""

@@ -19,13 +19,14 @@ from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import replicated
-from mavfi.errors import MachineError, SpecMismatchError, machine_failure
+from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.ir.forked import WALL_CLOCK, run_in_child
 from mavfi.mission import Scenario
+from mavfi.plugins import plugin_failure, reason
 
 ATTEMPTS_ALONE = 3
 """Attempts in separate child processes before an injected run that crashes its process counts as `due`."""
@@ -242,7 +243,7 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
             yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
     except Exception as error:  # as in `_guarded`
         _check_recordable(error, specs[0].run_id)
-        note = traceback.format_exc()
+        note = _note(error)
     for spec in left.values():
         yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
 
@@ -311,4 +312,10 @@ def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
     except Exception as error:  # recorded as `unknown`, which reports count and show
         _check_recordable(error, run_id)
         record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
-        return Flown.of(run_id, record, traceback.format_exc(), time.perf_counter() - started)
+        return Flown.of(run_id, record, _note(error), time.perf_counter() - started)
+
+
+def _note(error: Exception) -> str:
+    """Traceback of the exception being handled, and then, as the note's last line, the exception on one line."""
+    line = plugin_failure(error) or (str(error) if isinstance(error, MavfiError) else reason(error))
+    return f"{traceback.format_exc()}{' '.join(line.split())}"

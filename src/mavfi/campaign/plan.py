@@ -120,7 +120,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """A completed run; `note`: traceback of an exception of mavfi; the wall time is not part of the record."""
+    """A completed run; `note`: why there is none, see `reason_of`; the wall time is not part of the record."""
 
     run_id: str
     text: str  # record as in the ledger; serialized by workers, since this takes longer than storing
@@ -139,6 +139,11 @@ class Flown:
     def record(self) -> FlightRecord:
         """Record of the flight."""
         return FlightRecord.from_json(json.loads(self.text))
+
+
+def reason_of(note: str) -> str:
+    """Why a run has status unknown: the last line of its note, after a traceback if there was an exception."""
+    return note.strip().rpartition("\n")[2]
 
 
 def _with_arm(setting: str, arm: str) -> str:

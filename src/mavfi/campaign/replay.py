@@ -15,7 +15,7 @@ from mavfi.campaign.divergence import (
     spread,
 )
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
-from mavfi.campaign.plan import RunSpec, arms_of
+from mavfi.campaign.plan import RunSpec, arms_of, reason_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
@@ -158,7 +158,8 @@ def explain(directory: Path, run_id: str) -> Explanation:
             )
         stored = run.record
         if stored is None or not stored.flown:
-            raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")
+            why = "" if stored is None or not reason_of(run.note) else f" ({reason_of(run.note)})"
+            raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain{why}")
         setup = _setup_to_record(store, run.spec)
     golden, seen_golden = fly_recorded(setup, None)
     injected, seen = fly_recorded(setup, run.spec.fault)

@@ -335,7 +335,7 @@ def status_of(store: Store) -> Status:
     total = sum(planned for planned, _, _ in counts.values())
     shard = shard_of(store)
     total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(shard)
-    return Status(done, total, counts, store.unknown(), shard)
+    return Status(done, total, counts, store.unknown().total(), shard)
 
 
 def shard_of(store: Store) -> Shard:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import sqlite3
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -19,11 +20,11 @@ from typing import IO, Any
 from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.campaign.connection import connect
 from mavfi.campaign.fingerprint import differing_keys
-from mavfi.campaign.plan import Flown, Row, RunSpec
+from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
 from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, damage
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
-from mavfi.flight_record import End, FlightRecord, canonical
+from mavfi.flight_record import FlightRecord, canonical
 from mavfi.mission import MissionStatus
 
 SCHEMA = 3
@@ -375,13 +376,12 @@ class Store:
             "SELECT setting, COUNT(*), COUNT(record), TOTAL(json_extract(record, '$.status') = 'success') FROM runs "
             "GROUP BY setting ORDER BY MIN(position)"
         )
-        rows = self._connection.execute(query)
-        return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
+        return {name: (planned, done, int(well)) for name, planned, done, well in self._connection.execute(query)}
 
-    def unknown(self) -> int:
-        """Number of completed runs with status unknown."""
-        query = "SELECT COUNT(*) FROM runs WHERE json_extract(record, '$.end') = ?"
-        return int(self._connection.execute(query, (End.UNKNOWN.value,)).fetchone()[0])
+    def unknown(self) -> Counter[str]:
+        """Number of completed runs with status unknown, by reason."""
+        notes = self._connection.execute("SELECT note FROM runs WHERE json_extract(record, '$.end') = 'unknown'")
+        return Counter(reason_of(note) for (note,) in notes)
 
     @property
     def complete(self) -> bool:

@@ -62,7 +62,10 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _airsim() -> None:
-    r"""Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi\[airsim]')."""
+    r"""Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi\[airsim]').
+
+    Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
+    """
 
 
 @app.command("serve")

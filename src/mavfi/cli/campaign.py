@@ -78,13 +78,22 @@ def run(  # noqa: PLR0913 - options
         )  # fmt: skip
     if status.unknown and not allow_unknown:
         raise MavfiError(
-            f"{ledger}: {status.unknown} of {status.total} runs have status unknown: `mavfi runs {ledger} --where "
-            "judged=false` lists them; --allow-unknown accepts them"
+            f"{ledger}: {status.unknown} of {status.total} runs have status unknown{_most_frequent_reason(ledger)}: "
+            f"`mavfi runs {ledger} --where judged=false` lists them; --allow-unknown accepts them"
         )
     text = f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]"
     if part != WHOLE:
         text = f"Done with shard {part}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
     console().print(text, soft_wrap=True)
+
+
+def _most_frequent_reason(ledger: Path) -> str:
+    """The most frequent reason of status unknown, with its number of runs, in brackets."""
+    from mavfi.campaign.store import Store
+
+    with Store.open(ledger) as store:
+        ((reason, number),) = store.unknown().most_common(1)
+    return f" ({number} of them: {reason})"
 
 
 def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None, shard: "Shard") -> list[str]:

@@ -1,6 +1,9 @@
 """The application with all commands, and its error handling; commands import heavy modules on demand."""
 
 import functools
+import inspect
+import os
+import traceback
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -35,10 +38,12 @@ from mavfi.cli import (
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.errors import BadInputError, MavfiError, machine_failure
-from mavfi.plugins import allow_plugins, allow_typed
+from mavfi.plugins import allow_plugins, allow_typed, plugin_failure
 from mavfi.wording import allowed_by, shown
 
 _ALLOW_PLUGINS = "--allow-plugins"
+_TRACEBACK = "MAVFI_TRACEBACK"
+"""Environment variable: if set, a refusal is preceded by its traceback."""
 EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
@@ -93,7 +98,7 @@ _RENAMED = {
 def run(arguments: Sequence[str]) -> int:
     """Run a command, given as the words after `mavfi` (none = help); returns its exit code.
 
-    Bad input and known failures print one line on stderr; unknown exceptions are raised.
+    Bad input, known failures and exceptions of plug-ins print one line on stderr; those of mavfi itself are raised.
     """
     if _ALLOW_PLUGINS in arguments:
         allow_plugins()
@@ -104,17 +109,17 @@ def run(arguments: Sequence[str]) -> int:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
-        return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
+        return _refused(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
         message = _refused_value(error) or error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
     except Exception as error:
-        failed = machine_failure(error)
-        if not failed:
+        failed, of_plugin = machine_failure(error), plugin_failure(error)
+        if not failed and not of_plugin:
             raise
-        return complain(failed, EXIT_FAILURE)
+        return _refused(failed, EXIT_FAILURE) if failed else _refused(of_plugin, EXIT_BAD_INPUT)
     return code if isinstance(code, int) else EXIT_DONE
 
 
@@ -125,6 +130,13 @@ def _refused_value(error: typer.TyperException) -> str:
         return ""
     first = {**cause.errors()[0]}
     return f"{parameter.opts[0]}: {shown(first['input'])}: {allowed_by(first)}"
+
+
+def _refused(text: str, code: int) -> int:
+    """Write one line on the exception being handled, after its traceback if that is asked for; return the exit code."""
+    if os.environ.get(_TRACEBACK):
+        typer.echo(traceback.format_exc(), err=True, nl=False)
+    return complain(text, code)
 
 
 def _with_new_names(arguments: Sequence[str]) -> list[str]:
@@ -143,7 +155,17 @@ def _with_new_names(arguments: Sequence[str]) -> list[str]:
 @functools.cache
 def _command() -> Any:
     """The application with all commands; building it takes as long as a short command."""
-    return typer.main.get_command(app)
+    found = typer.main.get_command(app)
+    _unwrap(found)
+    return found
+
+
+def _unwrap(command: Any) -> None:
+    """Make each paragraph of the help of a command, and of those in its group, one line, which fills any width."""
+    paragraphs = inspect.cleandoc(command.help or "").split("\n\n")
+    command.help = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+    for one in getattr(command, "commands", {}).values():
+        _unwrap(one)
 
 
 def _verb(arguments: Sequence[str]) -> str:

@@ -36,7 +36,10 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _firmware() -> None:
-    """The firmware of a real flight controller (Betaflight), as the vehicle's controller and as a target of faults."""
+    """The firmware of a real flight controller (Betaflight), as the vehicle's controller and as a target of faults.
+
+    Example: [bold]mavfi firmware setup --betaflight .venv-betaflight[/bold]
+    """
 
 
 @app.command("setup")

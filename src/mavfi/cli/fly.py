@@ -63,7 +63,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     wanted = in_register if fault is None else parse(fault, mission.localization)
     host = _host(world, fault, mission)
-    with compiling(instrumented=bool(mission.protection) or (fault or "").startswith("instruction")) as cold:
+    with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
         from mavfi.hosts.loop.compose import resolve
@@ -92,6 +92,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
         write_json(result.to_json())
         return
     _show(result, (save, picture, html))
+
+
+def _is_instrumented(mission: MissionSpec, fault: str | None) -> bool:
+    return bool(mission.protection) or (fault or "").startswith("instruction")
 
 
 def _compile(scenario: Scenario) -> None:

@@ -23,7 +23,10 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _mavlink() -> None:
-    r"""Programs for MAVLink autopilots fly our vehicle, with failures on command (pip install 'mavfi\[mavlink]')."""
+    r"""Programs for MAVLink autopilots fly our vehicle, with failures on command (pip install 'mavfi\[mavlink]').
+
+    Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
+    """
 
 
 @app.command("serve")

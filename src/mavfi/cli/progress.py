@@ -6,11 +6,12 @@ import math
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rich.console import Group
+from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
@@ -128,41 +129,51 @@ class StudyBar(Bar):
 
 
 @contextmanager
-def compiling(*, instrumented: bool = False) -> Iterator[bool]:
+def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[bool]:
     """Report on stderr that kernels (also instrumented ones) are being compiled, if their cache is empty.
+
+    With `flight`, in a terminal also if no flight and no campaign has ended on this machine: commands that do not fly
+    compile some functions, too.
 
     Yields:
         Whether plain kernels are still to be compiled.
     """
     from mavfi.numerics.jit import code_folder
 
-    folder = code_folder()
+    folder, out = code_folder(), console(error=True)
+    empty = not any(folder.rglob("*.nbc"))
+    cold = not any(folder.glob("*.warm")) if flight else empty
+    if not (cold if out.is_terminal else empty) and not (instrumented and not any(folder.rglob("*.bin"))):
+        yield cold
+    else:
+        about = "two minutes" if instrumented else "40 s"
+        with _telling(f"compiling kernels for this machine, once (about {about})", folder, out):
+            yield cold
+    if flight:
+        with suppress(OSError):  # a cache that cannot be written stays as it is
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "flight.warm").touch()
 
-    def count() -> int:
-        return sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
 
-    cold = not any(folder.rglob("*.nbc"))
-    if not cold and (not instrumented or any(folder.rglob("*.bin"))):
-        yield False
-        return
-    out = console(error=True)
-    about = "two minutes" if instrumented else "40 s"
-    text = f"compiling kernels for this machine, once (about {about})"
+@contextmanager
+def _telling(text: str, folder: Path, out: Console) -> Iterator[None]:
+    """Show a text, in a terminal with the growing number of compiled functions in a folder."""
     if not out.is_terminal:
         out.print(f"{text} ...")
-        yield cold
+        yield
         return
     stop = threading.Event()
     with out.status(f"{text} ...") as shown:
 
         def follow() -> None:
             while not stop.wait(0.5):
-                shown.update(f"{text}: {count()} functions")
+                count = sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
+                shown.update(f"{text}: {count} functions")
 
         watcher = threading.Thread(target=follow, daemon=True)
         watcher.start()
         try:
-            yield cold
+            yield
         finally:
             stop.set()
             watcher.join()

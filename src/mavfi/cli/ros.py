@@ -28,7 +28,10 @@ app.command("watch")(ros_attach.watch)
 
 @app.callback()
 def _ros() -> None:
-    """The pipeline as real ROS 1 nodes (Debian's packages: `make ros`), and tools for any ROS application."""
+    """The pipeline as real ROS 1 nodes (Debian's packages: `make ros`), and tools for any ROS application.
+
+    Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
+    """
 
 
 @app.command("fly")

@@ -1,9 +1,12 @@
 """Interface of host and detector: it checks published states, may request recomputation, and never sees a fault."""
 
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from typing import Any, Protocol
 
-from mavfi.states import State
+from mavfi.errors import BadInputError
+from mavfi.states import STAGE_KERNELS, STATES, State
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,9 @@ class Detector(Protocol):
 
 
 def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of ours
-    """The part of a detector that raises alarms as `source`, if its compiled functions can be instrumented; else None.
+    """The part of a detector whose attribute is `source`, if its compiled functions can be instrumented; else None.
+
+    That is the part that raises alarms as `source`, or one with its code, like the single rules of the acceptance test.
 
     It has `compiled`, these functions by name, and `instrument`, which replaces the functions of the given names and
     restores all others.  Of several copies it is in the first, see `replicas.INJECTED`.
@@ -70,3 +75,43 @@ def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of 
     if parts is not None:
         return next((found for part in parts if (found := part_of(part, source)) is not None), None)
     return detector if getattr(detector, "source", "") == source and getattr(detector, "compiled", None) else None
+
+
+def class_of(detector: Any) -> str:  # noqa: ANN401 - a user's own
+    """Class of a detector as "package.module:Class", for messages; of several in one, that of the last."""
+    while parts := getattr(detector, "parts", ()):
+        detector = parts[-1]
+    return f"{type(detector).__module__}:{type(detector).__qualname__}"
+
+
+def check_states(detector: Any) -> None:  # noqa: ANN401 - a user's own
+    """Refuse a detector that lists states that do not exist: it would never be asked about them.
+
+    Raises:
+        BadInputError: The message names the class, the name and the nearest state.
+    """
+    states = getattr(detector, "states", None)
+    if states is None:
+        return
+    place = f"detector {class_of(detector)}: states"
+    if isinstance(states, str) or not isinstance(states, Collection):
+        raise BadInputError(f"{place}: {states!r:.60}: allowed: a set of names of states, or None")
+    for name in sorted(map(str, states)):
+        if name not in STATES:
+            near = "".join(f"did you mean {one!r}? " for one in get_close_matches(name, STATES, 1))
+            raise BadInputError(f"{place}: {name!r}: no such state; {near}`mavfi states` lists all")
+
+
+def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user's own
+    """The alarm that a detector's `check` returned.
+
+    Raises:
+        BadInputError: It is no `Alarm`, or names a stage that cannot be recomputed.
+    """
+    if not isinstance(alarm, Alarm):
+        text = f"check returned {alarm!r:.60}; allowed: an Alarm, or None"
+        raise BadInputError(f"detector {class_of(detector)}: {text}")
+    if alarm.stage not in STAGE_KERNELS:
+        text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
+        raise BadInputError(f"detector {class_of(detector)}: alarm {alarm.source!r}: {text}")
+    return alarm

@@ -8,7 +8,7 @@ from typing import Any, cast
 from pydantic import Field
 
 from mavfi.config import Config, names, shipped
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.limits import MissionLimits
@@ -237,4 +237,5 @@ def _build(name: str, factory: Any, *arguments: object, **options: object) -> De
     if unknown:
         raise BadInputError(f"detector {name!r}: has no option {', '.join(sorted(unknown))}")
     made = build("detector", name, factory, *arguments, needs=("start", "check", "accept"), **given)
+    check_states(made)
     return cast(Detector, made)

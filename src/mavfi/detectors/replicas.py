@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.detector import Alarm, Detector, checked_alarm
 from mavfi.detectors.parts import Chain
 from mavfi.errors import BadInputError
 from mavfi.states import State
@@ -73,7 +73,8 @@ class Replicated(Chain):
         """Ask every live copy; a copy that dies meanwhile has no vote."""
         asked = [(place, part) for place, part in enumerate(self.parts) if place not in self.dead]
         found = [(place, part.check(state, time_us)) for place, part in asked]
-        alarms = [alarm for place, alarm in found if alarm is not None and place not in self.dead]
+        raised = [(place, alarm) for place, alarm in found if alarm is not None and place not in self.dead]
+        alarms = [checked_alarm(self.parts[place], alarm) for place, alarm in raised]
         return voted(alarms) if len(alarms) >= needed(len(self.live)) else None
 
     def accept(self, state: State, time_us: int) -> None:

@@ -1,5 +1,6 @@
 """One of the five rules of docs/engineers.md, alone: what each is worth without the others."""
 
+from dataclasses import replace
 from typing import Any
 
 from mavfi.detectors.acceptance import PLAIN, RULES, AcceptanceTest, Functions
@@ -40,7 +41,8 @@ class SingleRule(AcceptanceTest):
     """The acceptance test, with the alarms of one rule only.
 
     It finds the first field of a publication that violates any rule, and remembers all publications, as the whole test
-    does; a publication passes if that field belongs to another rule.
+    does; a publication passes if that field belongs to another rule.  Its attribute `source` is that of the whole test,
+    whose functions and memory it has: the name of these targets of faults.  Its alarms have its own name.
 
     Args:
         limits: Limits of the mission.
@@ -58,9 +60,11 @@ class SingleRule(AcceptanceTest):
         super().__init__(limits, functions)
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """See `Detector.check`; the alarm names the field that violates the rule."""
+        """See `Detector.check`; the alarm, of source `rule_1` to `rule_4`, names the field that violates the rule."""
         alarm = super().check(state, time_us)
-        return alarm if alarm is None or rule_of(alarm.fields[0]) == self.rule else None
+        if alarm is None or rule_of(alarm.fields[0]) != self.rule:
+            return None
+        return replace(alarm, source=f"rule_{self.rule}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""

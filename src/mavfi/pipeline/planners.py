@@ -7,6 +7,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from mavfi.config import PlannerConfig
+from mavfi.errors import BadInputError
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
 from mavfi.numerics.random import seed_generator
@@ -179,3 +180,25 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
     if isinstance(search, SamplingSearch):
         search.functions = functions
     return search
+
+
+def checked_path(search: PathSearch, found: np.ndarray) -> np.ndarray:
+    """The path that a planner returned.  Shape (n, 3).
+
+    Raises:
+        BadInputError: A user's planner returned something else than `PathSearch.search` promises.
+    """
+    if isinstance(search, SamplingSearch):
+        return found
+    kind = type(search)
+    try:
+        path = np.asarray(found)
+        is_path = path.shape[:1] == (0,) or (path.ndim == 2 and path.shape[1] == 3 and path.dtype.kind in "fiu")
+    except ValueError:  # rows of different lengths
+        is_path = False
+    if not is_path:
+        raise BadInputError(
+            f"planner {kind.__module__}:{kind.__qualname__}: search returned {' '.join(repr(found).split())[:60]}; "
+            "allowed: an array of shape (n, 3), n = 0 if there is no path"
+        )
+    return path

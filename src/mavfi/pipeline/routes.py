@@ -15,7 +15,7 @@ from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.memory import Foreign
-from mavfi.pipeline.planners import PathSearch, SamplingSearch, make_search
+from mavfi.pipeline.planners import PathSearch, SamplingSearch, checked_path, make_search
 
 TIGHT_SPEED = 2.0
 """Speed limit where only the checker's radius fits (m/s)."""
@@ -104,7 +104,7 @@ class Routes:
             return None
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
-        found = self.search.search(counter, clearance.grid, first, last, *box)
+        found = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box))
         return found if len(found) else None
 
     def _core(self) -> np.ndarray:
@@ -187,9 +187,9 @@ class Routes:
         lower = np.maximum(config.flight_lower, stretch.min(0) - _LOCAL_MARGIN)
         upper = np.minimum(config.flight_upper, stretch.max(0) + _LOCAL_MARGIN)
         if not self._is_tight(stretch[-1]):
-            found = self._searches.content[1].search(
-                clearance.wide, clearance.grid, stretch[0], stretch[-1], lower, upper
-            )
+            local = self._searches.content[1]
+            ends = stretch[0], stretch[-1]
+            found = checked_path(local, local.search(clearance.wide, clearance.grid, *ends, lower, upper))
             still = np.zeros(3)
             if len(found) and self._time(found, still) < self._time(stretch, still):
                 return found[1:]

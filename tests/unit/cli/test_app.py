@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from itertools import pairwise
 
 import pytest
 import typer
@@ -14,10 +15,15 @@ from mavfi.cli.stopping import leave_on_ctrl_c, stoppable
 from mavfi.states import STATES, states_with
 from mavfi.version import __version__
 
-VERBS = (
-    ["fly"], ["states"], ["train"], ["campaign"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"],
-    ["report"], ["runs"], ["replay"], ["explain"], ["shrink"], ["vulnerability"], ["reproduce"], ["export"], ["inject"],
-)  # fmt: skip
+
+def commands_of(group, *words):
+    """The words of every command."""
+    for name, command in getattr(group, "commands", {}).items():
+        yield [*words, name]
+        yield from commands_of(command, *words, name)
+
+
+VERBS = [*commands_of(typer.main.get_command(app))]
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=" ".join)
@@ -40,14 +46,19 @@ def test_a_value_of_the_wrong_kind_is_shown(capsys, words, message):
     assert capsys.readouterr().err == f"mavfi: {message}\n"
 
 
-def commands_of(group, *words):
-    """The words of every command."""
-    for name, command in getattr(group, "commands", {}).items():
-        yield [*words, name]
-        yield from commands_of(command, *words, name)
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+@pytest.mark.parametrize("width", [80, 100])
+def test_paragraphs_of_help_fill_the_width(capsys, monkeypatch, verb, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert run([*verb, "--help"]) == 0
+    text = capsys.readouterr().out.partition("╭")[0]
+    for line, after in pairwise(text.splitlines()):
+        if line.strip() and after.strip() and "Usage:" not in line:
+            (word, *_) = after.split()
+            assert len(line.rstrip()) + 1 + len(word) > width - 2, f"{word!r} fits into {line!r}"
 
 
-@pytest.mark.parametrize("verb", [*commands_of(typer.main.get_command(app))], ids=" ".join)
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
 def test_help_is_not_cut_in_a_terminal_of_80_columns(capsys, monkeypatch, verb):
     monkeypatch.setenv("COLUMNS", "80")
     assert run([*verb, "--help"]) == 0

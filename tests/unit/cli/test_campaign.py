@@ -76,8 +76,13 @@ def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypa
     assert run(command) == 1
     printed = capsys.readouterr()
     assert f"{tmp_path / 'out'}: 3 of 13 runs have status unknown" in printed.err and "Done" not in printed.out
+    reason = "tests.unit.campaign.fakes:FakeHost: ZeroDivisionError: a mistake of ours (fakes.py:"
+    assert f"unknown (3 of them: {reason}" in printed.err
     listed = _json(capsys, "runs", str(tmp_path / "out"), "--where", "judged=false")
     assert len(listed["rows"]) == 3
+    assert all(row["reason"].startswith(reason) for row in listed["rows"])
+    assert run(["explain", str(tmp_path / "out"), listed["rows"][0]["run_id"]]) == 2
+    assert f"left no flight to explain ({reason}" in capsys.readouterr().err
     assert run([*command, "--allow-unknown"]) == 0
     assert "Done" in capsys.readouterr().out
 

@@ -1,9 +1,11 @@
 import re
 
 import pytest
+from rich.console import Console
 
 from mavfi.cli import progress
-from mavfi.cli.progress import Part, StudyBar
+from mavfi.cli.progress import Part, StudyBar, compiling
+from mavfi.errors import BadInputError
 
 
 @pytest.fixture
@@ -46,3 +48,20 @@ def test_parts_follow_each_other_in_one_count(capsys, clock):
             bar.show(10, 10)
     counts = re.findall(r"(\d+)/20 flights", capsys.readouterr().err)
     assert counts[-1] == "20" and [int(count) for count in counts] == sorted(map(int, counts))
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_cache_is_cold_until_a_flight_has_ended(terminal, monkeypatch, tmp_path, capsys):
+    (tmp_path / "some.nbc").touch()  # compiled by a command that does not fly
+    monkeypatch.setattr("mavfi.numerics.jit.code_folder", lambda: tmp_path)
+    out = Console(stderr=True, force_terminal=terminal, width=100)
+    monkeypatch.setattr("mavfi.cli.progress.console", lambda **_: out)
+    with pytest.raises(BadInputError), compiling(flight=True):
+        raise BadInputError("refused")
+    capsys.readouterr()
+    for cold in (True, False):
+        with compiling(flight=True) as found:
+            assert found is cold
+        assert ("compiling kernels for this machine" in capsys.readouterr().err) is (cold and terminal)
+    with compiling() as found:
+        assert not found

@@ -1,12 +1,14 @@
 """Each of the five rules alone: together they are the acceptance test, and each alarm belongs to one of them."""
 
 import pickle
+from dataclasses import replace
 
 import pytest
 
 from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import PLAIN, RULES, AcceptanceTest
-from mavfi.detectors.registry import mission_keys
+from mavfi.detectors.detector import part_of
+from mavfi.detectors.registry import is_named, mission_keys
 from mavfi.detectors.single_rule import COPIES, COUNTERS, DYNAMICS, EPOCHS, NODES, SingleRule, fields_of, rule_of
 from mavfi.errors import BadInputError
 from mavfi.states import STATES
@@ -48,7 +50,7 @@ def test_only_the_rule_that_is_violated_raises_an_alarm(case, field, value, rule
     whole = flying("published").check(state, NOW)
     found = {number: alone(number).check(state, NOW) for number in NUMBERS}
     assert whole is not None and whole.hard
-    assert found.pop(rule) == whole
+    assert found.pop(rule) == replace(whole, source=f"rule_{rule}")
     assert set(found.values()) == {None}
     assert alone(rule).score(state, NOW) > 0.0
     assert alone(NODES).score(state, NOW) == 0.0
@@ -86,3 +88,10 @@ def test_they_are_detectors_by_name(number):
 def test_there_are_five(rule):
     with pytest.raises(BadInputError, match=f"rule: {rule}: not known; allowed: 1 to 5"):
         SingleRule(LIMITS["published"], PLAIN, rule)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_its_code_is_the_target_acceptance_under_its_own_name(number):
+    detector, _ = load_detector(f"rule_{number}", "paper", None, {**FITS, "limits": LIMITS["published"]})
+    assert part_of(detector, "acceptance") is detector
+    assert is_named(f"rule_{number}", f"rule_{number}") and not is_named(f"rule_{number}", "acceptance")

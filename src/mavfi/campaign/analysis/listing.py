@@ -13,9 +13,9 @@ _COLUMNS = (
     Column("run_id", "run"), Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
     Column("inflation", "against golden", SIGNED), Column("effect", "effect"),
     Column("alarms_total", "alarms", NUMBER), Column("bit", "bit", NUMBER), Column("site", "site"),
-    Column("site_outcome", "injection"), Column("kernel_effect", "kernel"),
+    Column("site_outcome", "injection"), Column("kernel_effect", "kernel"), Column("reason", "reason", TEXT),
 )  # fmt: skip
-_USUAL = {"kernel_effect": {""}, "site_outcome": {"", ACTIVATED}}
+_USUAL = {"kernel_effect": {""}, "site_outcome": {"", ACTIVATED}, "reason": {""}}
 """Values of columns that are hidden if they have no others."""
 _SHOWN = 12  # values listed where a condition names one that does not occur
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them

@@ -6,7 +6,7 @@ from typing import Any
 import polars as pl
 
 from mavfi.campaign.checks import label_of
-from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.plan import RunSpec, reason_of
 from mavfi.campaign.store import Run
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.sensor.fault import SensorFault
@@ -41,7 +41,7 @@ SCHEMA: dict[str, Any] = {
     "flight_time_s": _REAL, "energy_j": _REAL, "distance_m": _REAL, "replans": _INT, "time_limit_s": _REAL,
     "course_m": _REAL, "golden_flight_time_s": _REAL, "inflation": _REAL, "energy_inflation": _REAL,
     "detected_at_site": _FLAG, "detected_downstream": _FLAG, "alarms_total": _INT,
-    "digest": _TEXT, "wall_s": _REAL, "note": _TEXT,
+    "digest": _TEXT, "wall_s": _REAL, "note": _TEXT, "reason": _TEXT,
 }  # fmt: skip
 """Columns of the frame and their types."""
 
@@ -71,6 +71,7 @@ def row_of(
         **_judged(record, own, reference, spec), **_controlled(record, own, spec),
         **_detected(record, own, planned.get("state", "")),
         "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
+        "reason": reason_of(run.note) if record.end is End.UNKNOWN else "",
     }  # fmt: skip
 
 

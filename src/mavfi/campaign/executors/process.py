@@ -17,7 +17,8 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.errors import MachineError, MavfiError, machine_failure
+from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
+from mavfi.plugins import plugin_failure
 
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 _MUTE_EXIT = 71  # EX_OSERR, sysexits.h
@@ -219,7 +220,13 @@ def _return_memory() -> None:
 
 
 def _portable(error: Exception) -> Exception:
-    """The exception if another process can unpickle it, otherwise a `MavfiError` with its text."""
+    """The exception if another process can unpickle it, otherwise a `MavfiError` with its text.
+
+    An exception of a plug-in becomes its one line: pickling loses the traceback that names it.
+    """
+    of_plugin = plugin_failure(error)
+    if of_plugin:
+        return BadInputError(of_plugin)
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # third-party exception classes may fail in any way

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, check_states
 from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.loop.duplicate import Duplicates
 from mavfi.hosts.loop.plant import MakePlant
@@ -45,9 +45,14 @@ def new_loop(
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
-    """Attach a detector to a flight that has not started; None = no effect."""
+    """Attach a detector to a flight that has not started; None = no effect.
+
+    Raises:
+        BadInputError: The detector lists a state that does not exist.
+    """
     if detector is None:
         return
+    check_states(detector)
     loop.marks = True
     restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
     tap = Watch(loop, detector, recovery, **restart)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 from weakref import proxy
 
-from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.detector import Alarm, Detector, checked_alarm
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
 from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
@@ -138,19 +138,13 @@ def decide(
     Only a gate (coupling `inline`) withholds values.
 
     Args:
-        alarm: The alarm.
+        alarm: The alarm, checked by `detector.checked_alarm`.
         spec: The state's specification.
         recovery: The recovery policy.
         after: Action that produced the value: a value rejected after a retransmission was computed incorrectly, one
             rejected after a recomputation indicates corrupted node memory.
         uncured: Whether the degraded mode applies: no restart is left or hard alarms persist, and a mode is configured.
-
-    Raises:
-        BadInputError: The alarm names a stage that cannot be recomputed.
     """
-    if alarm.stage not in STAGE_KERNELS:
-        text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
-        raise BadInputError(f"detector {alarm.source!r}: {text}")
     stage, gated = Stage(alarm.stage), recovery.coupling == "inline"
     if after == "recompute" or uncured:
         if uncured:
@@ -271,7 +265,9 @@ class Watch:
         asks = not self.memory.silenced and (awaited is None or recovery.same_twice == "escalate")
         alarm = detector.check(state, now) if asks else None
         after = self._after(awaited)
-        uncured = alarm is not None and self._is_uncured(alarm, now, again=after == "recompute")
+        uncured = False
+        if alarm is not None:
+            uncured = self._is_uncured(checked_alarm(detector, alarm), now, again=after == "recompute")
         given_up = after == "recompute" and not self._may_restart
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
             alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from mavfi.campaign.analysis.listing import listing
@@ -8,7 +10,8 @@ from tests.unit.campaign.analysis.handmade import UNKNOWN, flown, golden, inject
 
 @pytest.fixture
 def own():
-    return runs(golden(1), golden(2), injected(1, flown()), injected(2, flown(success=False)), injected(3, UNKNOWN))
+    unknown = replace(injected(3, UNKNOWN), note="Traceback\n  ...\nKeyError: 3\nmy:Own: KeyError: 3 (my.py:2, check)")
+    return runs(golden(1), golden(2), injected(1, flown()), injected(2, flown(success=False)), unknown)
 
 
 def test_every_run_is_a_row_with_all_columns_in_files(own):
@@ -22,6 +25,14 @@ def test_the_outcome_stands_together_and_says_effect(own):
     visible = [column.heading for column in listing(own).columns if not column.hidden]
     assert visible[:7] == ["run", "status", "flight time", "against golden", "effect", "alarms", "bit"]
     assert "injection" not in [column.heading for column in listing(own, ["kind=golden"]).columns if not column.hidden]
+
+
+def test_the_reason_is_shown_where_a_run_could_not_be_judged(own):
+    shown = [column.key for column in listing(own).columns if not column.hidden]
+    assert shown[-1] == "reason" and listing(own).column("reason")[-1] == "my:Own: KeyError: 3 (my.py:2, check)"
+    assert set(listing(own, ["judged=true"]).column("reason")) == {""}
+    shown = [column.key for column in listing(own, ["judged=true"]).columns if not column.hidden]
+    assert "reason" not in shown
 
 
 def test_failed_are_those_that_did_not_succeed(own):

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from mavfi.detectors import Alarm
+from mavfi.detectors.detector import checked_alarm
+from mavfi.detectors.replicas import replicated
 from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.recovery import (
@@ -73,8 +75,30 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
 
 @pytest.mark.parametrize("stage", ["sensor", "steering", ""])
 def test_a_stage_that_cannot_be_run_again_is_refused(stage):
-    with pytest.raises(BadInputError, match="allowed: perception, planning, control"):
-        decide(Alarm("d", stage), STATES["control.command"], INLINE)
+    with pytest.raises(
+        BadInputError, match=r"^detector \S+:_Reckless: alarm 'd': stage .* perception, planning, control"
+    ):
+        checked_alarm(_Reckless(), Alarm("d", stage))
+
+
+class _Reckless:
+    """A detector that gives no `Alarm`."""
+
+    states = None
+
+    def check(self, state, time_us):
+        return True
+
+    def accept(self, state, time_us):
+        pass
+
+
+def test_what_is_no_alarm_is_refused_with_the_detectors_class():
+    message = r"^detector \S+:_Reckless: check returned True; allowed: an Alarm, or None$"
+    with pytest.raises(BadInputError, match=message):
+        checked_alarm(_Reckless(), True)
+    with pytest.raises(BadInputError, match=message):
+        replicated(_Reckless(), 2).check(new_state("control.command"), 0)
 
 
 def test_what_passes_is_recorded_as_accepted():
