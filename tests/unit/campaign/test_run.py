@@ -198,7 +198,7 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
         (small(arms={"x": {"detector": DETECTOR, "profile": "rough"}}), "profile 'rough'"),
         (small(arms={"x": {"planner": "absent.yaml"}}), "absent.yaml"),
         (small(host="nowhere"), "host 'nowhere': not known"),
-        (small(host="ros1:"), "host 'ros1:': not known; allowed: .* or package:object"),
+        (small(host="ros1:"), r"host 'ros1:': not known \(did you mean 'ros1'\?\); allowed: .* or package:object"),
         (small(mission={"planner": "absent:Planner"}), "planner 'absent:Planner': cannot be imported"),
         (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
         (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
