@@ -18,6 +18,7 @@ def test_the_fault_is_that_of_the_options():
         3,
         WALK,
     )
+    assert fault.access == "either", "as in campaigns and in the table of hover and square"
     assert register_fault(None, None, None) is None
 
 

@@ -25,9 +25,12 @@ from mavfi.mission import Scenario
 from mavfi.outcomes import ControlErrors
 
 
-def register_fault(time_us: int, seed: int, registers: str = "all") -> RegisterFault:
-    """A fault in a register of the firmware's main thread, from an instant of the flight on (us)."""
-    return RegisterFault(registers, node=NODE, time_us=time_us, seed=seed, walk=WALK)
+def register_fault(time_us: int, seed: int, registers: str = "all", access: str = "either") -> RegisterFault:
+    """A fault in a register of the firmware's main thread, from an instant of the flight on (us).
+
+    By default as those of campaigns: a register that an instruction reads or writes.
+    """
+    return RegisterFault(registers, access, node=NODE, time_us=time_us, seed=seed, walk=WALK)
 
 
 def fly(

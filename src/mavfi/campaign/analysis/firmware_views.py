@@ -49,6 +49,12 @@ def _has_classes(runs: Runs) -> bool:
     return _in_firmware(runs) and not has(runs.injected.where("activated", "judged", kernel=FIRMWARE), control="")
 
 
+def _by_third(runs: Runs) -> Runs:
+    """Activated faults, from take-off to the goal."""
+    own = _faults(runs)
+    return replace(own, frame=own.frame.sort(pl.col("time_s") / pl.col("golden_flight_time_s"), maintain_order=True))
+
+
 def _by_class(runs: Runs) -> Runs:
     """Activated faults, the classes from harmless to worst."""
     own = _faults(runs)
@@ -87,7 +93,7 @@ register(
     ),
     View(
         "firmware_control_phases", "Classes of control by third of the golden flight in which the fault comes",
-        ("third",), _CLASSES, where=_faults, applies=_has_classes,
+        ("third",), _CLASSES, where=_by_third, applies=_has_classes,
     ),
     View(
         "firmware_classes", "What the flights of each class have in common", ("control",),
@@ -109,7 +115,7 @@ register(
     ),
     View(
         "firmware_phases", "By third of the golden flight in which the fault comes", ("third",), _MEASURES,
-        where=_faults, applies=_in_firmware,
+        where=_by_third, applies=_in_firmware,
     ),
     View(
         "firmware_functions", "By function of the firmware", ("function",), _MEASURES, where=_faults, largest="n",
