@@ -34,6 +34,14 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.fixture(autouse=True)
+def plug_ins_are_those_of_the_test(monkeypatch):
+    """Fakes of other tests are in the package of all tests, whose exceptions would be those of a plug-in."""
+    from mavfi import plugins
+
+    monkeypatch.setattr(plugins, "_loaded", {})
+
+
 _MADV_COLLAPSE, _LARGE = 25, 1 << 21  # madvise(2), of Linux 6.1
 
 

@@ -16,7 +16,7 @@ from traceback import walk_tb
 from types import FrameType
 from typing import Any
 
-from mavfi.errors import BadInputError, MavfiError, hint
+from mavfi.errors import BadInputError, MavfiError, hint, machine_failure
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -151,8 +151,11 @@ def reason(error: BaseException) -> str:
 def plugin_failure(error: BaseException) -> str:
     """The exception as one line with plug-in, file, line and function, if a plug-in raised it; "" = mavfi did.
 
-    The innermost frame that belongs to either decides; those of libraries belong to their caller.
+    The innermost frame that belongs to either decides; those of libraries belong to their caller.  A machine without
+    memory or space is nobody's fault: "".
     """
+    if machine_failure(error):
+        return ""
     frames = [] if error.__traceback__ is None else list(walk_tb(error.__traceback__))
     for frame, line in reversed(frames):
         package = _package(frame.f_globals.get("__name__") or "")

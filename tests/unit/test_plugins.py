@@ -1,3 +1,4 @@
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -176,6 +177,12 @@ def test_an_exception_of_mavfi_is_none_of_a_plugin(tmp_path, monkeypatch):
     assert _failure(other.check, 5) == "", "raised in a function of mavfi"
     assert _failure(lambda: 1 / 0) == "", "no plug-in takes part"
     assert plugin_failure(ValueError("never raised")) == ""
+    monkeypatch.setattr(json, "loads", _without_memory)
+    assert _failure(other.deeper, "{}") == "", "of the machine"
+
+
+def _without_memory(text):
+    raise MemoryError
 
 
 def _decode(text):
