@@ -72,7 +72,7 @@ def test_a_campaign_takes_all_of_it(folder, capsys):
         (["--vehicle", "none.yaml"], "none.yaml: cannot be read"),
         (["--vehicle", "glider"], "vehicle 'glider': not known; allowed: airsim_quad, small_quad, or a path"),
         (["--planner", "my_world:pillars"], "planner 'my_world:pillars': cannot be built"),
-        (["--autopilot", "my_planner.yaml"], "my_planner.yaml: key 'sampling': is required"),
+        (["--autopilot", "my_planner.yaml"], "my_planner.yaml: unknown key 'range'; allowed: name, sampling"),
     ],
 )
 def test_what_does_not_fit_is_one_line(folder, capsys, arguments, message):
