@@ -267,6 +267,7 @@ class Watch:
         after = self._after(awaited)
         uncured = False
         if alarm is not None:
+            self.alarm = alarm  # even if it is refused: the process that decides on it may be another
             uncured = self._is_uncured(checked_alarm(detector, alarm), now, again=after == "recompute")
         given_up = after == "recompute" and not self._may_restart
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
