@@ -275,9 +275,9 @@ def _healthy_lines() -> list[str]:
     }
     found = [f"{title}{_healthy(part)}" for title, part in parts.items() if part]
     return [
-        "### Without a fault", "", "Missions flown again with another noise of the gyro, and classified as if a fault "
-        "had come at their start.  The pipeline plans anew and amplifies any difference, so that the distance from the "
-        "golden run is no measure of control; the errors are ([limits](../firmware.md#classes-of-control)).", "",
+        "### Without a fault", "", "The same missions without a fault and with other gyro noise, classified from "
+        "take-off on.  Replanning amplifies any difference: the distance from the golden run is no measure of control, "
+        "the tracking errors are ([limits](../firmware.md#classes-of-control)).", "",
         *(f"- {line}" for line in found), "",
     ] if found else []  # fmt: skip
 

@@ -71,8 +71,8 @@ class ControlErrors:
     Attributes:
         tilt: Largest angle between the body's and the world's z axis (rad).
         attitude: Between the body's z axis and the commanded thrust (rad): the largest that lasted `LASTING_S`.
-        velocity: Between commanded and flown velocity (m/s): likewise.
-        yaw_rate: Between commanded and flown yaw rate (rad/s): likewise.
+        velocity: Largest lasting difference between commanded and actual velocity (m/s).
+        yaw_rate: Largest lasting difference between commanded and actual yaw rate (rad/s).
     """
 
     KEY: ClassVar[str] = "control"

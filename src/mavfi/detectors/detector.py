@@ -2,10 +2,9 @@
 
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
-from difflib import get_close_matches
 from typing import Any, Protocol
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
 
@@ -98,8 +97,7 @@ def check_states(detector: Any) -> None:  # noqa: ANN401 - a user's own
         raise BadInputError(f"{place}: {states!r:.60}: allowed: a set of names of states, or None")
     for name in sorted(map(str, states)):
         if name not in STATES:
-            near = "".join(f"did you mean {one!r}? " for one in get_close_matches(name, STATES, 1))
-            raise BadInputError(f"{place}: {name!r}: no such state; {near}`mavfi states` lists all")
+            raise BadInputError(f"{place}: {name!r}: no such state{hint(name, STATES)}; `mavfi states` lists all")
 
 
 def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user's own

@@ -45,7 +45,7 @@ def test_sizes_of_a_study_come_before_those_of_its_campaigns():
     ("change", "message"),
     [
         ({"campaigns": {}}, "campaigns"),
-        *(({"campaigns": {name: "table1"}}, "allowed: a plain folder name") for name in ("..", "a/b", "/tmp/x", "")),
+        *(({"campaigns": {name: "table1"}}, "allowed: a plain folder name") for name in ("..", "a/b", "/x", "")),
         ({"name": "../s"}, "key 'name': '../s': allowed: a plain folder name"),
         ({"sections": [{"title": "a", "campaign": "b"}]}, "sections: campaign: 'b': not known; allowed: ., kernels"),
         ({"sections": [{"title": "a", "views": ["success"]}]}, "section 'a': views and figures are of a campaign"),
