@@ -91,7 +91,7 @@ FLY = ["fly", "--environment", "sparse", "--seed", "7"]
         ),
         (
             ["--detector", "bad_parts:Misspelt"],
-            "detector bad_parts:Misspelt: states: 'planning.waypont': no such state (did you mean 'planning.waypoint'?)",
+            "detector bad_parts:Misspelt: states: 'planning.waypont': no such state (did you mean 'planning.waypoint'",
         ),
         (
             ["--detector", "bad_parts:OneName"],
