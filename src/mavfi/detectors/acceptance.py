@@ -6,6 +6,7 @@ next scan repair it.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,8 @@ from mavfi.detectors import following, known, rules
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
-from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.stored import Stored, kind_of, load
 from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state
 
 SOURCE = "acceptance"
@@ -82,6 +84,27 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
     return following.tracking(header, record[0]["last_tracking"].view(known.TRACKING), duration, record)
 
 
+_KIND = kind_of(np.zeros(1, known.KNOWN), np.zeros((1, 1, rules.POINT_WIDTH)))
+
+
+@kernel_jit
+def _admit_command(address: int, header: np.ndarray) -> int:
+    record, _ = load(address, _KIND)
+    return known.accept(judge_command(header, record), record)
+
+
+@kernel_jit
+def _admit_tracking(address: int, header: np.ndarray) -> int:
+    record, _ = load(address, _KIND)
+    return known.accept(judge_tracking(header, record), record)
+
+
+@kernel_jit
+def _admit_waypoint(address: int, header: np.ndarray, odometry: np.ndarray) -> int:
+    record, blocks = load(address, _KIND)
+    return known.accept(judge_waypoint(header, odometry, record, blocks), record)
+
+
 @dataclass(frozen=True, slots=True)
 class Functions:
     """Entry points from Python into compiled code; a host may supply instrumented ones."""
@@ -126,6 +149,7 @@ class AcceptanceTest:
         self.held = limits.held
         unread = () if limits.held else (_TRACKING,)
         self.states = frozenset((*RULES, *_POSITIONS)).difference(unread)
+        self._calls: dict[str, Compiled] = {}
         self.start()
         self._use(functions)
 
@@ -138,6 +162,28 @@ class AcceptanceTest:
         self.judge_waypoint = entry(
             functions.judge_waypoint, header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
         )
+        self._calls = {}
+        if functions == PLAIN and is_compiled(_admit_command):
+            self._calls[_COMMAND] = entry(_admit_command, 0, header[_COMMAND])
+            if self.held:
+                self._calls[_TRACKING] = entry(_admit_tracking, 0, header[_TRACKING])
+            else:
+                self._calls[_WAYPOINT] = entry(_admit_waypoint, 0, header[_WAYPOINT], bytes_of(self.odometry))
+        self._store()
+
+    def _store(self) -> None:
+        """Bring up to date what `admit` calls: the blocks are others."""
+        self._own = Stored(_KIND, self.record, self.blocks)
+        calls: dict[str, Compiled] = {name: partial(call, self._own.address) for name, call in self._calls.items()}
+        follow = calls.get(_WAYPOINT)
+        if follow is not None:
+            calls[_WAYPOINT] = lambda header: follow(header, bytes_of(self.odometry))
+        self._at_once: dict[str, Callable[[np.ndarray], int]] = {**calls, **dict.fromkeys(_POSITIONS, self._see)}
+
+    def _see(self, odometry: np.ndarray) -> int:
+        """Keep the header of the latest odometry, which violates no rule."""
+        self.odometry = odometry
+        return rules.FINE
 
     @property
     def compiled(self) -> dict[str, Compiled]:
@@ -154,6 +200,7 @@ class AcceptanceTest:
         self.blocks = np.zeros((known.KEPT, known.CAPACITY, rules.POINT_WIDTH))
         self.odometry = new_state(ODOMETRY["truth"]).header
         self.candidate: State | None = None
+        self._store()
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication; the alarm names the field that violates its rule."""
@@ -168,6 +215,16 @@ class AcceptanceTest:
                 return None
             place = rule.judge(self, state, time_us)
         return None if place < 0 else _alarm(state, place)
+
+    def admit(self, state: State, time_us: int) -> Alarm | None:
+        """Check a publication, and record it if there is no alarm."""
+        at_once = self._at_once.get(state.spec.name)
+        if at_once is not None and at_once(state.header) < 0:
+            return None
+        alarm = self.check(state, time_us)
+        if alarm is None:
+            self.accept(state, time_us)
+        return alarm
 
     def score(self, state: State, time_us: int) -> float | None:
         """2 for a violation, else 0; None for states without a rule."""
@@ -193,6 +250,7 @@ class AcceptanceTest:
             blocks = np.zeros((known.KEPT, max(count, 2 * capacity), rules.POINT_WIDTH))
             blocks[:, :capacity] = self.blocks
             self.blocks = blocks
+            self._store()
 
     def memory(self) -> tuple[Any, ...]:
         """Memory between publications, see `Detector`."""

@@ -45,10 +45,18 @@ def _limits_at(address: int) -> float:
     return judge_limits(own, judged, limit, centre)
 
 
+@kernel_jit
+def _admit_limits(address: int, header: np.ndarray) -> float:
+    own, judged, limit, centre = load(address, _LIMITS)
+    book.measure(header, own)
+    return book.accept(judge_limits(own, judged, limit, centre), own)
+
+
 class LimitScorer(CompiledScorer):
     """Distances from the centre of each field and regime, shape (n, regimes), passed as its table."""
 
     judge, judge_at, kind = staticmethod(judge_limits), staticmethod(_limits_at), _LIMITS
+    admit_at = staticmethod(_admit_limits)
 
 
 class Holding(NamedTuple):
@@ -97,11 +105,18 @@ def _reconstruction_at(address: int) -> float:
     return judge_reconstruction(own, judged, limit, network, holding)
 
 
+@kernel_jit
+def _admit_reconstruction(address: int, header: np.ndarray) -> float:
+    own, judged, limit, network, holding = load(address, _RECONSTRUCTION)
+    book.measure(header, own)
+    return book.accept(judge_reconstruction(own, judged, limit, network, holding), own)
+
+
 class ReconstructionScorer(CompiledScorer):
     """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
     judge, judge_at, learns = staticmethod(judge_reconstruction), staticmethod(_reconstruction_at), staticmethod(hold)
-    kind = _RECONSTRUCTION
+    admit_at, kind = staticmethod(_admit_reconstruction), _RECONSTRUCTION
 
     def __init__(self, everything: Everything, network: Network) -> None:
         holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))

@@ -133,6 +133,13 @@ def _network_at(content: np.ndarray, slot: int, address: int) -> float:
     return judge_network(content, slot, watch, scratch, limit, network, held)
 
 
+@kernel_jit
+def _admit_network(address: int, slot: int, header: np.ndarray) -> float:
+    watch, scratch, limit, network, held = load(address, _TABLES)
+    score = judge_network(header.view(np.uint8), slot, watch, scratch, limit, network, held)
+    return features.accept(score, scratch)
+
+
 class AutoencoderScorer(DeltaScorer):
     """Reconstruction errors of the latest deltas of all fields.
 
@@ -140,7 +147,7 @@ class AutoencoderScorer(DeltaScorer):
     """
 
     judge, settle = staticmethod(judge_network), staticmethod(settle_network)
-    judge_at, kind = staticmethod(_network_at), _TABLES
+    judge_at, admit_at, kind = staticmethod(_network_at), staticmethod(_admit_network), _TABLES
 
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
         held = np.zeros(len(preprocessor.fields), np.int16)

@@ -7,11 +7,14 @@ costs one call.
 from typing import NamedTuple
 
 import numpy as np
+from numba import from_dtype
+from numba.extending import overload
 
 from mavfi.detectors import residuals
 from mavfi.detectors.features import REGIMES
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.stored import kind_of, load
+from mavfi.states import STATES
 
 SLOT, REGIME, ACCEPTED, LEARNED = range(4)
 """Indices in `Book.place`."""
@@ -173,6 +176,33 @@ def _tracking_at(header: np.ndarray, address: int) -> None:
 def _vehicle_at(content: np.ndarray, address: int) -> bool:
     (book,) = load(address, KIND)
     return note_vehicle(content, book)
+
+
+def measure(header: np.ndarray, book: Book) -> None:
+    """Codes of a publication without a list, by the type of its header; for compiled code, see `_measure`."""
+    _BY_TYPE[header.dtype](header, book)
+
+
+_BY_TYPE = {
+    STATES["perception.collision_status"].header_dtype: measure_status,
+    STATES["planning.waypoint"].header_dtype: measure_waypoint,
+    STATES["control.command"].header_dtype: measure_command,
+    STATES["control.tracking"].header_dtype: measure_tracking,
+}
+
+
+@overload(measure)
+def _measure(header, book):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
+    own = next(own for dtype, own in _BY_TYPE.items() if from_dtype(dtype) == header.dtype)
+    return lambda header, book: own(header, book)
+
+
+@kernel_jit
+def accept(score: float, book: Book) -> float:
+    """Accept the publication measured last if its score is no alarm; returns the score."""
+    if score <= 1.0:
+        book.place[ACCEPTED] = 1
+    return score
 
 
 AT = {

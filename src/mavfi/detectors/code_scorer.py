@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -12,7 +13,9 @@ from mavfi.detectors.everything import COMPILED, Everything
 from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
 from mavfi.numerics.stored import Stored, kind_of
-from mavfi.states import State
+from mavfi.states import ODOMETRY, State, new_state
+
+_UNPICKLED = ("_own", "_judge", "at_once")
 
 
 class CodeScorer(Scorer):
@@ -127,12 +130,15 @@ class CompiledScorer(CodeScorer):
         judge: Compiled: book, `Judged`, limits of the threshold, then the tables; returns the score of the publication
             measured last.
         judge_at: Compiled: the same of the address of these.
+        admit_at: Compiled: the same of the address and the header of a publication, which it measures first, and
+            accepts if its score is at most 1.
         learns: Compiled: adapts to an accepted publication; same arguments. None: nothing is learned.
         kind: `kind_with` the tables.
     """
 
     judge: ClassVar[Callable[..., float]]
     judge_at: ClassVar[Callable[..., float]]
+    admit_at: ClassVar[Callable[..., float]]
     learns: ClassVar[Callable[..., None] | None] = None
     kind: ClassVar[Any]
 
@@ -168,10 +174,21 @@ class CompiledScorer(CodeScorer):
             self._judge: Callable[[int], float] = entry(self.judge_at, 0)
         else:
             self._judge = lambda _: given(*self._tables)
+        self.at_once = {} if made else self._admissions()
+
+    def _admissions(self) -> dict[str, Callable[[np.ndarray], float]]:
+        """See `Scorer.at_once`."""
+        found: dict[str, Callable[[np.ndarray], float]] = dict.fromkeys(ODOMETRY.values(), self.everything.vehicles.add)
+        if not is_compiled(self.admit_at):
+            return found
+        for name in self.everything.frequent:
+            call = partial(entry(self.admit_at, 0, new_state(name).header), self._own.address)
+            found[name] = self.everything.vehicles.settled(call) if self.everything.from_vehicle(name) else call
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code and addresses, which are valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_own", "_judge")}
+        return {name: value for name, value in self.__dict__.items() if name not in _UNPICKLED}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""

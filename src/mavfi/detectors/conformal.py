@@ -66,10 +66,18 @@ def _largest_at(address: int) -> float:
     return judge_largest(own, judged, limit, centre, scale)
 
 
+@kernel_jit
+def _admit_largest(address: int, header: np.ndarray) -> float:
+    own, judged, limit, centre, scale = load(address, _KIND)
+    book.measure(header, own)
+    return book.accept(judge_largest(own, judged, limit, centre, scale), own)
+
+
 class LargestScorer(OfStates, CompiledScorer):
     """The largest scaled distance among a publication's fields; its tables are centre and scale, (n, regimes)."""
 
     judge, judge_at, kind = staticmethod(judge_largest), staticmethod(_largest_at), _KIND
+    admit_at = staticmethod(_admit_largest)
 
 
 class ConformalDetector(AllFieldsDetector):

@@ -128,11 +128,18 @@ def _sums_at(address: int) -> float:
     return judge_sums(own, judged, limit, centre, deviation, slack, sums)
 
 
+@kernel_jit
+def _admit_sums(address: int, header: np.ndarray) -> float:
+    own, judged, limit, centre, deviation, slack, sums = load(address, _KIND)
+    book.measure(header, own)
+    return book.accept(judge_sums(own, judged, limit, centre, deviation, slack, sums), own)
+
+
 class SumScorer(CompiledScorer):
     """Cumulative sums; an alarm resets those of its state."""
 
     judge, judge_at, learns = staticmethod(judge_sums), staticmethod(_sums_at), staticmethod(learn)
-    kind = _KIND
+    admit_at, kind = staticmethod(_admit_sums), _KIND
 
     def __init__(self, everything: Everything, centre: np.ndarray, deviation: np.ndarray, slack: float) -> None:
         sums = Sums(*np.zeros((2, len(everything.fields), 2)))

@@ -1,6 +1,6 @@
 """Interface of host and detector: it checks published states, may request recomputation, and never sees a fault."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
@@ -45,6 +45,9 @@ class Detector(Protocol):
     A detector may have `states`, the names of the states that it reads; a host need not pass it any others.  If absent
     or None, the detector receives all states.
 
+    A detector may have `admit(state, time_us)`: `check`, then `accept` if there is no alarm, in one call.
+    A subclass of it that changes `check` or `accept` needs its own; else the host calls these two.
+
     A detector whose memory can be injected has `arrays()`: the arrays that it remembers between publications, by name,
     not copies; without the parameters of its model, and called between publications only.
 
@@ -60,6 +63,27 @@ class Detector(Protocol):
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
+
+
+def admission(detector: Detector) -> Callable[[State, int], Alarm | None]:
+    """`admit` of a detector, or the same from its `check` and `accept` if it has none or a subclass changes these."""
+    if _level_of(detector, "admit") <= min(_level_of(detector, "check"), _level_of(detector, "accept")):
+        own: Callable[[State, int], Alarm | None] = detector.admit  # type: ignore[attr-defined]
+        return own
+
+    def admit(state: State, time_us: int) -> Alarm | None:
+        alarm = detector.check(state, time_us)
+        if alarm is None:
+            detector.accept(state, time_us)
+        return alarm
+
+    return admit
+
+
+def _level_of(detector: Detector, method: str) -> float:
+    """How many classes come before the one that defines a method: 0 is the object itself; infinite if none does."""
+    places = (detector, *type(detector).__mro__)
+    return next((place for place, own in enumerate(places) if method in getattr(own, "__dict__", {})), float("inf"))
 
 
 def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of ours

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from mavfi.detectors.parts import Chain
+from mavfi.detectors.chain import Chain
 from mavfi.errors import BadInputError
 from mavfi.states import KERNELS
 

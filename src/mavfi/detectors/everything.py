@@ -13,6 +13,7 @@ from mavfi.detectors import book, residuals
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.samples import Sample
+from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.numerics.jit import entry, is_compiled
 from mavfi.numerics.stored import Stored
 from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, bytes_of, floats, new_state
@@ -21,8 +22,7 @@ MONITORED = "all"
 """Name of the set, in models."""
 QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s": 0.001, "-": 0.1, "octave": 0.01}
 """Quantum by unit."""
-_WAITING = 100
-"""Largest number of odometry publications queued before the latest is stored."""
+_FREQUENT = ("planning.waypoint", "control.command", "control.tracking")
 
 
 class _Watched(NamedTuple):
@@ -99,6 +99,7 @@ class Everything:
         states: Names of these states and of the vehicle's odometry.
         quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
         book: The publication measured last, and the memory between publications.
+        vehicles: Odometry that is not yet stored.
     """
 
     def __init__(self, autopilot: str) -> None:
@@ -113,7 +114,7 @@ class Everything:
         self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
         self._watched = tuple(_WATCHED.values())
         self._empty = [np.zeros((0, own.width)) for own in self._watched]
-        self._vehicles: list[np.ndarray] = []
+        self.vehicles = VehicleQueue(self._store)
         self.book = book.new_book(self.quanta, np.array(self._ranges, np.int64))
         self.instrument({})
 
@@ -154,8 +155,17 @@ class Everything:
 
     def forget(self) -> None:
         """Forget the publication measured last; the memory stays."""
-        self._vehicles.clear()
+        self.vehicles.forget()
         self._place[book.ACCEPTED], self._place[book.LEARNED] = 0, book.NEVER
+
+    @property
+    def frequent(self) -> tuple[str, ...]:
+        """States that are published at most control ticks, and of which something is watched."""
+        return tuple(name for name in _FREQUENT if self.quanta[slice(*self._ranges[self.slots[name]])].any())
+
+    def from_vehicle(self, name: str) -> bool:
+        """Whether the residuals of a state depend on the vehicle's odometry."""
+        return _WATCHED[name].from_vehicle
 
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of a state's residuals."""
@@ -168,8 +178,8 @@ class Everything:
     def read(self, state: State, slot: int) -> None:
         """Compute the codes of a publication of the state with this slot, in `book`."""
         own = self._watched[slot]
-        if own.from_vehicle and self._vehicles:
-            self._see()
+        if own.from_vehicle:
+            self.vehicles.settle()
         if own.in_list:
             elements = self._empty[slot]
             if len(state.elements):
@@ -204,21 +214,15 @@ class Everything:
     def note(self, state: State) -> None:
         """Store position and velocity of the vehicle, if this state is odometry."""
         if state.spec.name in _POSITIONS:
-            self._vehicles.append(state.header)
-            if len(self._vehicles) == _WAITING:
-                self._see()
+            self.vehicles.add(state.header)
 
-    def _see(self) -> None:
-        """Store position and velocity of the vehicle from the latest odometry that is finite."""
-        for header in reversed(self._vehicles):
-            if self._note(bytes_of(header), self._stored.address):
-                break
-        self._vehicles.clear()
+    def _store(self, odometry: np.ndarray) -> bool:
+        return self._note(bytes_of(odometry), self._stored.address)
 
     def settle(self) -> None:
         """Bring the memory up to date."""
         book.settle(self.book)
-        self._see()
+        self.vehicles.settle()
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the residuals of a publication, measured last, that divided by their quanta are not finite."""

@@ -246,6 +246,14 @@ def propose(content: np.ndarray, slot: int, scratch: Scratch) -> None:
 
 
 @kernel_jit
+def accept(score: float, scratch: Scratch) -> float:
+    """Accept the publication judged last if its score is no alarm; returns the score."""
+    if score <= 1.0:
+        scratch.place[ACCEPTED] = 1
+    return score
+
+
+@kernel_jit
 def settle(scratch: Scratch, watch: Watch) -> None:
     """Commit the publication judged last as the last one of its state."""
     commit(scratch.content[: scratch.place[SIZE]], scratch.place[SLOT], watch)

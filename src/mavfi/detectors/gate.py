@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import integer_at, real_at
-from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.stored import Stored, kind_of, load
 from mavfi.states import STATES, State, bytes_of, new_state
 
 SOURCE = "physics_gate"
@@ -157,6 +159,15 @@ def settle(kept: np.ndarray, then: np.ndarray) -> None:
     then[:_ACCEPTED], then[_ACCEPTED] = kept, 0.0
 
 
+_KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
+
+
+@kernel_jit
+def _judge_at(address: int, slot: int, header: np.ndarray) -> int:
+    limits, kept, then = load(address, _KIND)
+    return judge(header.view(np.uint8), slot, limits, kept, then)
+
+
 class PhysicsGate:
     """Checks for finite numbers, the arena, speeds, way-point steps, and a collision counter that grows by 0 or 1.
 
@@ -183,9 +194,15 @@ class PhysicsGate:
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """Replace the compiled function, see `detector.part_of`."""
-        content = bytes_of(new_state(STATES_JUDGED[_WAYPOINT]).header)
-        plain = entry(judge, content, _WAYPOINT, self._limits, self._kept, self._then)
-        self._judge: Callable[..., int] = made.get("judge_gate", plain)
+        self._own = Stored(_KIND, self._limits, self._kept, self._then)
+        given = made.get("judge_gate", judge)
+        self._judges = [self._judge_of(given, slot, name) for slot, name in enumerate(STATES_JUDGED)]
+
+    def _judge_of(self, given: Callable[..., int], slot: int, name: str) -> Callable[[np.ndarray], int]:
+        """A function of the header of a state."""
+        if is_compiled(given):
+            return partial(entry(_judge_at, 0, 0, new_state(name).header), self._own.address, slot)
+        return lambda header: given(bytes_of(header), slot, self._limits, self._kept, self._then)
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -198,7 +215,7 @@ class PhysicsGate:
         if slot is None:
             return None
         self._candidate = state
-        place = self._judge(bytes_of(state.header), slot, self._limits, self._kept, self._then)
+        place = self._judges[slot](state.header)
         if place < 0:
             return None
         spec = state.spec

@@ -121,6 +121,13 @@ def _frozen_at(content: np.ndarray, slot: int, address: int) -> float:
     return judge_frozen(content, slot, watch, scratch, limit, centre)
 
 
+@kernel_jit
+def _admit_online(address: int, slot: int, header: np.ndarray) -> float:
+    watch, scratch, limit, statistics, min_count = load(address, _ONLINE)
+    score = judge_online(header.view(np.uint8), slot, watch, scratch, limit, statistics, min_count)
+    return features.accept(score, scratch)
+
+
 class OnlineScorer(DeltaScorer):
     """Distances from running means that start from the trained ones; a value is judged before it is learned.
 
@@ -131,7 +138,7 @@ class OnlineScorer(DeltaScorer):
     """
 
     judge, settle = staticmethod(judge_online), staticmethod(settle_online)
-    judge_at, kind = staticmethod(_online_at), _ONLINE
+    judge_at, admit_at, kind = staticmethod(_online_at), staticmethod(_admit_online), _ONLINE
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
         self._trained, self._statistics = statistics, statistics.copy()
@@ -144,11 +151,18 @@ class OnlineScorer(DeltaScorer):
         self._statistics[:] = self._trained
 
 
+@kernel_jit
+def _admit_frozen(address: int, slot: int, header: np.ndarray) -> float:
+    watch, scratch, limit, centre = load(address, _FROZEN)
+    score = judge_frozen(header.view(np.uint8), slot, watch, scratch, limit, centre)
+    return features.accept(score, scratch)
+
+
 class FrozenScorer(DeltaScorer):
     """Distances from a trained centre of each field and regime, shape (n, regimes), passed as its table."""
 
     judge, settle = staticmethod(judge_frozen), staticmethod(settle_frozen)
-    judge_at, kind = staticmethod(_frozen_at), _FROZEN
+    judge_at, admit_at, kind = staticmethod(_frozen_at), staticmethod(_admit_frozen), _FROZEN
 
 
 class GaussianDetector(ScoringDetector):

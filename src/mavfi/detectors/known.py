@@ -126,6 +126,14 @@ def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
 
 
 @kernel_jit
+def accept(place: int, known: np.ndarray) -> int:
+    """Accept the candidate unless a field, at this place, violates a rule (>= 0); returns the place."""
+    if place < 0:
+        known[0]["accepted"] = True
+    return place
+
+
+@kernel_jit
 def used(count: int, least: int, most: int) -> int:
     """A number of entries within its bounds: a corrupted one must not become an index."""
     return min(max(count, least), most)

@@ -61,6 +61,8 @@ class Scorer(ABC):
         states: Names of the states that it reads; None = all.
         kept: Memory of a flight, as arrays by name; 0 at its start.
         adapts: Whether `accept` needs the verdict on the publication.
+        at_once: Functions of the headers of frequent states, by name, in one call of compiled code: the score, and the
+            publication is accepted if that is at most 1.  Others are scored and accepted one after the other.
         threshold: Converts readings to scores.
     """
 
@@ -69,6 +71,7 @@ class Scorer(ABC):
     states: frozenset[str] | None = None
     kept: Mapping[str, np.ndarray] = {}
     adapts = False
+    at_once: Mapping[str, Callable[[np.ndarray], float]] = {}
     threshold: "Threshold"
     _judged: "tuple[Reading, Verdict]"
 
@@ -261,6 +264,21 @@ class ScoringDetector:
         self._adapts, self._accept, self._measure = scorer.adapts, scorer.accept, scorer.score
         self._scored: State | None = None
         self._score: float | None = None
+        self._use()
+
+    def _use(self) -> None:
+        """Look up the scorer's functions; a policy that counts way-points needs the score of each."""
+        counted = (_WAYPOINT,) if self._counts_waypoints else ()
+        self._at_once = {name: call for name, call in self.scorer.at_once.items() if name not in counted}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without machine code and addresses, which are valid in one process only."""
+        return {name: value for name, value in self.__dict__.items() if name != "_at_once"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Inverse of `__getstate__`."""
+        self.__dict__.update(state)
+        self._use()
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -278,8 +296,20 @@ class ScoringDetector:
         if self._scored is not state:  # as `score`, without another call
             self._scored, self._score = state, self._measure(state)
         score = self._score
-        if score is None or score <= 1.0:
+        return None if score is None or score <= 1.0 else self._alarm(state, score)
+
+    def admit(self, state: State, time_us: int) -> Alarm | None:
+        """Check a publication, and record it if there is no alarm."""
+        at_once = self._at_once.get(state.spec.name)
+        if at_once is not None and at_once(state.header) <= 1.0:
+            self._scored = None
             return None
+        alarm = self.check(state, time_us)
+        if alarm is None:
+            self.accept(state, time_us)
+        return alarm
+
+    def _alarm(self, state: State, score: float) -> Alarm:
         reading, verdict = self.scorer.judged()
         lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
         found = self.threshold.standing_out(reading, verdict, lacking)
@@ -306,6 +336,7 @@ class ScoringDetector:
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """Replace compiled functions, see `detector.part_of`."""
         self.scorer.instrument(made)
+        self._use()
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """Memory between publications, see `Detector`."""
@@ -321,51 +352,3 @@ class ScoringDetector:
         """Memory between publications by name, see `Detector`."""
         self._scored = None
         return {**self.scorer.arrays(), "persists": self._persists}
-
-
-class Chain:
-    """Several detectors in sequence: the first alarm counts."""
-
-    def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
-        self.parts = detectors
-        asked = [getattr(detector, "states", None) for detector in detectors]
-        every = None in asked
-        self.states = None if every else frozenset(name for states in asked for name in states or ())
-        self._readers = {
-            name: tuple(part for part, own in zip(detectors, asked, strict=True) if own is None or name in own)
-            for name in self.states or ()
-        }
-        if not all(hasattr(detector, "restore") for detector in detectors):
-            self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
-
-    def start(self) -> None:
-        """Reset the memory at the start of a flight."""
-        for detector in self.parts:
-            detector.start()
-
-    def score(self, state: State, time_us: int) -> float | None:
-        """The largest score of all detectors."""
-        scores = [detector.score(state, time_us) for detector in self.parts if hasattr(detector, "score")]
-        return max((score for score in scores if score is not None), default=None)
-
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """The first alarm of any detector."""
-        for detector in self._readers.get(state.spec.name, self.parts):
-            alarm: Alarm | None = detector.check(state, time_us)
-            if alarm is not None:
-                return alarm
-        return None
-
-    def accept(self, state: State, time_us: int) -> None:
-        """Pass a published value to all detectors that read its state."""
-        for detector in self._readers.get(state.spec.name, self.parts):
-            detector.accept(state, time_us)
-
-    def memory(self) -> tuple[Any, ...]:
-        """Memories of all detectors."""
-        return tuple(detector.memory() for detector in self.parts)
-
-    def restore(self, memory: tuple[Any, ...]) -> None:
-        """Inverse of `memory`."""
-        for detector, kept in zip(self.parts, memory, strict=True):
-            detector.restore(kept)

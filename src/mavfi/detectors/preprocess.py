@@ -5,12 +5,14 @@ float64 difference from the prediction.  Integers: difference, saturated to 16 b
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
 from mavfi.numerics.stored import Stored
@@ -24,8 +26,9 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
-_WAITING = 100
-"""Largest number of odometry publications queued before the latest is stored."""
+_FREQUENT = ("planning.waypoint", "control.command")
+"""States that are published at most control ticks."""
+_UNPICKLED = ("_judge", "_stored", "at_once")
 
 
 class Preprocessor:
@@ -35,6 +38,7 @@ class Preprocessor:
         fields: Names of the watched fields, "state.field", in the order of the vector.
         stages: Stage of each.
         slots: Index of each watched state, by name.
+        specs: Definitions of the watched states, by slot.
         predicts: Whether a watched state, by slot, has fields that are predicted from the vehicle's odometry.
         states: States that it reads: the watched ones and, for predictions, the vehicle's odometry.
         watch: Tables and memory.
@@ -83,7 +87,7 @@ class Preprocessor:
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
         self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
-        self._specs = tuple(specs.values())
+        self.specs = tuple(specs.values())
         size = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.Watch(
             places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
@@ -106,7 +110,7 @@ class Preprocessor:
         """The memory, the last publications by state and field."""
         memory, last = self.watch.memory, self.watch.last
         found = {"seen": memory[:, features.SEEN], "regime": memory[:, features.REGIME], "vehicle": self.watch.vehicle}
-        for slot, spec in enumerate(self._specs):
+        for slot, spec in enumerate(self.specs):
             header = last[slot, : spec.header_dtype.itemsize].view(spec.header_dtype)
             found |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
         return found
@@ -150,6 +154,7 @@ class DeltaScorer(Scorer):
             then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
+        admit_at: Compiled: the same of address, slot and header; accepts the publication if its score is at most 1.
         kind: `kind_of` these.
         features: The preprocessor.
         scratch: The publication judged last.
@@ -158,6 +163,7 @@ class DeltaScorer(Scorer):
     judge: ClassVar[Callable[..., float]]
     settle: ClassVar[Callable[..., None]]
     judge_at: ClassVar[Callable[..., float]]
+    admit_at: ClassVar[Callable[..., float]]
     kind: ClassVar[Any]
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
@@ -167,7 +173,7 @@ class DeltaScorer(Scorer):
         self._slots, self._last = preprocessor.slots, preprocessor.watch.last
         self._predicts = preprocessor.predicts
         self._candidate: State | None = None
-        self._vehicles: list[np.ndarray] = []
+        self._vehicles = VehicleQueue(self._store)
 
     def use(self, threshold: Threshold) -> None:
         """Set the threshold; called before the first flight."""
@@ -194,10 +200,23 @@ class DeltaScorer(Scorer):
             self._judge: Callable[..., float] = entry(self.judge_at, self.scratch.content, 0, 0)
         else:
             self._judge = lambda content, slot, _: given(content, slot, *self._tables)
+        self.at_once = {} if made else self._admissions()
+
+    def _admissions(self) -> dict[str, Callable[[np.ndarray], float]]:
+        """See `Scorer.at_once`."""
+        odometry = frozenset(self.states or ()).difference(self._slots)
+        found: dict[str, Callable[[np.ndarray], float]] = dict.fromkeys(odometry, self._vehicles.add)
+        for name in _FREQUENT if is_compiled(self.admit_at) else ():
+            if name in self._slots:
+                slot = self._slots[name]
+                header = np.zeros(1, self.features.specs[slot].header_dtype)
+                call = partial(entry(self.admit_at, 0, 0, header), self._stored.address, slot)
+                found[name] = self._vehicles.settled(call) if self._predicts[slot] else call
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code, which is valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_judge", "_stored")}
+        return {name: value for name, value in self.__dict__.items() if name not in _UNPICKLED}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -212,7 +231,7 @@ class DeltaScorer(Scorer):
     def _forget(self) -> None:
         self._candidate = None
         self.scratch.place[features.ACCEPTED] = 0
-        self._vehicles.clear()
+        self._vehicles.forget()
 
     def read(self, state: State) -> Reading | None:
         """Measure a publication."""
@@ -223,8 +242,8 @@ class DeltaScorer(Scorer):
         slot = self._slots.get(state.spec.name)
         if slot is None:
             return None
-        if self._vehicles and self._predicts[slot]:
-            self._see()
+        if self._predicts[slot]:
+            self._vehicles.settle()
         self._candidate = state
         return self._judge(bytes_of(state.header), slot, self._stored.address)
 
@@ -241,26 +260,19 @@ class DeltaScorer(Scorer):
             name = state.spec.name
             if name not in self._slots:
                 if name in (self.states or ()):
-                    self._vehicles.append(state.header)
-                    if len(self._vehicles) == _WAITING:
-                        self._see()
+                    self._vehicles.add(state.header)
                 return
             self.score(state)
         self._place[features.ACCEPTED] = 1
 
-    def _see(self) -> None:
-        """Store position and velocity of the vehicle from the latest odometry that is finite."""
-        vehicle = self.features.watch.vehicle
-        for header in reversed(self._vehicles):
-            if features.note_vehicle(bytes_of(header), vehicle):
-                break
-        self._vehicles.clear()
+    def _store(self, odometry: np.ndarray) -> bool:
+        return bool(features.note_vehicle(bytes_of(odometry), self.features.watch.vehicle))
 
     def memory(self) -> tuple[bytes, ...]:
         """Memory between publications."""
         if self.scratch.place[features.ACCEPTED]:
             self.settle(*self._tables)
-        self._see()
+        self._vehicles.settle()
         return super().memory()
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -8,12 +8,12 @@ from typing import Any, cast
 from pydantic import Field
 
 from mavfi.config import Config, names, shipped
+from mavfi.detectors.chain import Chain
 from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
-from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from mavfi.detectors.chain import Chain
 from mavfi.detectors.detector import Alarm, Detector, checked_alarm
-from mavfi.detectors.parts import Chain
 from mavfi.errors import BadInputError
 from mavfi.states import State
 

@@ -13,7 +13,7 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.detectors import load_detector
-from mavfi.detectors.parts import Chain
+from mavfi.detectors.chain import Chain
 from mavfi.errors import MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog

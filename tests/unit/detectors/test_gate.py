@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from mavfi.detectors.chain import Chain
 from mavfi.detectors.gate import PhysicsGate
-from mavfi.detectors.parts import Chain
 from mavfi.detectors.registry import NoDetector
 from mavfi.states import new_state
 from tests.unit.detectors.streams import command, flight, fly, status, waypoint

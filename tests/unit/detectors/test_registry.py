@@ -6,8 +6,8 @@ import pytest
 
 from mavfi.detectors import detector_names, load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
+from mavfi.detectors.chain import Chain
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.parts import Chain
 from mavfi.detectors.registry import NoDetector
 from mavfi.errors import BadInputError, SpecMismatchError
 from tests.architecture.source import ROOT

@@ -7,8 +7,8 @@ import pytest
 
 from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
+from mavfi.detectors.chain import Chain
 from mavfi.detectors.detector import Alarm, part_of
-from mavfi.detectors.parts import Chain
 from mavfi.detectors.replicas import Replicated, replicated, voted
 from mavfi.detectors.sealed import Checksum
 from mavfi.errors import BadInputError

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
 from mavfi.faults.state import CounterWatch, StateInjector
@@ -300,14 +300,9 @@ class Branch:
         return self._detector is None or self._detector.same(known.detector)
 
     def _alarms(self, shown: list[tuple[State, int]], detector: Detector) -> bool:
-        watched = self.loop.taps.watched
-        for state, now in shown:
-            if watched is not None and state.spec.name not in watched:
-                continue
-            if detector.check(state, now) is not None:
-                return True
-            detector.accept(state, now)
-        return False
+        watched, admit = self.loop.taps.watched, admission(detector)
+        seen = (one for one in shown if watched is None or one[0].spec.name in watched)
+        return any(admit(state, now) is not None for state, now in seen)
 
     # ---- flying -----------------------------------------------------------------------------------------------------
     def fly(self) -> Track:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 from weakref import proxy
 
-from mavfi.detectors.detector import Alarm, Detector, checked_alarm
+from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
 from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
@@ -230,6 +230,7 @@ class Watch:
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
+        self._admit = admission(detector)
         self.memory = Remembered()
         self.alarm: Alarm | None = None
         self.action: Action | None = None
@@ -263,7 +264,8 @@ class Watch:
         if self._setpoints is not None and self.memory.degraded:
             return self._setpoints.command(self.memory.trail, state) if state.spec.name == COMMAND else state
         asks = not self.memory.silenced and (awaited is None or recovery.same_twice == "escalate")
-        alarm = detector.check(state, now) if asks else None
+        alarm = self._admit(state, now) if asks else None
+        admitted = asks and alarm is None
         after = self._after(awaited)
         uncured = False
         if alarm is not None:
@@ -272,7 +274,7 @@ class Watch:
         given_up = after == "recompute" and not self._may_restart
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
             alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error
-        if alarm is None or recovery.coupling == "observer":
+        if not admitted and (alarm is None or recovery.coupling == "observer"):
             detector.accept(state, now)
         if awaited is not None:
             self._settle(awaited, state, alarm)

@@ -1,0 +1,87 @@
+"""Several detectors in one."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mavfi.detectors.detector import Alarm, admission
+from mavfi.states import State
+
+
+class Chain:
+    """Several detectors in sequence: the first alarm counts."""
+
+    def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
+        self.parts = detectors
+        asked = [getattr(detector, "states", None) for detector in detectors]
+        every = None in asked
+        self.states = None if every else frozenset(name for states in asked for name in states or ())
+        self._readers = {
+            name: tuple(part for part, own in zip(detectors, asked, strict=True) if own is None or name in own)
+            for name in self.states or ()
+        }
+        self._look_up()
+        if not all(hasattr(detector, "restore") for detector in detectors):
+            self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
+
+    def _look_up(self) -> None:
+        self._stages = {name: _stages(readers) for name, readers in self._readers.items()}
+        self._all_stages = _stages(self.parts)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without what is looked up."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_stages", "_all_stages")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Inverse of `__getstate__`."""
+        self.__dict__.update(state)
+        self._look_up()
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        for detector in self.parts:
+            detector.start()
+
+    def score(self, state: State, time_us: int) -> float | None:
+        """The largest score of all detectors."""
+        scores = [detector.score(state, time_us) for detector in self.parts if hasattr(detector, "score")]
+        return max((score for score in scores if score is not None), default=None)
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """The first alarm of any detector."""
+        for detector in self._readers.get(state.spec.name, self.parts):
+            alarm: Alarm | None = detector.check(state, time_us)
+            if alarm is not None:
+                return alarm
+        return None
+
+    def admit(self, state: State, time_us: int) -> Alarm | None:
+        """Check a publication, and pass it to all detectors that read its state if none raises an alarm."""
+        first, admit = self._stages.get(state.spec.name, self._all_stages)
+        for detector in first:
+            alarm: Alarm | None = detector.check(state, time_us)
+            if alarm is not None:
+                return alarm
+        alarm = admit(state, time_us)
+        if alarm is None:
+            for detector in first:
+                detector.accept(state, time_us)
+        return alarm
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Pass a published value to all detectors that read its state."""
+        for detector in self._readers.get(state.spec.name, self.parts):
+            detector.accept(state, time_us)
+
+    def memory(self) -> tuple[Any, ...]:
+        """Memories of all detectors."""
+        return tuple(detector.memory() for detector in self.parts)
+
+    def restore(self, memory: tuple[Any, ...]) -> None:
+        """Inverse of `memory`."""
+        for detector, kept in zip(self.parts, memory, strict=True):
+            detector.restore(kept)
+
+
+def _stages(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], Callable[[State, int], Alarm | None]]:
+    """All detectors but the last, and `admit` of the last."""
+    return (tuple(detectors[:-1]), admission(detectors[-1])) if detectors else ((), lambda state, time_us: None)
