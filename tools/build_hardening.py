@@ -28,7 +28,7 @@ from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of
-from mavfi.campaign.hardening.summary import summary
+from mavfi.campaign.hardening.summary import growth_of, summary
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.campaign.overheads import processor
 from mavfi.hardening.plan import Plan, save_plan
@@ -38,14 +38,14 @@ from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of, rerun_line
 from mavfi.reports.text import markdown_grid, percent, shown
 from tools.hardening_measured import measure, rows
-from tools.hardening_requirements import HEADINGS, REQUIRED, requirements
+from tools.hardening_requirements import HEADINGS, REQUIRED, all_but_map, requirements
 from tools.markers import GENERATED, ROOT, banner, fill
 
 PAGE = GENERATED / "hardening.md"
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 COMPARED_SHARE = 0.25
-"""Share of the instructions of full duplication at which ways to choose are compared."""
+"""Share of the cost of full duplication at which ways to choose are compared."""
 MORE = {"plan_rrt_connect": 8, "time_to_collision": 40}
 """Times more faults in the largest step within the time, where a lower bound is required."""
 LONG = 2_000_000
@@ -167,7 +167,7 @@ def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, str, float], 
             ]  # fmt: skip
             rows.append([
                 f"`{curve.target.seen.entry}` ({', '.join(curve.target.kernels)})", f"{step.fraction:g}",
-                f"{1 + step.choice.cost / max(curve.target.seen.instructions, 1):.2f}", f"{step.time:.2f}",
+                f"{growth_of(curve, step):.2f}", f"{step.time:.2f}",
                 interval_of(step.coverage), *measured,
             ])  # fmt: skip
     return rows
@@ -186,7 +186,7 @@ def alternative_rows(compared: Sequence[Row]) -> list[list[str]]:
 
 
 def page(
-    study: Study, advice: Row, curves: Sequence[Curve], certified: Sequence[tuple[Curve, Step, Row]],
+    study: Study, advice: Row, rest: Row, curves: Sequence[Curve], certified: Sequence[tuple[Curve, Step, Row]],
     compared: Sequence[Row], check: GoldenCheck, measured: Row,
 ) -> str:  # fmt: skip
     """The complete page."""
@@ -200,14 +200,14 @@ def page(
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
         + "## Requirements\n\n"
-        + markdown_grid(HEADINGS, [*requirements(curves, certified, compared, advice, check), *rows(measured)])
+        + markdown_grid(HEADINGS, [*requirements(curves, certified, compared, advice, rest, check), *rows(measured)])
         + "\n\nThe exhaustive injection of small kernels is also a test (`tests/unit/hardening/test_duplicate.py`). "
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + f"\n\n{rerun_line(advice)}"
         + "\n\n## Curves and certificates\n\n"
-        + "Step: share of the instructions that full duplication adds. Certified with n faults in plain and n in "
+        + "Step: share of the cost of full duplication. Certified with n faults in plain and n in "
         + "protected code, on fresh missions; brackets: 95 % intervals.\n\n"
         + markdown_grid(
             ("function", "step", "instr. ×", "time ×", "SDCs removed, predicted", "n", "SDC before",
@@ -259,7 +259,9 @@ def main() -> None:
     measured = records.get(key) or records.put(key, measure(study, plan, given.faults))
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))
-    PAGE.write_text(page(study, advice, curves, certified, compared, check, measured), encoding="utf-8")
+    PAGE.write_text(
+        page(study, advice, all_but_map(advices[0]), curves, certified, compared, check, measured), encoding="utf-8"
+    )
     fill(ROOT / "README.md", {"hardening": sentence(advice)})
     print(f"wrote {PAGE}")
 

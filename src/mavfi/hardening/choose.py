@@ -24,7 +24,7 @@ class Choice:
 
     Attributes:
         chosen: Indices of the values.
-        cost: Dynamic instructions that it adds.
+        cost: Dynamic instructions that it adds, by weight.
         benefit: Sum over the values.
     """
 

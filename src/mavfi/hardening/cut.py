@@ -39,7 +39,7 @@ class Cuts:
             self._add(_FIRST + index, value)
 
     def _add(self, node: int, value: Value) -> None:
-        pay = value.executions
+        pay = value.weight * value.executions
         if value.in_loop_header:
             for entry in value.entries:
                 if not entry.closes_loop:

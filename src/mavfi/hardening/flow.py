@@ -1,10 +1,11 @@
 """Values of a kernel that can be duplicated: their operands, uses and executions, and the cost of duplicating some.
 
-The cost of a set of values is the number of dynamic instructions that it adds: shadows, opaque copies of operands, and
-comparisons where a value leaves the set (see `mavfi.hardening.duplicate`).  A single instruction costs three to
-five others, one inside a duplicated slice little more than itself.
+The cost of a set of values is the number of simple dynamic instructions that it adds: shadows, opaque copies of
+operands, and comparisons where a value leaves the set (see `mavfi.hardening.duplicate`).  A single instruction costs
+three to five others, one inside a duplicated slice little more than itself.  Slow instructions count several times.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
@@ -13,6 +14,11 @@ from mavfi.hardening.plan import Site
 from mavfi.ir.flow import back_edges, successors
 from mavfi.ir.module import Block, Function, Instruction, Module, is_floating
 
+_DIVISIONS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
+_ROUNDING = re.compile(r"@(?:llvm\.)?(?:sqrt|floor|ceil|trunc|rint|nearbyint|round|roundeven)f?(?:\.|$)")
+_CALL = 6.0
+"""Costs of slow instructions, in simple ones.  Divisions occupy their unit for several cycles (A. Fog, Instruction
+tables); rounding is a call of libm in code for every x86-64 processor.  Rough: times are measured afterwards."""
 OUTSIDE = -1
 """Index of a value that cannot be duplicated: a parameter, a constant, the result of most calls."""
 
@@ -56,6 +62,7 @@ class Value:
         uses: Its uses, except as condition of a branch with two targets, of which both edges check the shadow.
         entries: Incoming values of a phi.
         own_memory: Whether its shadow needs no copy of an operand (a volatile load).
+        weight: Cost of its instruction, in simple ones.
     """
 
     site: Site
@@ -66,6 +73,7 @@ class Value:
     uses: list[Use] = field(default_factory=list)
     entries: tuple[Entry, ...] = ()
     own_memory: bool = False
+    weight: float = 1.0
 
     @property
     def comparison(self) -> int:
@@ -123,6 +131,7 @@ class _Reader:
     def _connect(self, value: Value, instruction: Instruction, block: Block) -> None:
         """Set operands and entries."""
         value.own_memory = instruction.opcode == "load"
+        value.weight = weight_of(instruction)
         used = [name for name, _ in instruction.incoming] or instruction.uses()
         value.operands = tuple(dict.fromkeys(self.index[name] for name in used if name in self.index))
         value.entries = tuple(
@@ -146,15 +155,28 @@ class _Reader:
                 values[self.index[name] - first].uses.append(use)
 
 
+def weight_of(instruction: Instruction) -> float:
+    """Cost of an instruction, in simple ones."""
+    if instruction.callee is not None:
+        return _CALL if _ROUNDING.match(instruction.callee) else 1.0
+    return _DIVISIONS.get(instruction.opcode, 1.0)
+
+
 def cost(values: Sequence[Value], index: int, chosen: Set[int]) -> float:
-    """Dynamic instructions added by one value of a chosen set."""
+    """Dynamic instructions added by one value of a chosen set, by weight."""
     value = values[index]
-    return value.executions + _copies(value, chosen) + _comparisons(value, chosen)
+    return value.weight * value.executions + _copies(value, chosen) + _comparisons(value, chosen)
 
 
 def total_cost(values: Sequence[Value], chosen: Set[int]) -> float:
-    """Dynamic instructions added by a chosen set."""
+    """Dynamic instructions added by a chosen set, by weight."""
     return sum(cost(values, index, chosen) for index in chosen)
+
+
+def added(values: Sequence[Value], chosen: Set[int]) -> float:
+    """Number of dynamic instructions added by a chosen set."""
+    heavier = sum((values[index].weight - 1.0) * values[index].executions for index in chosen)
+    return total_cost(values, chosen) - heavier
 
 
 def _copies(value: Value, chosen: Set[int]) -> float:

@@ -1,8 +1,10 @@
 """Values, uses and entries of a small loop, read from its IR."""
 
+import numpy as np
 import pytest
 
-from mavfi.hardening.flow import OUTSIDE, Entry, total_cost, values_of
+from mavfi.hardening.choose import Chooser
+from mavfi.hardening.flow import OUTSIDE, Entry, added, total_cost, values_of, weight_of
 from mavfi.ir.parser import parse_module
 
 LOOP = """
@@ -50,6 +52,33 @@ def test_cost_of_the_whole_loop_and_of_one_instruction(module):
     # shadows; copy of 0 for the counter; the sum is compared once, where it is stored
     assert total_cost(values, set(range(8))) == executed + 1 + 3 * 1
     assert total_cost(values, {MORE}) == 10 + 10 + 3 * 10
+
+
+def test_a_slow_instruction_costs_several_simple_ones(module):
+    divides = parse_module(LOOP.replace("fadd", "fdiv"), "f")
+    plain, slow = values_of(module, COUNTS), values_of(divides, COUNTS)
+    for chosen in ({MORE}, set(range(8))):
+        assert total_cost(slow, chosen) == total_cost(plain, chosen) + 10 * (slow[MORE].weight - 1)
+        assert added(slow, chosen) == total_cost(plain, chosen) == added(plain, chosen)
+    dear = np.zeros(8)
+    dear[[MORE, X]] = 1.0
+    assert Chooser(slow, dear).within(60).chosen == {X} != Chooser(plain, dear).within(60).chosen
+
+
+@pytest.mark.parametrize(
+    ("text", "weight"),
+    [
+        ("%y = call double @llvm.floor.f64(double %x)", 6), ("%y = call double @floor(double %x)", 6),
+        ("%y = call double @llvm.fabs.f64(double %x)", 1), ("%y = call double @llvm.sqrt.f64(double %x)", 6),
+        ("%y = fmul double %x, %x", 1), ("%y = fdiv double %x, %x", 4),
+    ],
+)  # fmt: skip
+def test_weights(text, weight):
+    body = (
+        f"define i32 @g(ptr %p, double %x) {{\nentry:\n  {text}\n  store double %y, ptr %p, align 8\n  ret i32 0\n}}\n"
+    )
+    block = parse_module(body, "g").functions[0].blocks[0]
+    assert weight_of(block.sites[0]) == weight
 
 
 def test_addresses_are_compared_before_loads_on_demand(module):

@@ -5,10 +5,13 @@ of choices is built and timed; the budget is spent on the steps that remove most
 Coverage is predicted by cross-validation: each part of the faults judges choices that were made from the other parts.
 """
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic
+
+import numpy as np
 
 from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_rate
 from mavfi.campaign.executors.executor import map_each
@@ -16,14 +19,16 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.hardening.learned import Injected, Learn, injections_in
 from mavfi.campaign.hardening.target import Judged, Target
 from mavfi.campaign.hardening.ways import Compared, compare_ways
-from mavfi.hardening.choose import NOTHING, Choice, Chooser, upper_hull
+from mavfi.hardening.choose import NOTHING, Choice, Chooser
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.measure import Timed, compare
 from mavfi.hardening.plan import Site
 from mavfi.ir.build import environment_of
 
-FRACTIONS = (0.1, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-"""Steps of a curve: shares of the instructions that duplicating everything adds; dense where time has its jumps."""
+FRACTIONS = tuple(place / 20 for place in range(1, 21))
+"""Steps of a curve: shares of the cost of duplicating everything."""
+_UNITS = 10_000
+"""Number of units into which a budget is divided."""
 _SECONDS = 1.0
 """Time for measuring one function."""
 
@@ -247,43 +252,30 @@ def curves_of(
 
 
 def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
-    """Steps of all functions that remove most within a share of the flight's kernel time.
+    """Steps of all functions that together remove most within a share of the flight's kernel time.
 
-    The steps on the convex hull of each function are taken by corruptions removed per time, as long as they fit
-    (Dantzig's rule for the multiple-choice knapsack problem); then the rest of the budget buys single better steps.
+    A multiple-choice knapsack problem, solved by dynamic programming over 10,000 units of the budget (Kellerer,
+    Pferschy and Pisinger, Knapsack Problems, 2004, section 11.5); the time of a step is rounded up to whole units.
     """
-    moves: list[_Move] = []
-    for place, curve in enumerate(curves):
-        points = [
-            Choice(frozenset({number}), curve.extra(step), curve.removed(step))
-            for number, step in enumerate(curve.steps)
-        ]
-        hull = upper_hull(points)
-        for one, other in zip(hull, hull[1:], strict=False):
-            (number,) = other.chosen
-            moves.append(_Move(place, number, other.cost - one.cost, other.benefit - one.benefit))
-    chosen, spent, closed = [0] * len(curves), 0.0, set()
-    for move in sorted(moves, key=lambda move: -move.gain / max(move.cost, 1e-12)):
-        if move.curve in closed:
-            continue
-        if spent + move.cost > budget:
-            closed.add(move.curve)  # its later steps build on this one
-            continue
-        chosen[move.curve], spent = move.step, spent + move.cost
-    for place, curve in enumerate(curves):
-        own = curve.steps[chosen[place]]
-        room = budget - spent + curve.extra(own)
-        best = max((step for step in curve.steps if curve.extra(step) <= room), key=curve.removed, default=own)
-        if curve.removed(best) > curve.removed(own):
-            chosen[place], spent = curve.steps.index(best), spent + curve.extra(best) - curve.extra(own)
-    return tuple(chosen)
+    best = np.zeros(_UNITS + 1)  # most that is removed within so many units
+    taken: list[np.ndarray] = []
+    for curve in curves:
+        gains = np.full((len(curve.steps), _UNITS + 1), -np.inf)
+        for number, step in enumerate(curve.steps):
+            units = _units(curve.extra(step), budget)
+            if units <= _UNITS:
+                gains[number, units:] = best[: _UNITS + 1 - units] + curve.removed(step)
+        taken.append(gains.argmax(axis=0))  # of equal ones the first, which takes least time
+        best = gains.max(axis=0)
+    left, chosen = _UNITS, []
+    for curve, steps in zip(reversed(curves), reversed(taken), strict=True):
+        chosen.append(int(steps[left]))
+        left -= _units(curve.extra(curve.steps[chosen[-1]]), budget)
+    return tuple(reversed(chosen))
 
 
-@dataclass(frozen=True, slots=True)
-class _Move:
-    """From one step of a curve's hull to the next one."""
-
-    curve: int
-    step: int
-    cost: float
-    gain: float
+def _units(time: float, budget: float) -> int:
+    """Units of the budget that a time takes; more than there are if it takes too many."""
+    if time <= 0.0:
+        return 0
+    return math.ceil(min(time / budget, 2.0) * _UNITS - 1e-9) if budget > 0.0 else _UNITS + 1

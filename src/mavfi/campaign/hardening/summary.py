@@ -12,6 +12,7 @@ from mavfi.campaign.hardening.study import Study
 from mavfi.campaign.hardening.target import Target
 from mavfi.campaign.hardening.ways import Compared
 from mavfi.hardening.candidates import candidates
+from mavfi.hardening.flow import added
 from mavfi.hardening.plan import Coverage, Plan, Site
 
 
@@ -74,9 +75,14 @@ def _sdc(target: Target) -> Rate:
 
 def _step(curve: Curve, step: Step, chosen: bool) -> dict[str, Any]:
     return {
-        "fraction": step.fraction, "instructions": 1 + step.choice.cost / max(curve.target.seen.instructions, 1),
+        "fraction": step.fraction, "instructions": growth_of(curve, step),
         "time": step.time, "coverage": asdict(step.coverage), "chosen": chosen,
     }  # fmt: skip
+
+
+def growth_of(curve: Curve, step: Step) -> float:
+    """Dynamic instructions of a step / those of the plain function."""
+    return 1 + added(curve.target.values, step.choice.chosen) / max(curve.target.seen.instructions, 1)
 
 
 def _ways(compared: Compared) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Ways to choose what to duplicate, at equal added instructions: the minimum cut, and simpler rules to compare it with.
+"""Ways to choose what to duplicate, at equal cost: the minimum cut, and simpler rules to compare it with.
 
 Each way is judged as the steps of a curve are: by injections that its choice has not seen.
 """
@@ -17,7 +17,7 @@ CUT = "cut"
 OTHERS = ("line", "opcode", "random")
 WAYS = (CUT, *OTHERS)
 SHARES = (0.1, 0.25, 0.5, 0.75)
-"""Costs at which ways are compared: shares of the instructions that duplicating everything adds."""
+"""Costs at which ways are compared: shares of the cost of duplicating everything."""
 FEWEST = 20
 """Silent corruptions needed to compare ways: with 20, Wilson's interval of a share of one half is 30 to 70 %; with
 fewer, most differences between ways are noise."""
@@ -31,7 +31,7 @@ class Compared:
     """Ways to choose for one function at one cost.
 
     Attributes:
-        share: Most added instructions, as a share of those of full duplication.
+        share: Most that is added, as a share of the cost of full duplication.
         judged: The same silent corruptions for each of `WAYS`, and whether it removes them.
     """
 

@@ -1,6 +1,7 @@
 """Budget of time over functions, and predicted coverage."""
 
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -56,11 +57,44 @@ def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
     assert not part.complete and part.selected == ("pid",)
 
 
-def test_the_steps_of_a_curve_are_dense_where_time_jumps():
+def test_the_steps_of_a_curve_are_dense():
     """A throughput-bound kernel had no step between x1.12 and x1.60."""
     steps = (0.0, *FRACTIONS)
-    assert steps[-1] == 1.0 and all(one < other for one, other in zip(steps, steps[1:], strict=False))
-    assert all(other - one <= 0.051 for one, other in zip(steps[2:], steps[3:], strict=False) if one < 0.5)
+    assert steps[-1] == 1.0 and all(0 < other - one <= 0.051 for one, other in zip(steps, steps[1:], strict=False))
+
+
+def test_a_cheap_step_of_a_large_function_may_be_worth_more_than_all_others():
+    """The order of SDCs per time takes `apply` first, after which there is no room for the map."""
+    apply = curve("apply", 0.25, 20.0, (1.24, 0.6))
+    octomap = curve("map", 0.7, 75.0, (1.09, 0.4))
+    assert allocate([apply, octomap], 0.07) == (0, 1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0.01, 1), st.floats(0, 9),
+            st.lists(st.tuples(st.floats(1, 3), st.integers(0, 100)), min_size=1, max_size=3),
+        ),
+        max_size=4,
+    ),
+    st.floats(0.001, 2),
+)  # fmt: skip
+def test_no_other_choice_within_the_budget_removes_more(rows, budget):
+    curves = [
+        curve(str(i), share, mass, *((time, hits / 100) for time, hits in points))
+        for i, (share, mass, points) in enumerate(rows)
+    ]
+    small = budget * (1 - len(curves) / 5000)  # times are rounded up
+    worth = [
+        sum(own.removed(own.steps[place]) for own, place in zip(curves, places, strict=True))
+        for places in product(*(range(len(own.steps)) for own in curves))
+        if sum(own.extra(own.steps[place]) for own, place in zip(curves, places, strict=True)) <= small
+    ]
+    advice = Advice(budget, tuple(curves), allocate(curves, budget))
+    assert sum(own.removed(step) for own, step in advice.steps) >= max(worth) - 1e-9
+    assert advice.spent <= budget + 1e-12
 
 
 @settings(max_examples=40, deadline=None)
