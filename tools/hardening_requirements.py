@@ -52,7 +52,7 @@ def _function(entry: str, curves: Sequence[Curve], certified: Certified) -> list
         cheapest = min((step.time for step, _ in steps), default=None)
         measured = "not certified" if cheapest is None else f"no certified step; the cheapest takes ×{cheapest:.2f}"
         return [f"`{entry}`", wanted, measured, _met(False), ""]
-    step, row = max(own, key=lambda one: one[1]["coverage"]["rate"])
+    step, row = max(own, key=lambda one: one[1]["coverage"]["low"])  # of several certificates the most telling one
     found = row["coverage"]
     met = least is not None and found["rate"] >= least and found["low"] >= bound
     limits = "" if met or entry not in _LIMITS else _LIMITS[entry](curve, row, most)
