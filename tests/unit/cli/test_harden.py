@@ -129,7 +129,9 @@ def test_the_shipped_certificate_is_that_of_the_shipped_plan():
     found = json.loads((config_root() / "protections" / "ten_percent.certificate.json").read_text())
     assert found["plan"] == plan.digest and not found["refuted"]
     certified = {one["function"]: one["coverage"]["rate"] for one in found["functions"]}
-    assert {one.function: one.certified.estimate for one in plan.functions if one.sites} == certified
+    stated = {one.function: one.certified and one.certified.estimate for one in plan.functions if one.sites}
+    assert stated == certified  # None where the certificate found no silent corruption at all
+    assert sum(rate is not None for rate in certified.values()) > len(certified) / 2
     assert {one.function for one in plan.functions if one.kind == "none"} == {
         one["function"] for one in found["unprotected"]
     }
