@@ -251,8 +251,10 @@ def test_a_detector_that_raises_dies_and_comes_back_without_the_fault(copies):
     assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS
     missed = round(0.57 / 0.02)
     flown = round(log.column("time")[-1] / 0.02)
+    if copies == 1:  # until then, the fault is not there, and a publication takes one call of other code
+        flown -= round(AT / 20_000)
     assert flown - missed - 3 <= len(calls) <= flown - missed + 3, "it returns after its restart"
-    assert "check" not in vars(part) and "accept" not in vars(part)
+    assert not {"check", "accept", "stepwise"} & set(vars(part))
 
 
 def test_what_recovery_remembers_can_be_struck():

@@ -253,7 +253,12 @@ class ScoringDetector:
         scorer: Measures publications.
         threshold: Converts measurements to scores.
         policy: Recovery that an alarm requests, see `POLICIES`.
+
+    Attributes:
+        stepwise: Whether `admit` always calls `check` and `accept`, which a host may have replaced.
     """
+
+    stepwise = False
 
     def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
         self.source, self.scorer, self.threshold, self.policy = source, scorer, threshold, policy
@@ -301,7 +306,7 @@ class ScoringDetector:
     def admit(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication, and record it if there is no alarm."""
         at_once = self._at_once.get(state.spec.name)
-        if at_once is not None and at_once(state.header) <= 1.0:
+        if at_once is not None and not self.stepwise and at_once(state.header) <= 1.0:
             self._scored = None
             return None
         alarm = self.check(state, time_us)

@@ -40,12 +40,12 @@ def certified(entry, time, rate, low, predicted=0.95):
 FLOWN = GoldenCheck(92, 92, 20_000, 0)
 
 
-def table(*rows, compared=(), check=FLOWN):
-    advice = {"budget": 0.1, "spent": 0.09, "coverage": {"rate": 0.3, "low": 0.2, "high": 0.4}, "functions": [
-        {"kernel": "pid", "entry": "track", "share": 0.2, "steps": [{"time": 1.6, "chosen": False}]},
-        {"kernel": "octomap", "entry": "insert_scan", "share": 0.8, "steps": [{"time": 2.6, "chosen": False}]},
-    ]}  # fmt: skip
-    found = requirements([curve for curve, *_ in rows], rows, compared, advice, check)
+REST = {"spent": 0.15, "coverage": {"rate": 0.15, "low": 0.1, "high": 0.2}}
+
+
+def table(*rows, compared=(), check=FLOWN, rest=REST):
+    advice = {"budget": 0.1, "spent": 0.09, "coverage": {"rate": 0.3, "low": 0.2, "high": 0.4}}
+    found = requirements([curve for curve, *_ in rows], rows, compared, advice, rest, check)
     assert all(len(row) == len(HEADINGS) for row in found)
     return {row[0].strip("`"): dict(zip(HEADINGS, row, strict=True)) for row in found}
 
@@ -78,7 +78,10 @@ def test_ways_to_choose_are_counted_by_kernel():
 
 def test_the_budget_and_the_golden_flights_are_judged():
     found = table()
-    assert found["--budget 0.10` of a flight's kernel time"]["what limits"] == "not in full, which adds: track 12.0 %"
+    budget = found["--budget 0.10` of a flight's kernel time"]
+    assert budget["met"] == "yes" and "15.0 % [10.0, 20.0] for 15.0 %" in budget["measured"]
+    better = {"spent": 0.15, "coverage": {"rate": 0.25, "low": 0.2, "high": 0.3}}
+    assert table(rest=better)["--budget 0.10` of a flight's kernel time"]["met"] == "no", "within its interval"
     assert found["golden digests with any plan; false alarms"]["met"] == "yes"
     assert table(check=GoldenCheck(92, 91, 20_000, 0))["golden digests with any plan; false alarms"]["met"] == "no"
 

@@ -115,6 +115,8 @@ class MemoryInjector:
         for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
             if hasattr(part, name):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
+        if target in DETECTORS:
+            part.stepwise = True
 
     def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -141,7 +143,7 @@ class MemoryInjector:
         """Remove the guard of a detector, which outlives the flight."""
         part = part_of(self._detector, self._fault.kernel) if self._fault.kernel in DETECTORS else None
         if part is not None:
-            for name in _CHECKS:
+            for name in (*_CHECKS, "stepwise"):
                 vars(part).pop(name, None)
 
     @property
