@@ -112,7 +112,7 @@ def _budget(advice: Row, rest: Row) -> list[str]:
         f"`--budget {advice['budget']:.2f}` of a flight's kernel time", "every kernel but the map in full, or better",
         f"{interval(advice['coverage'])} of all SDCs removed for {percent(advice['spent'])}, predicted; every kernel "
         f"but the map in full: {interval(rest['coverage'])} for {percent(rest['spent'])}",
-        _met(better), "" if better else "the map has most SDCs, and its steps cost more time than they have",
+        _met(better), "" if better else "most SDCs and most of the kernel time are those of the map",
     ]  # fmt: skip
 
 

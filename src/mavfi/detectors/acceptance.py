@@ -221,6 +221,7 @@ class AcceptanceTest:
         """Check a publication, and record it if there is no alarm."""
         at_once = self._at_once.get(state.spec.name)
         if at_once is not None and not self.stepwise and at_once(state.header) < 0:
+            self.candidate = None
             return None
         alarm = self.check(state, time_us)
         if alarm is None:

@@ -24,12 +24,12 @@ class Chain:
             self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
 
     def _look_up(self) -> None:
-        self._stages = {name: _stages(readers) for name, readers in self._readers.items()}
-        self._all_stages = _stages(self.parts)
+        self._of_state = {name: _divided(readers) for name, readers in self._readers.items()}
+        self._of_any = _divided(self.parts)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without what is looked up."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_stages", "_all_stages")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_of_state", "_of_any")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -56,7 +56,7 @@ class Chain:
 
     def admit(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication, and pass it to all detectors that read its state if none raises an alarm."""
-        first, admit = self._stages.get(state.spec.name, self._all_stages)
+        first, admit = self._of_state.get(state.spec.name, self._of_any)
         for detector in first:
             alarm: Alarm | None = detector.check(state, time_us)
             if alarm is not None:
@@ -82,6 +82,6 @@ class Chain:
             detector.restore(kept)
 
 
-def _stages(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], Callable[[State, int], Alarm | None]]:
+def _divided(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], Callable[[State, int], Alarm | None]]:
     """All detectors but the last, and `admit` of the last."""
     return (tuple(detectors[:-1]), admission(detectors[-1])) if detectors else ((), lambda state, time_us: None)

@@ -130,8 +130,8 @@ class CompiledScorer(CodeScorer):
         judge: Compiled: book, `Judged`, limits of the threshold, then the tables; returns the score of the publication
             measured last.
         judge_at: Compiled: the same of the address of these.
-        admit_at: Compiled: the same of the address and the header of a publication, which it measures first, and
-            accepts if its score is at most 1.
+        admit_at: Compiled: measures the publication, judges it, and accepts it if there is no alarm; arguments:
+            address of the tables, header of the publication.
         learns: Compiled: adapts to an accepted publication; same arguments. None: nothing is learned.
         kind: `kind_with` the tables.
     """
@@ -146,7 +146,6 @@ class CompiledScorer(CodeScorer):
         super().__init__(everything)
         self._tables: tuple[Any, ...] = tables
         self._slots = everything.slots
-        self._candidate: State | None = None
 
     def measure(self, slot: int, regime: int) -> None:
         """Not called: `score` does not use it."""
@@ -198,7 +197,7 @@ class CompiledScorer(CodeScorer):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         super().start()
-        self._candidate = None
+        self.candidate = None
 
     def read(self, state: State) -> Reading | None:
         """Measure a publication."""
@@ -209,7 +208,7 @@ class CompiledScorer(CodeScorer):
         slot = self._slots.get(state.spec.name)
         if slot is None:
             return None
-        self._candidate = state
+        self.candidate = state
         self.everything.read(state, slot)
         return self._judge(self._own.address)
 
@@ -221,7 +220,7 @@ class CompiledScorer(CodeScorer):
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
         """Record a published value."""
-        if state is not self._candidate:
+        if state is not self.candidate:
             if state.spec.name not in self._slots:
                 self.everything.note(state)
                 return
@@ -241,10 +240,10 @@ class CompiledScorer(CodeScorer):
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name: the arrays themselves, not copies."""
         self._settle()
-        self._candidate = None
+        self.candidate = None
         return super().arrays()
 
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
         super().restore(memory)
-        self._candidate = None
+        self.candidate = None

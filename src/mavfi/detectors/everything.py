@@ -12,6 +12,7 @@ import numpy as np
 from mavfi.detectors import book, residuals
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
+from mavfi.detectors.parts import FREQUENT
 from mavfi.detectors.samples import Sample
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.numerics.jit import entry, is_compiled
@@ -22,7 +23,6 @@ MONITORED = "all"
 """Name of the set, in models."""
 QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s": 0.001, "-": 0.1, "octave": 0.01}
 """Quantum by unit."""
-_FREQUENT = ("planning.waypoint", "control.command", "control.tracking")
 
 
 class _Watched(NamedTuple):
@@ -161,7 +161,7 @@ class Everything:
     @property
     def frequent(self) -> tuple[str, ...]:
         """States that are published at most control ticks, and of which something is watched."""
-        return tuple(name for name in _FREQUENT if self.quanta[slice(*self._ranges[self.slots[name]])].any())
+        return tuple(name for name in FREQUENT if self.quanta[slice(*self._ranges[self.slots[name]])].any())
 
     def from_vehicle(self, name: str) -> bool:
         """Whether the residuals of a state depend on the vehicle's odometry."""

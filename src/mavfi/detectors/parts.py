@@ -19,6 +19,8 @@ from mavfi.states import State
 NOT_FINITE = 1e9
 """Score of a publication with a value that is not finite: always an alarm."""
 _WAYPOINT = "planning.waypoint"
+FREQUENT = (_WAYPOINT, "control.command", "control.tracking")
+"""States that are published at most control ticks."""
 _NONE = np.zeros(0, np.int64)
 
 
@@ -61,8 +63,9 @@ class Scorer(ABC):
         states: Names of the states that it reads; None = all.
         kept: Memory of a flight, as arrays by name; 0 at its start.
         adapts: Whether `accept` needs the verdict on the publication.
-        at_once: Functions of the headers of frequent states, by name, in one call of compiled code: the score, and the
-            publication is accepted if that is at most 1.  Others are scored and accepted one after the other.
+        at_once: By state, for frequent ones: a function of the header that returns the score, and accepts the
+            publication if there is no alarm.  Publications of other states are scored, then accepted.
+        candidate: The publication scored last, None = another one since; of scorers in compiled code.
         threshold: Converts readings to scores.
     """
 
@@ -72,6 +75,7 @@ class Scorer(ABC):
     kept: Mapping[str, np.ndarray] = {}
     adapts = False
     at_once: Mapping[str, Callable[[np.ndarray], float]] = {}
+    candidate: State | None = None
     threshold: "Threshold"
     _judged: "tuple[Reading, Verdict]"
 
@@ -307,7 +311,7 @@ class ScoringDetector:
         """Check a publication, and record it if there is no alarm."""
         at_once = self._at_once.get(state.spec.name)
         if at_once is not None and not self.stepwise and at_once(state.header) <= 1.0:
-            self._scored = None
+            self._scored = self.scorer.candidate = None
             return None
         alarm = self.check(state, time_us)
         if alarm is None:

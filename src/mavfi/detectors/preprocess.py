@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.detectors.parts import FREQUENT, Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
@@ -26,8 +26,6 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
-_FREQUENT = ("planning.waypoint", "control.command")
-"""States that are published at most control ticks."""
 _UNPICKLED = ("_judge", "_stored", "at_once")
 
 
@@ -154,7 +152,8 @@ class DeltaScorer(Scorer):
             then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
-        admit_at: Compiled: the same of address, slot and header; accepts the publication if its score is at most 1.
+        admit_at: Compiled: judges the publication, and accepts it if there is no alarm; arguments: address of the
+            tables, slot, header of the publication.
         kind: `kind_of` these.
         features: The preprocessor.
         scratch: The publication judged last.
@@ -172,7 +171,6 @@ class DeltaScorer(Scorer):
         self._tables: tuple[Any, ...] = tables
         self._slots, self._last = preprocessor.slots, preprocessor.watch.last
         self._predicts = preprocessor.predicts
-        self._candidate: State | None = None
         self._vehicles = VehicleQueue(self._store)
 
     def use(self, threshold: Threshold) -> None:
@@ -206,7 +204,7 @@ class DeltaScorer(Scorer):
         """See `Scorer.at_once`."""
         odometry = frozenset(self.states or ()).difference(self._slots)
         found: dict[str, Callable[[np.ndarray], float]] = dict.fromkeys(odometry, self._vehicles.add)
-        for name in _FREQUENT if is_compiled(self.admit_at) else ():
+        for name in FREQUENT if is_compiled(self.admit_at) else ():
             if name in self._slots:
                 slot = self._slots[name]
                 header = np.zeros(1, self.features.specs[slot].header_dtype)
@@ -229,7 +227,7 @@ class DeltaScorer(Scorer):
         self._forget()
 
     def _forget(self) -> None:
-        self._candidate = None
+        self.candidate = None
         self.scratch.place[features.ACCEPTED] = 0
         self._vehicles.forget()
 
@@ -244,7 +242,7 @@ class DeltaScorer(Scorer):
             return None
         if self._predicts[slot]:
             self._vehicles.settle()
-        self._candidate = state
+        self.candidate = state
         return self._judge(bytes_of(state.header), slot, self._stored.address)
 
     def judged(self) -> tuple[Reading, Verdict]:
@@ -256,7 +254,7 @@ class DeltaScorer(Scorer):
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
         """Record a published value."""
-        if state is not self._candidate:
+        if state is not self.candidate:
             name = state.spec.name
             if name not in self._slots:
                 if name in (self.states or ()):
@@ -278,7 +276,7 @@ class DeltaScorer(Scorer):
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name: the arrays themselves, not copies."""
         self.memory()  # commits the publication judged last
-        self._candidate = None
+        self.candidate = None
         own = {name: array for name, array in self.kept.items() if name not in self.features.kept}
         return {**self.features.arrays(), **own}
 

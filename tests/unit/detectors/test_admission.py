@@ -90,6 +90,24 @@ def test_alarms_and_memory_are_those_of_check_and_accept(name, profile, every):
     assert found[0] or name in ("none", "rule_2")
 
 
+@pytest.mark.parametrize(("name", "profile"), DETECTORS)
+@pytest.mark.parametrize("state", ["control.command", "planning.waypoint"])
+def test_a_publication_that_is_resent_after_others_is_recorded(name, profile, state):
+    """It is the same object, which was checked before the others: only the last one is known to compiled code."""
+    published = events()
+    first, second = later(published, state, 50), later(published, state, 51)
+    memories = []
+    for made in (admission, one_after_the_other):
+        detector = load(name, profile)
+        detector.start()
+        fly(detector, made, published[:first])
+        detector.check(*published[first])
+        fly(detector, made, published[first + 1 : second + 1])
+        detector.accept(*published[first])
+        memories.append(detector.memory())
+    assert memories[0] == memories[1]
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda detector: pickle.loads(pickle.dumps(detector))])
 @pytest.mark.parametrize(("name", "profile"), DETECTORS)
 def test_a_copy_goes_on_alone(name, profile, copied):

@@ -254,8 +254,8 @@ def curves_of(
 def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
     """Steps of all functions that together remove most within a share of the flight's kernel time.
 
-    A multiple-choice knapsack problem, solved by dynamic programming over 10,000 units of the budget (Kellerer,
-    Pferschy and Pisinger, Knapsack Problems, 2004, section 11.5); the time of a step is rounded up to whole units.
+    A multiple-choice knapsack problem, solved by dynamic programming over units of the budget (Kellerer, Pferschy
+    and Pisinger, Knapsack Problems, 2004, chapter 11); the time of a step is rounded up to whole units.
     """
     best = np.zeros(_UNITS + 1)  # most that is removed within so many units
     taken: list[np.ndarray] = []
@@ -265,7 +265,7 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
             units = _units(curve.extra(step), budget)
             if units <= _UNITS:
                 gains[number, units:] = best[: _UNITS + 1 - units] + curve.removed(step)
-        taken.append(gains.argmax(axis=0))  # of equal ones the first, which takes least time
+        taken.append(gains.argmax(axis=0))  # of equal ones the first, which adds fewest instructions
         best = gains.max(axis=0)
     left, chosen = _UNITS, []
     for curve, steps in zip(reversed(curves), reversed(taken), strict=True):
