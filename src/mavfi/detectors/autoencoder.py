@@ -15,7 +15,7 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
 from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.stored import load
+from mavfi.numerics.stored import content_of, load
 
 if TYPE_CHECKING:
     from sklearn.neural_network import MLPRegressor
@@ -136,7 +136,7 @@ def _network_at(content: np.ndarray, slot: int, address: int) -> float:
 @kernel_jit
 def _admit_network(address: int, slot: int, header: np.ndarray) -> float:
     watch, scratch, limit, network, held = load(address, _TABLES)
-    score = judge_network(header.view(np.uint8), slot, watch, scratch, limit, network, held)
+    score = judge_network(content_of(header), slot, watch, scratch, limit, network, held)
     return features.accept(score, scratch)
 
 

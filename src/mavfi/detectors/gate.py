@@ -10,7 +10,7 @@ import numpy as np
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import integer_at, real_at
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
-from mavfi.numerics.stored import Stored, kind_of, load
+from mavfi.numerics.stored import Stored, content_of, kind_of, load
 from mavfi.states import STATES, State, bytes_of, new_state
 
 SOURCE = "physics_gate"
@@ -165,7 +165,7 @@ _KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
 @kernel_jit
 def _judge_at(address: int, slot: int, header: np.ndarray) -> int:
     limits, kept, then = load(address, _KIND)
-    return judge(header.view(np.uint8), slot, limits, kept, then)
+    return judge(content_of(header), slot, limits, kept, then)
 
 
 class PhysicsGate:

@@ -13,7 +13,7 @@ from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.stored import load
+from mavfi.numerics.stored import content_of, load
 
 SOURCE = "gaussian"
 SIGMA_FLOOR = 0.5
@@ -124,7 +124,7 @@ def _frozen_at(content: np.ndarray, slot: int, address: int) -> float:
 @kernel_jit
 def _admit_online(address: int, slot: int, header: np.ndarray) -> float:
     watch, scratch, limit, statistics, min_count = load(address, _ONLINE)
-    score = judge_online(header.view(np.uint8), slot, watch, scratch, limit, statistics, min_count)
+    score = judge_online(content_of(header), slot, watch, scratch, limit, statistics, min_count)
     return features.accept(score, scratch)
 
 
@@ -154,7 +154,7 @@ class OnlineScorer(DeltaScorer):
 @kernel_jit
 def _admit_frozen(address: int, slot: int, header: np.ndarray) -> float:
     watch, scratch, limit, centre = load(address, _FROZEN)
-    score = judge_frozen(header.view(np.uint8), slot, watch, scratch, limit, centre)
+    score = judge_frozen(content_of(header), slot, watch, scratch, limit, centre)
     return features.accept(score, scratch)
 
 
