@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim airsim-old coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting firmware hardening pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -109,11 +109,13 @@ memory: setup  ## memory of a worker over 1,500 state-level and 300 instruction-
 airsim: setup  ## speed of client programs of AirSim in simulated time; writes the table in docs/airsim.md (N=...)
 	@$(BIN)/python -m benchmarks.airsim
 
-airsim-old: setup  ## programs with AirSim's own client 1.8.1, which needs an environment of its own (build/airsim-old)
-	@test -x build/airsim-old/bin/python || $(PYTHON) -m venv build/airsim-old
-	@build/airsim-old/bin/python -m pip install -qq 'setuptools<70' wheel 'numpy<2.3' opencv-contrib-python-headless msgpack-rpc-python
-	@build/airsim-old/bin/python -m pip install -qq --no-build-isolation airsim==1.8.1
-	@AIRSIM_PYTHON=build/airsim-old/bin/python $(BIN)/python -m pytest -m long tests/unit/bridges/airsim/test_old_client.py
+clients: setup  ## install other people's programs that tests use: Betaflight, MAVSDK, AirSim's own client (build/clients)
+	@$(BIN)/mavfi firmware setup > /dev/null 2>&1 || $(BIN)/mavfi firmware setup --build
+	@test -x build/clients/mavsdk/bin/python || $(PYTHON) -m venv build/clients/mavsdk
+	@build/clients/mavsdk/bin/python -m pip install -qq mavsdk==3.17.4
+	@test -x build/clients/airsim/bin/python || $(PYTHON) -m venv build/clients/airsim
+	@build/clients/airsim/bin/python -m pip install -qq 'setuptools<70' wheel 'numpy<2.3' opencv-contrib-python-headless msgpack-rpc-python
+	@build/clients/airsim/bin/python -m pip install -qq --no-build-isolation airsim==1.8.1
 
 coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling

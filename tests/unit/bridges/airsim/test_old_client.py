@@ -1,9 +1,7 @@
 """AirSim's own client, which needs an environment of its own: msgpack-rpc-python wants an old tornado.
 
-`make airsim-old` makes it and runs these tests.
+`make clients` makes it.
 """
-
-import os
 
 import pytest
 
@@ -12,12 +10,10 @@ from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.bridges.airsim.program import run_program
 from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
+from tests.clients import python_of
 
-PYTHON = os.environ.get("AIRSIM_PYTHON", "")
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(not PYTHON, reason="AIRSIM_PYTHON: no interpreter with airsim 1.8.1 is named"),
-]
+PYTHON = python_of("airsim")
+pytestmark = pytest.mark.skipif(not PYTHON, reason="airsim 1.8.1 is not installed (make clients)")
 
 
 @pytest.mark.parametrize("name", ["box", "orbit", "survey"])

@@ -1,7 +1,7 @@
 """Unmodified programs for MAVSDK fly the vehicle, in wall time, each in a network namespace of its own.
 
-MAVSDK's server listens on all addresses; in a namespace nobody else can reach it.  Needs `MAVSDK_PYTHON`, a Python with
-mavsdk 3.17; the examples need `MAVSDK_EXAMPLES`, the folder `examples` of github.com/mavlink/MAVSDK-Python.
+MAVSDK's server listens on all addresses; in a namespace nobody else can reach it.  Needs mavsdk 3.17
+(`make clients`); the examples need `MAVSDK_EXAMPLES`, the folder `examples` of github.com/mavlink/MAVSDK-Python.
 """
 
 import json
@@ -14,11 +14,12 @@ from pathlib import Path
 import pytest
 
 from tests.architecture.source import ROOT
+from tests.clients import python_of
 from tests.pages import files
 
 pytest.importorskip("pymavlink", reason="pymavlink (extra mavlink) is not installed")
 
-PYTHON, EXAMPLES = os.environ.get("MAVSDK_PYTHON", ""), os.environ.get("MAVSDK_EXAMPLES", "")
+PYTHON, EXAMPLES = python_of("mavsdk"), os.environ.get("MAVSDK_EXAMPLES", "")
 NAMESPACE = ["unshare", "-rn"]
 SCRIPT = """
 ip link set lo up
@@ -43,9 +44,8 @@ TARGET = (-15.1, -190.6)
 """North and east of the start (m), where `goto` flies: 47.397606, 8.543060."""
 
 pytestmark = [
-    pytest.mark.long,
     pytest.mark.alone,
-    pytest.mark.skipif(not PYTHON, reason="MAVSDK_PYTHON is not set"),
+    pytest.mark.skipif(not PYTHON, reason="mavsdk 3.17 is not installed (make clients)"),
     pytest.mark.skipif(
         subprocess.run([*NAMESPACE, "true"], capture_output=True, check=False).returncode != 0,
         reason="network namespaces are not permitted",
@@ -70,6 +70,7 @@ def fly(program, seconds, last, folder):
     return end
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not EXAMPLES, reason="MAVSDK_EXAMPLES is not set")
 @pytest.mark.parametrize("name", FLYING)
 def test_an_example_flies(name, tmp_path):
