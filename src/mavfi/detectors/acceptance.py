@@ -12,16 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import following, known, rules
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, AtOnce
 from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
-from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit, short_jit
+from mavfi.numerics.lent import content_of, header_of, lent
 from mavfi.numerics.stored import Stored, kind_of, load
 from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state
 
 SOURCE = "acceptance"
 Compiled = Callable[..., Any]
 _VEHICLE_FLOATS = 6
+_STATUS = "perception.collision_status"
 _WAYPOINT, _COMMAND, _TRACKING = "planning.waypoint", "control.command", "control.tracking"
 _POSITIONS = tuple(ODOMETRY.values())
 
@@ -87,22 +89,31 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
 _KIND = kind_of(np.zeros(1, known.KNOWN), np.zeros((1, 1, rules.POINT_WIDTH)))
 
 
-@kernel_jit
-def _admit_command(address: int, header: np.ndarray) -> int:
+@short_jit
+def _admit_status(address: int, header: Any, now: int) -> bool:
     record, _ = load(address, _KIND)
-    return known.accept(judge_command(header, record), record)
+    violated = judge_status(header_of(header), record) >= 0
+    if not violated:
+        known.note_status(header_of(header), now, record)
+    return violated
 
 
-@kernel_jit
-def _admit_tracking(address: int, header: np.ndarray) -> int:
+@short_jit
+def _admit_command(address: int, header: Any) -> bool:
     record, _ = load(address, _KIND)
-    return known.accept(judge_tracking(header, record), record)
+    return known.accept_unless_violated(judge_command(header_of(header), record), record)
 
 
-@kernel_jit
-def _admit_waypoint(address: int, header: np.ndarray, odometry: np.ndarray) -> int:
+@short_jit
+def _admit_tracking(address: int, header: Any) -> bool:
+    record, _ = load(address, _KIND)
+    return known.accept_unless_violated(judge_tracking(header_of(header), record), record)
+
+
+@short_jit
+def _admit_waypoint(address: int, odometry: Any, header: Any) -> bool:
     record, blocks = load(address, _KIND)
-    return known.accept(judge_waypoint(header, odometry, record, blocks), record)
+    return known.accept_unless_violated(judge_waypoint(header_of(header), content_of(odometry), record, blocks), record)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +148,9 @@ class AcceptanceTest:
         functions: Compiled code in use.
         record: Limits and memory, see `known.KNOWN`. Shape (1,).
         blocks: Points of trajectories, see `known`. Shape (KEPT, capacity, 11).
-        odometry: Header of the latest odometry; zeros before the first.
-        stepwise: Whether `admit` always calls `check` and `accept`, which a host may have replaced.
     """
 
-    source, needs_limits, stepwise = SOURCE, True, False
+    source, needs_limits = SOURCE, True
 
     def __init__(self, limits: MissionLimits, functions: Functions = PLAIN) -> None:
         self.limits = limits
@@ -151,40 +160,54 @@ class AcceptanceTest:
         unread = () if limits.held else (_TRACKING,)
         self.states = frozenset((*RULES, *_POSITIONS)).difference(unread)
         self._calls: dict[str, Compiled] = {}
+        self._stepwise = False
         self.start()
         self._use(functions)
 
     def _use(self, functions: Functions) -> None:
-        header = {name: new_state(name).header for name in (_WAYPOINT, _COMMAND, _TRACKING)}
+        header = {name: new_state(name).header for name in (_STATUS, _WAYPOINT, _COMMAND, _TRACKING)}
         self.functions = functions
         self._at_ticks = {_COMMAND: entry(functions.judge_command, header[_COMMAND], self.record)}
         if self.held:
             self._at_ticks[_TRACKING] = entry(functions.judge_tracking, header[_TRACKING], self.record)
+        self.judge_status = entry(functions.judge_status, header[_STATUS], self.record)
+        self.note_status = entry(functions.note_status, header[_STATUS], 0, self.record)
         self.judge_waypoint = entry(
             functions.judge_waypoint, header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
         )
         self._calls = {}
         if functions == PLAIN and is_compiled(_admit_command):
-            self._calls[_COMMAND] = entry(_admit_command, 0, header[_COMMAND])
+            places = {name: lent(own) for name, own in header.items()}
+            odometry = lent(self.odometry, listed=True)
+            self._calls = {
+                _STATUS: entry(_admit_status, 0, places[_STATUS], 0),
+                _WAYPOINT: entry(_admit_waypoint, 0, odometry, places[_WAYPOINT]),
+                _COMMAND: entry(_admit_command, 0, places[_COMMAND]),
+            }
             if self.held:
-                self._calls[_TRACKING] = entry(_admit_tracking, 0, header[_TRACKING])
-            else:
-                self._calls[_WAYPOINT] = entry(_admit_waypoint, 0, header[_WAYPOINT], bytes_of(self.odometry))
+                self._calls[_TRACKING] = entry(_admit_tracking, 0, places[_TRACKING])
         self._store()
 
     def _store(self) -> None:
         """Bring up to date what `admit` calls: the blocks are others."""
         self._own = Stored(_KIND, self.record, self.blocks)
-        calls: dict[str, Compiled] = {name: partial(call, self._own.address) for name, call in self._calls.items()}
-        follow = calls.get(_WAYPOINT)
-        if follow is not None:
-            calls[_WAYPOINT] = lambda header: follow(header, bytes_of(self.odometry))
-        self._at_once: dict[str, Callable[[np.ndarray], int]] = {**calls, **dict.fromkeys(_POSITIONS, self._see)}
+        self._at_once, self._at_time = AtOnce(), AtOnce()
+        if self._stepwise:
+            return
+        self._at_once.update(dict.fromkeys(_POSITIONS, self._latest.append))
+        for name, call in self._calls.items():
+            own = (self._own.address, self._latest) if name == _WAYPOINT else (self._own.address,)
+            (self._at_time if name == _STATUS else self._at_once)[name] = partial(call, *own)
 
-    def _see(self, odometry: np.ndarray) -> int:
-        """Keep the header of the latest odometry, which violates no rule."""
-        self.odometry = odometry
-        return rules.FINE
+    def step_by_step(self, always: bool) -> None:
+        """Whether `admit` always calls `check` and `accept`, which a host may have replaced."""
+        self._stepwise = always
+        self._store()
+
+    @property
+    def odometry(self) -> np.ndarray:
+        """Header of the latest odometry; zeros before the first."""
+        return self._latest[-1]
 
     @property
     def compiled(self) -> dict[str, Compiled]:
@@ -199,7 +222,7 @@ class AcceptanceTest:
         """Reset the memory at the start of a flight."""
         known.forget(self.record)
         self.blocks = np.zeros((known.KEPT, known.CAPACITY, rules.POINT_WIDTH))
-        self.odometry = new_state(ODOMETRY["truth"]).header
+        self._latest = [new_state(ODOMETRY["truth"]).header]
         self.candidate: State | None = None
         self._store()
 
@@ -219,8 +242,12 @@ class AcceptanceTest:
 
     def admit(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication, and record it if there is no alarm."""
-        at_once = self._at_once.get(state.spec.name)
-        if at_once is not None and not self.stepwise and at_once(state.header) < 0:
+        name = state.spec.name
+        if not self._at_once[name](state.header):
+            self.candidate = None
+            return None
+        del self._latest[:-1]
+        if not self._at_time[name](state.header, time_us):
             self.candidate = None
             return None
         alarm = self.check(state, time_us)
@@ -241,7 +268,7 @@ class AcceptanceTest:
             return
         name = state.spec.name
         if name in _POSITIONS:
-            self.odometry = state.header
+            self._latest[:] = [state.header]
         elif name in RULES:
             RULES[name].note(self, state, time_us)
 
@@ -277,7 +304,7 @@ class AcceptanceTest:
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""
         known.settle(self.record)
-        self.odometry = self.odometry.copy()  # it belongs to the publication
+        self._latest[:] = [self.odometry.copy()]  # it belongs to the publication
         stored = known.used(int(self.record[0]["stored"]), 0, known.KEPT)
         places = zip(self.record[0]["blocks"][:stored], self.record[0]["counts"], strict=False)
         points = {f"trajectories[{index}]": self.blocks[place, :count] for index, (place, count) in enumerate(places)}
@@ -304,11 +331,11 @@ class Rule(NamedTuple):
 
 
 def _judge_status(test: AcceptanceTest, state: State, now: int) -> int:
-    return int(test.functions.judge_status(state.header, test.record))
+    return int(test.judge_status(state.header, test.record))
 
 
 def _note_status(test: AcceptanceTest, state: State, now: int) -> None:
-    test.functions.note_status(state.header, now, test.record)
+    test.note_status(state.header, now, test.record)
 
 
 def _judge_path(test: AcceptanceTest, state: State, now: int) -> int:
@@ -346,7 +373,7 @@ def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
 
 
 RULES: dict[str, Rule] = {
-    "perception.collision_status": Rule(_judge_status, _note_status),
+    _STATUS: Rule(_judge_status, _note_status),
     "planning.path": Rule(_judge_path, _note_path),
     "planning.trajectory": Rule(_judge_trajectory, _note_trajectory),
     _WAYPOINT: Rule(_judge_waypoint, _note_candidate),

@@ -15,7 +15,8 @@ from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
 from mavfi.detectors.samples import Sample, regime_limits
-from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import header_of
 from mavfi.numerics.stored import load
 
 
@@ -45,11 +46,11 @@ def _limits_at(address: int) -> float:
     return judge_limits(own, judged, limit, centre)
 
 
-@kernel_jit
-def _admit_limits(address: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_limits(address: int, header: Any) -> bool:
     own, judged, limit, centre = load(address, _LIMITS)
-    book.measure(header, own)
-    return book.accept(judge_limits(own, judged, limit, centre), own)
+    book.measure(header_of(header), own)
+    return book.accept_unless_alarm(judge_limits(own, judged, limit, centre), own)
 
 
 class LimitScorer(CompiledScorer):
@@ -105,11 +106,11 @@ def _reconstruction_at(address: int) -> float:
     return judge_reconstruction(own, judged, limit, network, holding)
 
 
-@kernel_jit
-def _admit_reconstruction(address: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_reconstruction(address: int, header: Any) -> bool:
     own, judged, limit, network, holding = load(address, _RECONSTRUCTION)
-    book.measure(header, own)
-    return book.accept(judge_reconstruction(own, judged, limit, network, holding), own)
+    book.measure(header_of(header), own)
+    return book.accept_unless_alarm(judge_reconstruction(own, judged, limit, network, holding), own)
 
 
 class ReconstructionScorer(CompiledScorer):

@@ -14,8 +14,9 @@ from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
-from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.stored import content_of, load
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import content_of
+from mavfi.numerics.stored import load
 
 if TYPE_CHECKING:
     from sklearn.neural_network import MLPRegressor
@@ -133,11 +134,11 @@ def _network_at(content: np.ndarray, slot: int, address: int) -> float:
     return judge_network(content, slot, watch, scratch, limit, network, held)
 
 
-@kernel_jit
-def _admit_network(address: int, slot: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_network(address: int, slot: int, header: Any) -> bool:
     watch, scratch, limit, network, held = load(address, _TABLES)
     score = judge_network(content_of(header), slot, watch, scratch, limit, network, held)
-    return features.accept(score, scratch)
+    return features.accept_unless_alarm(score, scratch)
 
 
 class AutoencoderScorer(DeltaScorer):

@@ -198,11 +198,12 @@ def _measure(header, book):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN2
 
 
 @kernel_jit
-def accept(score: float, book: Book) -> float:
-    """Accept the publication measured last if its score is no alarm; returns the score."""
-    if score <= 1.0:
+def accept_unless_alarm(score: float, book: Book) -> bool:
+    """Accept the publication measured last unless its score is an alarm; returns whether it is one."""
+    alarm = not score <= 1.0
+    if not alarm:
         book.place[ACCEPTED] = 1
-    return score
+    return alarm
 
 
 AT = {

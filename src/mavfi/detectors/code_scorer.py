@@ -12,6 +12,7 @@ from mavfi.detectors.book import Book
 from mavfi.detectors.everything import COMPILED, Everything
 from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.lent import lent
 from mavfi.numerics.stored import Stored, kind_of
 from mavfi.states import ODOMETRY, State, new_state
 
@@ -138,7 +139,7 @@ class CompiledScorer(CodeScorer):
 
     judge: ClassVar[Callable[..., float]]
     judge_at: ClassVar[Callable[..., float]]
-    admit_at: ClassVar[Callable[..., float]]
+    admit_at: ClassVar[Callable[..., bool]]
     learns: ClassVar[Callable[..., None] | None] = None
     kind: ClassVar[Any]
 
@@ -175,13 +176,15 @@ class CompiledScorer(CodeScorer):
             self._judge = lambda _: given(*self._tables)
         self.at_once = {} if made else self._admissions()
 
-    def _admissions(self) -> dict[str, Callable[[np.ndarray], float]]:
+    def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
         """See `Scorer.at_once`."""
-        found: dict[str, Callable[[np.ndarray], float]] = dict.fromkeys(ODOMETRY.values(), self.everything.vehicles.add)
+        found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(
+            ODOMETRY.values(), self.everything.vehicles.add
+        )
         if not is_compiled(self.admit_at):
             return found
         for name in self.everything.frequent:
-            call = partial(entry(self.admit_at, 0, new_state(name).header), self._own.address)
+            call = partial(entry(self.admit_at, 0, lent(new_state(name).header)), self._own.address)
             found[name] = self.everything.vehicles.settled(call) if self.everything.from_vehicle(name) else call
         return found
 

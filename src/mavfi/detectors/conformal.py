@@ -20,7 +20,8 @@ from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import OfStates
 from mavfi.detectors.samples import Sample
-from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import header_of
 from mavfi.numerics.stored import load
 
 
@@ -66,11 +67,11 @@ def _largest_at(address: int) -> float:
     return judge_largest(own, judged, limit, centre, scale)
 
 
-@kernel_jit
-def _admit_largest(address: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_largest(address: int, header: Any) -> bool:
     own, judged, limit, centre, scale = load(address, _KIND)
-    book.measure(header, own)
-    return book.accept(judge_largest(own, judged, limit, centre, scale), own)
+    book.measure(header_of(header), own)
+    return book.accept_unless_alarm(judge_largest(own, judged, limit, centre, scale), own)
 
 
 class LargestScorer(OfStates, CompiledScorer):

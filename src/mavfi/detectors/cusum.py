@@ -13,7 +13,8 @@ from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
 from mavfi.detectors.samples import Sample, regime_limits
-from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import header_of
 from mavfi.numerics.stored import load
 
 _FLOOR = 0.5
@@ -128,11 +129,11 @@ def _sums_at(address: int) -> float:
     return judge_sums(own, judged, limit, centre, deviation, slack, sums)
 
 
-@kernel_jit
-def _admit_sums(address: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_sums(address: int, header: Any) -> bool:
     own, judged, limit, centre, deviation, slack, sums = load(address, _KIND)
-    book.measure(header, own)
-    return book.accept(judge_sums(own, judged, limit, centre, deviation, slack, sums), own)
+    book.measure(header_of(header), own)
+    return book.accept_unless_alarm(judge_sums(own, judged, limit, centre, deviation, slack, sums), own)
 
 
 class SumScorer(CompiledScorer):

@@ -65,6 +65,21 @@ class Detector(Protocol):
         """Record a published value."""
 
 
+class AtOnce(dict[str, Callable[..., object]]):
+    """By state: a function of the header, or of header and time, that accepts a publication or returns a true value.
+
+    The latter means that it takes longer: there is an alarm, or the state is not in the dictionary.
+    """
+
+    def __missing__(self, name: str) -> Callable[..., object]:
+        """The answer for other states."""
+        return _takes_longer
+
+
+def _takes_longer(*publication: Any) -> bool:  # noqa: ANN401 - header, and time
+    return True
+
+
 def admission(detector: Detector) -> Callable[[State, int], Alarm | None]:
     """`admit` of a detector, or the same from its `check` and `accept` if it has none or a subclass changes these."""
     if _level_of(detector, "admit") <= min(_level_of(detector, "check"), _level_of(detector, "accept")):

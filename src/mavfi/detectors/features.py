@@ -246,11 +246,12 @@ def propose(content: np.ndarray, slot: int, scratch: Scratch) -> None:
 
 
 @kernel_jit
-def accept(score: float, scratch: Scratch) -> float:
-    """Accept the publication judged last if its score is no alarm; returns the score."""
-    if score <= 1.0:
+def accept_unless_alarm(score: float, scratch: Scratch) -> bool:
+    """Accept the publication judged last unless its score is an alarm; returns whether it is one."""
+    alarm = not score <= 1.0
+    if not alarm:
         scratch.place[ACCEPTED] = 1
-    return score
+    return alarm
 
 
 @kernel_jit

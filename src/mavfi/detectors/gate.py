@@ -9,8 +9,9 @@ import numpy as np
 
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import integer_at, real_at
-from mavfi.numerics.jit import entry, is_compiled, kernel_jit
-from mavfi.numerics.stored import Stored, content_of, kind_of, load
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit, short_jit
+from mavfi.numerics.lent import content_of, lent
+from mavfi.numerics.stored import Stored, kind_of, load
 from mavfi.states import STATES, State, bytes_of, new_state
 
 SOURCE = "physics_gate"
@@ -162,8 +163,8 @@ def settle(kept: np.ndarray, then: np.ndarray) -> None:
 _KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
-@kernel_jit
-def _judge_at(address: int, slot: int, header: np.ndarray) -> int:
+@short_jit
+def _judge_at(address: int, slot: int, header: Any) -> int:
     limits, kept, then = load(address, _KIND)
     return judge(content_of(header), slot, limits, kept, then)
 
@@ -201,7 +202,7 @@ class PhysicsGate:
     def _judge_of(self, given: Callable[..., int], slot: int, name: str) -> Callable[[np.ndarray], int]:
         """A function of the header of a state."""
         if is_compiled(given):
-            return partial(entry(_judge_at, 0, 0, new_state(name).header), self._own.address, slot)
+            return partial(entry(_judge_at, 0, 0, lent(new_state(name).header)), self._own.address, slot)
         return lambda header: given(bytes_of(header), slot, self._limits, self._kept, self._then)
 
     def start(self) -> None:

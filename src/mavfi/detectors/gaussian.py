@@ -12,8 +12,9 @@ from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
-from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.stored import content_of, load
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import content_of
+from mavfi.numerics.stored import load
 
 SOURCE = "gaussian"
 SIGMA_FLOOR = 0.5
@@ -121,11 +122,11 @@ def _frozen_at(content: np.ndarray, slot: int, address: int) -> float:
     return judge_frozen(content, slot, watch, scratch, limit, centre)
 
 
-@kernel_jit
-def _admit_online(address: int, slot: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_online(address: int, slot: int, header: Any) -> bool:
     watch, scratch, limit, statistics, min_count = load(address, _ONLINE)
     score = judge_online(content_of(header), slot, watch, scratch, limit, statistics, min_count)
-    return features.accept(score, scratch)
+    return features.accept_unless_alarm(score, scratch)
 
 
 class OnlineScorer(DeltaScorer):
@@ -151,11 +152,11 @@ class OnlineScorer(DeltaScorer):
         self._statistics[:] = self._trained
 
 
-@kernel_jit
-def _admit_frozen(address: int, slot: int, header: np.ndarray) -> float:
+@short_jit
+def _admit_frozen(address: int, slot: int, header: Any) -> bool:
     watch, scratch, limit, centre = load(address, _FROZEN)
     score = judge_frozen(content_of(header), slot, watch, scratch, limit, centre)
-    return features.accept(score, scratch)
+    return features.accept_unless_alarm(score, scratch)
 
 
 class FrozenScorer(DeltaScorer):

@@ -16,7 +16,7 @@ from mavfi.states import STATES
 KEPT = 3
 """Trajectories that a way-point may refer to: the one in force, the pending one, and one spare."""
 COUNTERS = 4
-CAPACITY = 256
+CAPACITY = 2048
 """Initial capacity of a block, in trajectory points; grows if needed."""
 STATUS, PATH, TRAJECTORY = (
     STATES[name].header_dtype for name in ("perception.collision_status", "planning.path", "planning.trajectory")
@@ -126,11 +126,11 @@ def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
 
 
 @kernel_jit
-def accept(place: int, known: np.ndarray) -> int:
-    """Accept the candidate unless a field, at this place, violates a rule (>= 0); returns the place."""
+def accept_unless_violated(place: int, known: np.ndarray) -> bool:
+    """Accept the candidate unless a field, at this place, violates a rule (>= 0); returns whether one does."""
     if place < 0:
         known[0]["accepted"] = True
-    return place
+    return place >= 0
 
 
 @kernel_jit

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, AtOnce
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import kernel_jit
 from mavfi.states import State
@@ -63,8 +63,8 @@ class Scorer(ABC):
         states: Names of the states that it reads; None = all.
         kept: Memory of a flight, as arrays by name; 0 at its start.
         adapts: Whether `accept` needs the verdict on the publication.
-        at_once: By state, for frequent ones: a function of the header that returns the score, and accepts the
-            publication if there is no alarm.  Publications of other states are scored, then accepted.
+        at_once: By state, for frequent ones: a function of the header that accepts the publication, or returns a true
+            value if there is an alarm.  Publications of other states are scored, then accepted.
         candidate: The publication scored last, None = another one since; of scorers in compiled code.
         threshold: Converts readings to scores.
     """
@@ -74,7 +74,7 @@ class Scorer(ABC):
     states: frozenset[str] | None = None
     kept: Mapping[str, np.ndarray] = {}
     adapts = False
-    at_once: Mapping[str, Callable[[np.ndarray], float]] = {}
+    at_once: Mapping[str, Callable[[np.ndarray], object]] = {}
     candidate: State | None = None
     threshold: "Threshold"
     _judged: "tuple[Reading, Verdict]"
@@ -257,12 +257,7 @@ class ScoringDetector:
         scorer: Measures publications.
         threshold: Converts measurements to scores.
         policy: Recovery that an alarm requests, see `POLICIES`.
-
-    Attributes:
-        stepwise: Whether `admit` always calls `check` and `accept`, which a host may have replaced.
     """
-
-    stepwise = False
 
     def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
         self.source, self.scorer, self.threshold, self.policy = source, scorer, threshold, policy
@@ -273,12 +268,19 @@ class ScoringDetector:
         self._adapts, self._accept, self._measure = scorer.adapts, scorer.accept, scorer.score
         self._scored: State | None = None
         self._score: float | None = None
+        self._stepwise = False
         self._use()
 
     def _use(self) -> None:
         """Look up the scorer's functions; a policy that counts way-points needs the score of each."""
         counted = (_WAYPOINT,) if self._counts_waypoints else ()
-        self._at_once = {name: call for name, call in self.scorer.at_once.items() if name not in counted}
+        found = {name: call for name, call in self.scorer.at_once.items() if name not in counted}
+        self._at_once = AtOnce() if self._stepwise else AtOnce(found)
+
+    def step_by_step(self, always: bool) -> None:
+        """Whether `admit` always calls `check` and `accept`, which a host may have replaced."""
+        self._stepwise = always
+        self._use()
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code and addresses, which are valid in one process only."""
@@ -309,8 +311,7 @@ class ScoringDetector:
 
     def admit(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication, and record it if there is no alarm."""
-        at_once = self._at_once.get(state.spec.name)
-        if at_once is not None and not self.stepwise and at_once(state.header) <= 1.0:
+        if not self._at_once[state.spec.name](state.header):
             self._scored = self.scorer.candidate = None
             return None
         alarm = self.check(state, time_us)

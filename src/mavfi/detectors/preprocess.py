@@ -15,6 +15,7 @@ from mavfi.detectors.parts import FREQUENT, Reading, Scorer, Threshold, Verdict,
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.lent import lent
 from mavfi.numerics.stored import Stored
 from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec, bytes_of
 
@@ -152,8 +153,8 @@ class DeltaScorer(Scorer):
             then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
-        admit_at: Compiled: judges the publication, and accepts it if there is no alarm; arguments: address of the
-            tables, slot, header of the publication.
+        admit_at: Compiled: judges a publication, accepts it unless there is an alarm, and returns whether there is
+            one; arguments: address of the tables, slot, header that is lent.
         kind: `kind_of` these.
         features: The preprocessor.
         scratch: The publication judged last.
@@ -162,7 +163,7 @@ class DeltaScorer(Scorer):
     judge: ClassVar[Callable[..., float]]
     settle: ClassVar[Callable[..., None]]
     judge_at: ClassVar[Callable[..., float]]
-    admit_at: ClassVar[Callable[..., float]]
+    admit_at: ClassVar[Callable[..., bool]]
     kind: ClassVar[Any]
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
@@ -200,14 +201,14 @@ class DeltaScorer(Scorer):
             self._judge = lambda content, slot, _: given(content, slot, *self._tables)
         self.at_once = {} if made else self._admissions()
 
-    def _admissions(self) -> dict[str, Callable[[np.ndarray], float]]:
+    def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
         """See `Scorer.at_once`."""
         odometry = frozenset(self.states or ()).difference(self._slots)
-        found: dict[str, Callable[[np.ndarray], float]] = dict.fromkeys(odometry, self._vehicles.add)
+        found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(odometry, self._vehicles.add)
         for name in FREQUENT if is_compiled(self.admit_at) else ():
             if name in self._slots:
                 slot = self._slots[name]
-                header = np.zeros(1, self.features.specs[slot].header_dtype)
+                header = lent(np.zeros(1, self.features.specs[slot].header_dtype))
                 call = partial(entry(self.admit_at, 0, 0, header), self._stored.address, slot)
                 found[name] = self._vehicles.settled(call) if self._predicts[slot] else call
         return found

@@ -1,11 +1,12 @@
 """The vehicle's odometry as detectors read it: late, since most of its publications are never needed."""
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
 _WAITING = 100
-"""Largest number of publications queued before the latest is stored."""
+"""Largest number of publications queued; older ones are forgotten."""
 
 
 class VehicleQueue:
@@ -17,14 +18,12 @@ class VehicleQueue:
 
     def __init__(self, store: Callable[[np.ndarray], bool]) -> None:
         self.store = store
-        self._headers: list[np.ndarray] = []
+        self._headers: deque[np.ndarray] = deque(maxlen=_WAITING)
 
-    def add(self, header: np.ndarray) -> float:
-        """Queue a header; returns 0, the score of a publication that is not judged."""
-        self._headers.append(header)
-        if len(self._headers) == _WAITING:
-            self.settle()
-        return 0.0
+    @property
+    def add(self) -> Callable[[np.ndarray], None]:
+        """Queues a header.  A function of the queue itself: another one in Python would take longer."""
+        return self._headers.append
 
     def settle(self) -> None:
         """Store the latest that is finite."""
@@ -38,10 +37,10 @@ class VehicleQueue:
         """Forget what is queued."""
         self._headers.clear()
 
-    def settled(self, function: Callable[[np.ndarray], float]) -> Callable[[np.ndarray], float]:
+    def settled(self, function: Callable[[np.ndarray], bool]) -> Callable[[np.ndarray], bool]:
         """A function of a header that finds the queue empty."""
 
-        def call(header: np.ndarray) -> float:
+        def call(header: np.ndarray) -> bool:
             if self._headers:
                 self.settle()
             return function(header)

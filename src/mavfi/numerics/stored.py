@@ -10,7 +10,6 @@ import numba
 import numpy as np
 from numba.core import cgutils, types
 from numba.extending import intrinsic
-from numba.np.arrayobj import populate_array
 
 from mavfi.numerics.jit import is_compiled, kernel_jit
 
@@ -41,25 +40,6 @@ def _size(typingctx: Any, values: Any) -> Any:  # noqa: ANN401
     return types.int64(values), codegen
 
 
-def _content(typingctx: Any, header: Any) -> Any:  # noqa: ANN401
-    found = types.Array(types.uint8, 1, "C")
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
-        given = context.make_array(header)(context, builder, arguments[0])
-        made = context.make_array(found)(context, builder)
-        size, one = (context.get_constant(types.intp, number) for number in (header.dtype.size, 1))
-        data = builder.bitcast(given.data, made.data.type)
-        populate_array(made, data=data, shape=[size], strides=[one], itemsize=one, meminfo=None)  # type: ignore[no-untyped-call]
-        return made._getvalue()
-
-    return found(header), codegen
-
-
-content_of: Any = intrinsic(_content)
-"""In compiled code: the bytes of a header, shape (size,), uint8, of the same type as bytes from Python.
-
-A view would be an array that may be unaligned, for which all functions that take it would be compiled once more.
-"""
 load: Any = intrinsic(_load)
 """In compiled code, `load(address, kind)`: the values at an address, see `Stored`; `kind` is their `kind_of`."""
 _store: Any = intrinsic(_put_at)

@@ -115,8 +115,8 @@ class MemoryInjector:
         for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
             if hasattr(part, name):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
-        if target in DETECTORS:
-            part.stepwise = True
+        if hasattr(part, "step_by_step"):
+            part.step_by_step(True)
 
     def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -143,8 +143,10 @@ class MemoryInjector:
         """Remove the guard of a detector, which outlives the flight."""
         part = part_of(self._detector, self._fault.kernel) if self._fault.kernel in DETECTORS else None
         if part is not None:
-            for name in (*_CHECKS, "stepwise"):
+            for name in _CHECKS:
                 vars(part).pop(name, None)
+            if hasattr(part, "step_by_step"):
+                part.step_by_step(False)
 
     @property
     def injections(self) -> list[Injection]:
