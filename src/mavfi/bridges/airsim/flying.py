@@ -209,6 +209,7 @@ _ATTITUDES = {
     "moveByRollPitchYawrateZ": "roll pitch yaw_rate z",
     "moveByAngleRatesZ": "roll_rate pitch_rate yaw_rate z",
     "moveByAngleRatesThrottle": "roll_rate pitch_rate yaw_rate throttle",
+    "moveByAngle": "pitch roll z yaw",  # before AirSim 1.3
     "moveByAngleZ": "pitch roll z yaw",
     "moveByAngleThrottle": "pitch roll throttle yaw_rate",
 }

@@ -106,15 +106,20 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     return veiled
 
 
+def owners(api: Api, view: View) -> np.ndarray:
+    """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
+    points, world = view.points(), api.vehicle.sim.world
+    found = np.where(np.isfinite(view.ranges), -1, -2)
+    for place in range(len(api.objects)):
+        lower, upper = world.lower[place] - _SURFACE_M, world.upper[place] + _SURFACE_M
+        found[((points >= lower) & (points <= upper)).all(axis=1)] = place
+    return found
+
+
 def _segments(api: Api, view: View, kind: int) -> np.ndarray:
     """Colours by segmentation id: 0 = sky, 1 = ground, then the boxes. Shape (height, width, 3), uint8."""
-    points, world = view.points(), api.vehicle.sim.world
-    ids = np.where(np.isfinite(view.ranges), api.segment(GROUND), 0)
-    for place, name in enumerate(api.objects):
-        lower, upper = world.lower[place] - _SURFACE_M, world.upper[place] + _SURFACE_M
-        inside = ((points >= lower) & (points <= upper)).all(axis=1)
-        ids[inside] = api.segment(name)
-    ids = ids.astype(np.int64)
+    segments = [*map(api.segment, api.objects), 0, api.segment(GROUND)]
+    ids = np.array(segments, np.int64)[owners(api, view)]
     if kind == INFRARED:
         return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)
     picture: np.ndarray = _colours()[ids % 256].reshape(view.height, view.width, 3)

@@ -6,9 +6,8 @@ from mavfi.bridges.airsim.table import Api, call
 from mavfi.errors import BadInputError
 
 _GAINS = "gains are those of the vehicle's file (--vehicle)"
-_DETECTIONS = "objects are not detected in pictures; simGetImages returns segmentation"
 _PAINT = "objects have no material, texture or light"
-_LENS = "cameras have no lens; field of view and pose can be set"
+_STRAIGHT = "pictures have no distortion"
 _SENSOR = "this sensor does not exist here"
 _ONE_PLACE = "the sensor sits at the vehicle's centre"
 _OF_COSYS = "annotations and instances are not drawn; simGetImages returns segmentation"
@@ -27,24 +26,12 @@ REFUSED = {
         _GAINS,
     ),
     **dict.fromkeys(
-        ("simGetDetections", "simSetDetectionFilterRadius", "simAddDetectionFilterMeshName",
-         "simClearDetectionMeshNames"),
-        _DETECTIONS,
-    ),
-    **dict.fromkeys(
         ("simSetObjectMaterial", "simSetObjectMaterialFromTexture", "simSwapTextures", "simSetLightIntensity",
          "simSetVehicleLightIntensity", "simSetVehicleLightVisibility", "simSetWorldLightIntensity",
          "simSetWorldLightVisibility"),
         _PAINT,
     ),
-    **dict.fromkeys(
-        ("simSetDistortionParam", "simSetDistortionParams", "simGetDistortionParams", "simGetLensSettings",
-         "simGetPresetLensSettings", "simSetPresetLensSettings", "simGetFilmbackSettings", "simSetFilmbackSettings",
-         "simGetPresetFilmbackSettings", "simSetPresetFilmbackSettings", "simGetFocalLength", "simSetFocalLength",
-         "simGetFocusDistance", "simSetFocusDistance", "simGetFocusAperture", "simSetFocusAperture",
-         "simEnableManualFocus", "simEnableFocusPlane", "simGetCurrentFieldOfView"),
-        _LENS,
-    ),
+    **dict.fromkeys(("simSetDistortionParam", "simSetDistortionParams"), _STRAIGHT),
     **dict.fromkeys(
         ("getEchoData", "getGPULidarData", "getUWBData", "getUWBSensorData", "getWifiData", "getWifiSensorData"),
         _SENSOR,

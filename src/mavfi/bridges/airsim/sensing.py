@@ -9,6 +9,7 @@ import numpy as np
 from mavfi.bridges.airsim import pictures
 from mavfi.bridges.airsim.frames import (
     LEVEL,
+    Triple,
     flipped,
     geo_point,
     looking,
@@ -18,7 +19,7 @@ from mavfi.bridges.airsim.frames import (
     vector,
 )
 from mavfi.bridges.airsim.frames import rotation as rotated
-from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, Camera, call
+from mavfi.bridges.airsim.table import DESTROYED, GROUND, NARROWEST, WIDEST, Api, Camera, call
 from mavfi.bridges.airsim.vehicle import FLYING, LANDED
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
@@ -282,17 +283,25 @@ def _(api: Api, camera_name: str, vehicle_name: str = "", external: Any = False)
 
 @call("simSetCameraPose")
 def _(api: Api, camera_name: str, pose: Any, vehicle_name: str = "", external: Any = False) -> None:
-    found = find_camera(api, camera_name)
-    position, orientation = pose_numbers(pose)
+    place_camera(find_camera(api, camera_name), *pose_numbers(pose))
+
+
+def place_camera(camera: Camera, position: Triple, orientation: tuple[float, float, float, float]) -> None:
+    """Set position and orientation in the body frame FRD (m, w x y z).
+
+    Raises:
+        BadInputError: Not finite, or an orientation of zero.
+    """
     norm = math.sqrt(sum(value * value for value in orientation))
     if not norm > 0.0 or not all(map(math.isfinite, (*position, *orientation))):
-        raise BadInputError(f"simSetCameraPose: {pose!r}: allowed: finite numbers, an orientation other than zero")
-    found.position = position
-    found.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
+        text = "allowed: finite numbers, an orientation other than zero"
+        raise BadInputError(f"camera at {position}, orientation {orientation}: {text}")
+    camera.position = position
+    camera.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
 
 
 @call("simSetCameraFov")
 def _(api: Api, camera_name: str, fov_degrees: float, vehicle_name: str = "", external: Any = False) -> None:
-    if not 1.0 <= fov_degrees <= 170.0:
-        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: 1 to 170 deg")
+    if not NARROWEST <= fov_degrees <= WIDEST:
+        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
     find_camera(api, camera_name).fov_deg = float(fov_degrees)

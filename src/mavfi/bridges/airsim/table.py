@@ -11,6 +11,10 @@ from mavfi.errors import BadInputError
 
 GROUND = "Ground"
 """Name of the ground plane."""
+FILM_MM = (23.76, 13.365)
+"""Width and height of Unreal's default film (mm)."""
+NARROWEST, WIDEST = 1.0, 170.0
+"""Fields of view of cameras (deg)."""
 DESTROYED = -3
 """`Contact.obstacle` of an obstacle that was destroyed after the contact."""
 
@@ -22,11 +26,31 @@ _DOUBLES = frozenset(
 
 @dataclass(slots=True)
 class Camera:
-    """A camera: pose in the body frame FRD (position, orientation w x y z), and field of view (deg)."""
+    """A camera.
+
+    Attributes:
+        position: In the body frame FRD (m).
+        orientation: In the body frame FRD, w x y z.
+        fov_deg: Horizontal field of view (deg).
+        film_mm: Width and height of the film (mm).
+        focus_distance: What the program has set (cm); all distances are in focus.
+        aperture: What the program has set (f-number).
+    """
 
     position: tuple[float, float, float]
     orientation: tuple[float, float, float, float]
     fov_deg: float = 90.0
+    film_mm: tuple[float, float] = FILM_MM
+    focus_distance: float = 100_000.0
+    aperture: float = 2.8
+
+
+@dataclass(slots=True)
+class Wanted:
+    """What is detected in a camera's pictures: patterns of names, largest distance (m) of an object's centre."""
+
+    names: list[str] = field(default_factory=list)
+    radius: float = 200.0
 
 
 @dataclass
@@ -43,6 +67,7 @@ class Api:
         resume_until_us: Instant of the next pause; None = none is planned.
         objects: Names of the obstacles, in the order of the world's boxes.
         segments: Segmentation ids of objects, by name.
+        detected: What is detected in pictures, by camera and kind of image.
         weather: Parameters of the picture, by AirSim's number.
         weather_on: Whether they are drawn.
         sticks: Last data of moveByRC.
@@ -58,6 +83,7 @@ class Api:
     resume_until_us: int | None = None
     objects: list[str] = field(default_factory=list)
     segments: dict[str, int] = field(default_factory=dict)
+    detected: dict[tuple[str, int], Wanted] = field(default_factory=dict)
     weather: dict[int, float] = field(default_factory=dict)
     weather_on: bool = False
     sticks: dict[str, float] = field(default_factory=dict)

@@ -1,0 +1,154 @@
+"""Calls about lens, film and focus of cameras: pinholes, so that only the field of view changes a picture."""
+
+import math
+
+from mavfi.bridges.airsim.sensing import find_camera
+from mavfi.bridges.airsim.table import FILM_MM, NARROWEST, WIDEST, Api, Camera, call
+from mavfi.errors import BadInputError
+from mavfi.numerics.elementary import atan2, tan
+
+LENS, FILM = "Pinhole", "16:9 Digital Film"
+"""The only presets: Unreal's default film."""
+_UNDISTORTED = (0.0,) * 5
+
+
+def focal_length(camera: Camera) -> float:
+    """Focal length (mm) of the field of view on the film."""
+    return 0.5 * camera.film_mm[0] / tan(math.radians(0.5 * camera.fov_deg))
+
+
+def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: float) -> None:
+    """Set film and focal length (mm), which make the field of view.
+
+    Raises:
+        BadInputError: The field of view would be too narrow or too wide, or a length is not positive.
+    """
+    if not (0.0 < focal < math.inf and all(0.0 < side < math.inf for side in film)):
+        raise BadInputError(f"{name}: film of {film} mm, focal length {focal} mm: allowed: finite numbers above 0")
+    fov = math.degrees(2.0 * atan2(0.5 * film[0], focal))
+    if not NARROWEST <= fov <= WIDEST:
+        raise BadInputError(f"{name}: a field of view of {fov:.4g} deg: allowed: {NARROWEST:g} to {WIDEST:g} deg")
+    camera.film_mm, camera.fov_deg = film, fov
+
+
+def _preset(name: str, given: str, only: str) -> None:
+    if given != only:
+        raise BadInputError(f"{name}: {given!r}: allowed: {only!r}")
+
+
+# ---- lens ------------------------------------------------------------------------------------------------------------
+@call("simGetPresetLensSettings")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[str]:
+    return [_lens()]
+
+
+@call("simGetLensSettings")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> str:
+    find_camera(api, camera_name)
+    return _lens()
+
+
+def _lens() -> str:
+    return f"Name: {LENS}"
+
+
+@call("simSetPresetLensSettings")
+def _(api: Api, preset_lens_settings: str, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name)
+    _preset("simSetPresetLensSettings", preset_lens_settings, LENS)
+
+
+@call("simGetFocalLength")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
+    return focal_length(find_camera(api, camera_name))
+
+
+@call("simSetFocalLength")
+def _(api: Api, focal_length: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    camera = find_camera(api, camera_name)
+    _set_optics("simSetFocalLength", camera, camera.film_mm, focal_length)
+
+
+# ---- film ------------------------------------------------------------------------------------------------------------
+def _film(width: float, height: float) -> str:
+    return (
+        f"Name: {FILM};\n\t Sensor Width: {width:g}; \t Sensor Height: {height:g}"
+        f"\n\t Sensor Aspect Ratio: {width / height:g}"
+    )
+
+
+@call("simGetPresetFilmbackSettings")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[str]:
+    return [_film(*FILM_MM)]
+
+
+@call("simGetFilmbackSettings")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> str:
+    return _film(*find_camera(api, camera_name).film_mm)
+
+
+@call("simSetPresetFilmbackSettings")
+def _(
+    api: Api, preset_filmback_settings: str, camera_name: str, vehicle_name: str = "", external: bool = False
+) -> None:  # fmt: skip
+    camera = find_camera(api, camera_name)
+    _preset("simSetPresetFilmbackSettings", preset_filmback_settings, FILM)
+    _set_optics("simSetPresetFilmbackSettings", camera, FILM_MM, focal_length(camera))
+
+
+@call("simSetFilmbackSettings")
+def _(
+    api: Api, sensor_width: float, sensor_height: float, camera_name: str, vehicle_name: str = "",
+    external: bool = False,
+) -> float:  # fmt: skip
+    """Sides of the film (mm); the focal length stays.  Returns their ratio."""
+    camera = find_camera(api, camera_name)
+    _set_optics("simSetFilmbackSettings", camera, (sensor_width, sensor_height), focal_length(camera))
+    return sensor_width / sensor_height
+
+
+@call("simGetCurrentFieldOfView")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> str:
+    camera = find_camera(api, camera_name)
+    vertical = math.degrees(2.0 * atan2(0.5 * camera.film_mm[1], focal_length(camera)))
+    return (
+        f"Current Field Of View:\n\tHorizontal Field Of View: {camera.fov_deg:g};"
+        f"\n\t Vertical Field Of View: {vertical:g}"
+    )
+
+
+# ---- focus: kept and returned, all of a picture is sharp -------------------------------------------------------------
+@call("simEnableManualFocus")
+def _(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name)
+
+
+@call("simEnableFocusPlane")
+def _(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name)
+
+
+@call("simGetFocusDistance")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
+    return find_camera(api, camera_name).focus_distance
+
+
+@call("simSetFocusDistance")
+def _(api: Api, focus_distance: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name).focus_distance = float(focus_distance)
+
+
+@call("simGetFocusAperture")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
+    return find_camera(api, camera_name).aperture
+
+
+@call("simSetFocusAperture")
+def _(api: Api, focus_aperture: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name).aperture = float(focus_aperture)
+
+
+@call("simGetDistortionParams")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[float]:
+    find_camera(api, camera_name)
+    return list(_UNDISTORTED)
