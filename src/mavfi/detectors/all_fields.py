@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import book
-from mavfi.detectors.autoencoder import NETWORK, Network, fit_autoencoder, network_of, residuals
+from mavfi.detectors.autoencoder import INPUT_LIMIT, NETWORK, Network, fit_autoencoder, network_of
 from mavfi.detectors.book import Book
 from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
@@ -15,6 +15,7 @@ from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
 from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.numerics.elementary import quick_tanh
 from mavfi.numerics.jit import kernel_jit, short_jit
 from mavfi.numerics.lent import header_of
 from mavfi.numerics.stored import load
@@ -73,6 +74,48 @@ class Holding(NamedTuple):
 
 
 @kernel_jit
+def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int) -> None:
+    """Outputs [first, last) of the network, into the first row of `work`; see `autoencoder.reconstruct`.
+
+    A publication is judged by its own fields: the last layer computes no others.
+    """
+    sizes, weights = network.sizes, network.weights
+    now, after = network.work[0], network.work[1]
+    now[: sizes[0]] = inputs
+    start = 0
+    for layer in range(1, len(sizes)):
+        before, neurons = sizes[layer - 1], sizes[layer]
+        hidden, intercepts = layer < len(sizes) - 1, start + before * neurons
+        low, high = (0, neurons) if hidden else (first, last)
+        total = after[low:high]
+        total[:] = 0.0
+        for source in range(before):
+            value, row = now[source], weights[start + source * neurons + low : start + source * neurons + high]
+            for neuron in range(high - low):
+                total[neuron] += value * row[neuron]
+        for neuron in range(high - low):
+            total[neuron] += weights[intercepts + low + neuron]
+        if hidden:
+            for neuron in range(high - low):
+                total[neuron] = quick_tanh(total[neuron])
+        start = intercepts + neurons
+        now[low:high] = total
+
+
+@kernel_jit
+def residuals_of_part(
+    vector: np.ndarray, network: Network, first: int, last: int, errors: np.ndarray
+) -> None:  # fmt: skip
+    """Absolute reconstruction errors of the codes [first, last) of a vector, into `errors`; see `residuals`."""
+    inputs = network.work[2, : len(vector)]
+    for index in range(len(vector)):
+        inputs[index] = min(max(vector[index] / network.scale[index], -INPUT_LIMIT), INPUT_LIMIT)
+    reconstruct_part(inputs, network, first, last)
+    for index in range(first, last):
+        errors[index] = abs(inputs[index] - network.work[0, index])
+
+
+@kernel_jit
 def hold(own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding) -> None:
     """Hold the codes of a normal publication; 0 for an anomalous one."""
     if own.place[book.LEARNED] == book.NEVER:
@@ -93,7 +136,7 @@ def judge_reconstruction(
     holding.vector[:] = holding.held
     holding.vector[first:last] = own.codes[first:last]
     if own.place[book.REGIME] >= 0:
-        residuals(holding.vector, network, judged.distance)
+        residuals_of_part(holding.vector, network, first, last, judged.distance)
     return conclude(first, last, own, judged, limit)
 
 

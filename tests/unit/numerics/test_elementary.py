@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.numerics import elementary
-from mavfi.numerics.elementary import acos, asin, atan2, cbrt, cos, exp, log, sin, tan, tanh
+from mavfi.numerics.elementary import acos, asin, atan2, cbrt, cos, exp, log, quick_tanh, sin, tan, tanh
 from mavfi.numerics.elementary.angles import TWO_OVER_PI_DIGITS
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 
@@ -65,6 +65,12 @@ def test_less_than_one_unit_in_the_last_place(name, numbers):
     assert error(ours(worst), exact, worst) < 1.0, worst
 
 
+@pytest.mark.parametrize("numbers", [between(-3.0, 3.0), between(-0.4, 0.4), wide(-300, 1.3)])
+def test_the_quick_tangent_is_less_than_four_units_away(numbers):
+    given_to_it = numbers(np.random.default_rng(0), MANY)
+    assert max(error(quick_tanh(number), mpmath.tanh, number) for number in given_to_it) < 4.0
+
+
 @pytest.mark.parametrize("span", [1.0, 9.0, 150.0])
 def test_an_angle_of_any_vector_is_as_accurate(span):
     random = np.random.default_rng(1)
@@ -91,7 +97,8 @@ SPECIAL = [
     (asin, 1.0000000000000002, math.nan), (acos, 1.0, 0.0), (acos, -1.0, math.pi), (acos, -2.0, math.nan),
     (exp, -math.inf, 0.0), (exp, math.inf, math.inf), (exp, 710.0, math.inf), (exp, -746.0, 0.0), (exp, 0.0, 1.0),
     (tanh, math.inf, 1.0), (tanh, -math.inf, -1.0), (tanh, -0.0, -0.0), (tanh, 19.5, 1.0),
-    (log, 0.0, -math.inf), (log, -1.0, math.nan), (log, 1.0, 0.0), (log, math.inf, math.inf),
+    (quick_tanh, math.inf, 1.0), (quick_tanh, -math.inf, -1.0), (quick_tanh, 0.0, 0.0), (quick_tanh, -0.0, -0.0),
+    (quick_tanh, 19.5, 1.0), (log, 0.0, -math.inf), (log, -1.0, math.nan), (log, 1.0, 0.0), (log, math.inf, math.inf),
     (cbrt, 0.0, 0.0), (cbrt, -27.0, -3.0), (cbrt, math.inf, math.inf),
 ]  # fmt: skip
 
@@ -101,7 +108,7 @@ def test_special_values(function, number, wanted):
     assert same(function(number), wanted)
 
 
-@pytest.mark.parametrize("function", [sin, cos, tan, asin, acos, exp, tanh, log, cbrt])
+@pytest.mark.parametrize("function", [sin, cos, tan, asin, acos, exp, tanh, quick_tanh, log, cbrt])
 def test_not_a_number_stays_one(function):
     assert math.isnan(function(math.nan))
     assert math.isnan(atan2(math.nan, 1.0)) and math.isnan(atan2(1.0, math.nan))
@@ -121,6 +128,7 @@ def test_exponentials_that_are_denormal(number):
 def test_symmetry(number):
     assert same(sin(-number), -sin(number)) and same(cos(-number), cos(number))
     assert same(tanh(-number), -tanh(number)) and same(cbrt(-number), -cbrt(number))
+    assert same(quick_tanh(-number), -quick_tanh(number))
 
 
 @given(finite)
@@ -151,7 +159,7 @@ CALL = re.compile(rf"call [^@]*@(llvm\.)?({NAMES})\b")
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-@pytest.mark.parametrize("function", [sin, cos, tan, asin, acos, exp, tanh, log, cbrt, atan2])
+@pytest.mark.parametrize("function", [sin, cos, tan, asin, acos, exp, tanh, quick_tanh, log, cbrt, atan2])
 def test_neither_contracted_nor_given_to_the_c_library(function):
     assembly, ir = text_of(function, *[0.5] * (2 if function is atan2 else 1))
     assert not re.search(r"fn?m(add|sub)", assembly)
