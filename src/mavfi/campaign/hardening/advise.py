@@ -29,8 +29,8 @@ FRACTIONS = tuple(place / 20 for place in range(1, 21))
 """Steps of a curve: shares of the cost of duplicating everything."""
 _UNITS = 10_000
 """Number of units into which a budget is divided."""
-_SECONDS = 1.0
-"""Time for measuring one function."""
+TIMED_S = 1.0
+"""For how long a function and its variants are timed (s): `mavfi harden` has a minute."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,19 +179,19 @@ def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[byt
     return [Timed.code_of(source, module) for module in (plain, *variants)]
 
 
-def times_of(target: Target, codes: Sequence[bytes]) -> tuple[float, list[float]]:
-    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it."""
+def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -> tuple[float, list[float]]:
+    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; takes some time (s)."""
     environment = environment_of(target.seen.function, target.seen.signature)
     base, *others = (Timed(target.source, code, environment).ticks for code in codes)
     clocks = {str(place): clock for place, clock in enumerate(others)}
-    end = monotonic() + _SECONDS
+    end = monotonic() + seconds
     timing = compare(base, clocks, target.seen.calls, lambda _: monotonic() > end)
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
 
 
-def timed_steps(target: Target, own: Prepared) -> tuple[float, tuple[Step, ...]]:
-    """Time the steps of a function; also returns the ticks of a plain call."""
-    ticks, times = times_of(target, own.codes)
+def timed_steps(target: Target, own: Prepared, seconds: float = TIMED_S) -> tuple[float, tuple[Step, ...]]:
+    """Time the steps of a function for some time (s); also returns the ticks of a plain call."""
+    ticks, times = times_of(target, own.codes, seconds)
     return ticks, tuple(
         Step(fraction, choice, time, judged)
         for (fraction, choice, judged), time in zip(own.choices, (1.0, *times), strict=True)
@@ -233,6 +233,7 @@ def curves_of(
     ready: Sequence[Prepared],
     other_ticks: float = 0.0,
     tell: Callable[[str], None] = lambda _: None,
+    seconds: float = TIMED_S,
 ) -> tuple[Curve, ...]:
     """Time the steps of the functions of a flight.
 
@@ -241,11 +242,12 @@ def curves_of(
         ready: As of `prepare_all`.
         other_ticks: Ticks of all other functions in the flight.
         tell: Called with the name of each function.
+        seconds: For how long each is timed (s).
     """
     rows = []
     for target, own in zip(targets, ready, strict=True):
         tell(f"timing {target.name}")
-        ticks, steps = timed_steps(target, own)
+        ticks, steps = timed_steps(target, own, seconds)
         rows.append((target, ticks * target.seen.total, steps, own.compared))
     whole = other_ticks + sum(ticks for _, ticks, *_ in rows)
     return tuple(Curve(target, ticks, ticks / whole, steps, ways) for target, ticks, steps, ways in rows)

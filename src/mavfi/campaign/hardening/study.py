@@ -13,7 +13,7 @@ import numpy as np
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of, prepare_all
+from mavfi.campaign.hardening.advise import TIMED_S, Advice, Step, allocate, curves_of, prepare_all
 from mavfi.campaign.hardening.certify import (
     REFUTED,
     Certificate,
@@ -120,12 +120,12 @@ class Study:
 
 def advise(
     study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False,
-    learn: Learn = injections_in, workers: int = 1,
+    learn: Learn = injections_in, workers: int = 1, seconds: float = TIMED_S,
 ) -> list[Advice]:  # fmt: skip
     """Advice by planner of the missions, that of the campaign's planner first.
 
     The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
-    is that of `Target`, `learn` and `workers` are those of `prepare_all`.
+    is that of `Target`, `learn` and `workers` are those of `prepare_all`, `seconds` is that of `curves_of`.
 
     Raises:
         BadInputError: A mission cannot be flown.
@@ -148,7 +148,7 @@ def advise(
         steps = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
         before = [steps[target.key] for target in shared]
         other_ticks = sum(curve.ticks for curve, _ in before)
-        curves = curves_of(new, [ready[target.key] for target in new], other_ticks, tell)
+        curves = curves_of(new, [ready[target.key] for target in new], other_ticks, tell, seconds)
         whole = other_ticks + sum(curve.ticks for curve in curves)
         spent = sum(curve.ticks * (step.time - 1) for curve, step in before) / whole
         found.append(Advice(budget, curves, allocate(curves, budget - spent), spent))
