@@ -2,15 +2,17 @@
 
 python -m tools.airsim_survey
 
-The calls are in airsim_survey.csv: repository, commit, and name of the client's method without `Async`.  Repositories
-were taken from a list without looking at their calls: whose Python programs fly a multirotor by the client of AirSim or
-Cosys-AirSim.  Copies of AirSim's own programs, comments and programs that drive cars are left out.
+The calls are in airsim_survey.csv: repository, commit, name of the client's method without `Async`, and whether the
+repository was read before or after calls that the first ones lacked were added.  Repositories were taken from a list
+without looking at their calls: whose Python programs fly a multirotor by the client of AirSim or Cosys-AirSim.  Copies
+of AirSim's own programs, comments and programs that drive cars are left out.
 """
 
 import csv
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from mavfi.bridges.airsim import server  # noqa: F401 - registers all calls
 from mavfi.bridges.airsim.refused import REFUSED
@@ -32,35 +34,45 @@ def is_served(method: str) -> bool:
     return all(name in CALLS and name not in REFUSED for name in BY_CLIENT.get(method, (method,)))
 
 
-def pairs() -> list[tuple[str, str, str]]:
-    """Repository, commit and method of each pair."""
+class Pair(NamedTuple):
+    """A call that a repository uses; `read` is "before" or "after"."""
+
+    repository: str
+    commit: str
+    call: str
+    read: str
+
+
+def pairs() -> list[Pair]:
+    """All pairs of a repository and a call."""
     with DATA.open(encoding="utf-8", newline="") as file:
-        return [(row["repository"], row["commit"], row["call"]) for row in csv.DictReader(file)]
+        return [Pair(**row) for row in csv.DictReader(file)]
 
 
-def summary(found: Iterable[tuple[str, str, str]]) -> str:
-    """The sentence and the table."""
-    rows = list(found)
-    used: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for repository, commit, method in rows:
-        used[repository, commit].append(method)
-    served = sum(is_served(method) for *_, method in rows)
-    often = Counter(method for *_, method in rows).most_common(12)
-    grid = markdown_grid(
-        ("repository", "commit", "calls used", "served", "not served"),
-        [
-            [
-                name, commit[:8], str(len(methods)), str(sum(map(is_served, methods))),
-                ", ".join(f"`{method}`" for method in methods if not is_served(method)),
-            ]
-            for (name, commit), methods in sorted(used.items(), key=lambda item: item[0][0].lower())
-        ],
-    )  # fmt: skip
+def share(found: Sequence[Pair]) -> str:
+    """How many pairs are served."""
+    served = sum(is_served(pair.call) for pair in found)
+    return f"{served} of {len(found)} ({percent(served / len(found))})"
+
+
+def summary(found: Sequence[Pair]) -> str:
+    """The sentences and the table."""
+    by_repository: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    for pair in found:
+        by_repository[pair.read, pair.repository, pair.commit].append(pair.call)
+    first, fresh = ([pair for pair in found if pair.read == read] for read in ("before", "after"))
+    rows = [
+        [name, commit[:8], read, str(len(calls)), str(sum(map(is_served, calls))),
+         ", ".join(f"`{call}`" for call in calls if not is_served(call))]
+        for (read, name, commit), calls in by_repository.items()
+    ]  # fmt: skip
+    count, fresh_count = (len({pair.repository for pair in own}) for own in (first, fresh))
+    often = Counter(pair.call for pair in found).most_common(12)
     return (
-        f"Of {len(rows)} pairs of a repository and a call that its programs use, in {len(used)} public repositories, "
-        f"{served} are served ({percent(served / len(rows))}). Used most: "
-        + ", ".join(f"`{method}` ({count})" for method, count in often)
-        + f".\n\n{grid}"
+        f"Pairs of a repository and a call that its programs use: {share(first)} are served in {count} public "
+        f"repositories, after calls that they use had been added. In {fresh_count} others, read afterwards, "
+        f"{share(fresh)} are. Used most: {', '.join(f'`{call}` ({times})' for call, times in often)}.\n\n"
+        + markdown_grid(("repository", "commit", "read", "calls used", "served", "not served"), rows)
     )
 
 

@@ -1,6 +1,7 @@
 """Write docs/generated/hardening.md: curves, plans and certificates of the kernels, and the required values.
 
-python -m tools.build_hardening out/hardening [--learn 3] [--faults 200] [--fractions 0.5,1] [--flights 10]
+python -m tools.build_hardening out/hardening [--learn 3] [--faults 200] [--seconds 20]
+    [--fractions 0.5,1] [--flights 10]
 
 Each choice has `--learn` times as many injections as those of `mavfi harden`, which has a minute, and a function is
 timed for `--seconds`: two steps may differ by 1 % in time.  Certified are these

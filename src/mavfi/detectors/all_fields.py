@@ -77,7 +77,8 @@ class Holding(NamedTuple):
 def reconstruct_part(inputs: np.ndarray, network: Network, first: int, last: int) -> None:
     """Outputs [first, last) of the network, into the first row of `work`; see `autoencoder.reconstruct`.
 
-    A publication is judged by its own fields: the last layer computes no others.
+    A publication is judged by its own fields: the last layer computes no others.  `reconstruct` is not built of this
+    function, since faults are drawn in its instructions.
     """
     sizes, weights = network.sizes, network.weights
     now, after = network.work[0], network.work[1]

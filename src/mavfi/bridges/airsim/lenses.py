@@ -39,6 +39,7 @@ def _preset(name: str, given: str, only: str) -> None:
 # ---- lens ------------------------------------------------------------------------------------------------------------
 @call("simGetPresetLensSettings")
 def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[str]:
+    find_camera(api, camera_name)
     return [_lens()]
 
 
@@ -79,6 +80,7 @@ def _film(width: float, height: float) -> str:
 
 @call("simGetPresetFilmbackSettings")
 def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[str]:
+    find_camera(api, camera_name)
     return [_film(*FILM_MM)]
 
 
@@ -118,34 +120,29 @@ def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False
 
 
 # ---- focus: kept and returned, all of a picture is sharp -------------------------------------------------------------
-@call("simEnableManualFocus")
-def _(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+def _enable(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
     find_camera(api, camera_name)
 
 
-@call("simEnableFocusPlane")
-def _(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
-    find_camera(api, camera_name)
+for _name in ("simEnableManualFocus", "simEnableFocusPlane"):
+    call(_name)(_enable)
 
 
-@call("simGetFocusDistance")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
-    return find_camera(api, camera_name).focus_distance
+def _keep(name: str, attribute: str) -> None:
+    """Register the calls that return and set a number of a camera."""
+
+    def get(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
+        return float(getattr(find_camera(api, camera_name), attribute))
+
+    def put(api: Api, value: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+        setattr(find_camera(api, camera_name), attribute, float(value))
+
+    call(f"simGet{name}")(get)
+    call(f"simSet{name}")(put)
 
 
-@call("simSetFocusDistance")
-def _(api: Api, focus_distance: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
-    find_camera(api, camera_name).focus_distance = float(focus_distance)
-
-
-@call("simGetFocusAperture")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
-    return find_camera(api, camera_name).aperture
-
-
-@call("simSetFocusAperture")
-def _(api: Api, focus_aperture: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
-    find_camera(api, camera_name).aperture = float(focus_aperture)
+_keep("FocusDistance", "focus_distance")
+_keep("FocusAperture", "aperture")
 
 
 @call("simGetDistortionParams")
