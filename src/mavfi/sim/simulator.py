@@ -2,6 +2,7 @@
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -10,6 +11,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.mission import Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
+from mavfi.numerics.jit import entry
 from mavfi.plugins import build
 from mavfi.sim.camera import Camera
 from mavfi.sim.cascade import Cascade, advance
@@ -122,6 +124,7 @@ class Simulator:
         self.odometry = np.zeros(13)
         self.collided = False
         self.rejected_commands = 0
+        self._compiled: Callable[..., bool] | None = None  # `advance` for the types of this flight
         self.controller = self._make_controller(self._face(world.goal - world.start))
 
     def _build(self, world: World, period_us: int) -> None:
@@ -198,11 +201,13 @@ class Simulator:
         """Advance with our own controller, in one compiled loop."""
         steps = (time_us - self.time_us) // STEP_US
         commanded = max(0, self._expiry_us - self.time_us + STEP_US - 1) // STEP_US
-        touched = advance(
+        arguments = (
             self._airframe, self._body, self._voxels, self._weather.until(1e-6 * time_us), self.time_us,
             self._thrusts, controller.memory, self._setpoint, steps, commanded, self.odometry,
         )  # fmt: skip
-        self.collided = self.collided or touched
+        if self._compiled is None:
+            self._compiled = entry(advance, *arguments)
+        self.collided = self._compiled(*arguments) or self.collided
         self.time_us = time_us
 
     def _step(self, wind: Wind) -> None:

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mavfi.campaign.samplers import instruction as sampler
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.spec import InstructionRequest
@@ -14,7 +15,7 @@ from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly, forks, mission_flights
 from mavfi.hosts.local.fast_forward import Branch, FastForward
-from mavfi.hosts.local.forks import fly_from_checkpoints
+from mavfi.hosts.local.forks import WatchedArm, fly_from_checkpoints
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
@@ -25,6 +26,10 @@ from tests.hosts.test_checkpoints import Nervous, detector_of
 KERNELS = ("point_cloud", "octomap", "collision_check", "rrt_connect", "pid")
 ARMS = {"": lambda: None, "gaussian": lambda: detector_of("gaussian", "paper", mission()), "nervous": Nervous}
 pytestmark = pytest.mark.slow
+
+
+def autoencoder():
+    return detector_of("autoencoder", "paper", mission())
 
 
 def scenario(**options):
@@ -47,7 +52,7 @@ def both_ways(faults, arm="", make=lambda: None, **options):
     flown, detector = scenario(**options), make()
     golden = fly(flown, None, detector)
     forward = FastForward(flown, scratch=True)
-    fast = records(fly_from_checkpoints(forward, faults, golden, detector, arm))
+    fast = records(fly_from_checkpoints(forward, faults, golden, detector, arm).flights)
     return fast, records(fly_instruction_faults(flown, faults, detector, golden).flights)
 
 
@@ -64,6 +69,43 @@ def test_records_are_those_of_flights_from_take_off(which, arm):
     fast, slow = both_ways(drawn(which, 4), arm, ARMS[arm])
     assert fast == slow
     assert len({record.kernel.effect for record in slow}) >= 3
+
+
+@pytest.mark.parametrize("which", ["all", pytest.param("address", marks=pytest.mark.long)])
+def test_runs_with_detectors_that_follow_from_those_without_are_the_same(which):
+    faults, flown, makers = drawn(which, 4), scenario(), {**ARMS, "autoencoder": autoencoder}
+    del makers[""]
+    forward, golden = (
+        FastForward(flown, scratch=True),
+        {name: fly(flown, None, make()) for name, make in makers.items()},
+    )
+    watched = {name: WatchedArm(make(), INLINE, golden[name]) for name, make in makers.items()}
+    found = fly_from_checkpoints(forward, faults, fly(flown), watched=watched).watched
+    for name, make in makers.items():
+        slow = records(fly_instruction_faults(flown, faults, make(), golden[name]).flights)
+        assert {place: flight.record() for place, flight in found[name].items()} == {n: slow[n] for n in found[name]}
+    assert len(found["autoencoder"]) >= 0.8 * len(faults)
+    assert any(flight.log.alarms for own in found.values() for flight in own.values()) or which == "address"
+    assert {flight.record().kernel.effect for flight in found["autoencoder"].values()} >= {"masked", "sdc"}
+
+
+def test_instructions_are_counted_and_resolved_in_the_flight_that_takes_checkpoints(monkeypatch):
+    request = InstructionRequest(dict.fromkeys(KERNELS, 3), restart_s=0.3)
+    alone = draw_instruction_faults(scenario(), request, "test", seed=4)
+    flights = LocalHost().mission({"": ArmSetup(scenario())})
+    monkeypatch.setattr(sampler, "fly", None)
+    monkeypatch.setattr(sampler, "fly_until", None)
+    shared = draw_instruction_faults(scenario(), request, "test", seed=4, flights=flights)
+    assert (shared.faults, shared.counts) == (alone.faults, alone.counts)
+    assert shared.golden.record() == alone.golden.record()
+
+
+def test_what_cannot_be_resolved_from_checkpoints_is_resolved_in_another_flight(monkeypatch):
+    request = InstructionRequest({"pid": 2}, restart_s=0.3)
+    alone = draw_instruction_faults(scenario(), request, "test", seed=4)
+    monkeypatch.setattr(FastForward, "resolve", lambda *_: 1 / 0)
+    flights = LocalHost().mission({"": ArmSetup(scenario())})
+    assert draw_instruction_faults(scenario(), request, "test", seed=4, flights=flights).faults == alone.faults
 
 
 def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatch):
@@ -115,9 +157,9 @@ def test_restarts_that_do_not_know_the_flight_so_far_are_noticed(monkeypatch):
     flown = scenario()
     golden, forward = fly(flown), FastForward(flown, scratch=True)
     slow = records(fly_instruction_faults(flown, dying, None, golden).flights)
-    assert records(fly_from_checkpoints(forward, dying, golden)) == slow
+    assert records(fly_from_checkpoints(forward, dying, golden).flights) == slow
     monkeypatch.setattr(Restarts, "keep", lambda *_: None)
-    assert records(fly_from_checkpoints(forward, dying, golden)) != slow
+    assert records(fly_from_checkpoints(forward, dying, golden).flights) != slow
 
 
 def test_children_that_converge_end_there(monkeypatch):
@@ -139,7 +181,7 @@ def test_children_that_converge_end_there(monkeypatch):
             monkeypatch.setattr(Branch, "_converged", lambda self: None)
         forward.golden()
         memory[0] = 0
-        found.append(records(fly_from_checkpoints(forward, faults, golden)))
+        found.append(records(fly_from_checkpoints(forward, faults, golden).flights))
         periods.append(int(memory[0]))
     assert found[0] == found[1]
     assert periods[0] < 0.9 * periods[1]

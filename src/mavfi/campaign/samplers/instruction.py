@@ -3,6 +3,7 @@
 Instructions of protected kernels are those of the protected code: shadows and comparisons can be drawn.
 A first golden flight counts instructions; a second one resolves the drawn instructions (uniform), or locates their
 calls (stratified, see `mavfi.faults.instruction.strata`).  Both are bit-identical; the first one is the golden run.
+With a mission's other flights at hand, the first one takes their checkpoints, and the second one starts from these.
 """
 
 from collections import Counter
@@ -26,6 +27,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.instruction.protected import rewriting_of
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.mission_flights import LocalFlights
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -48,12 +50,13 @@ class Drawn:
 
 def draw_instruction_faults(
     scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: Detector | None = None,
-    recovery: Recovery = INLINE,
+    recovery: Recovery = INLINE, flights: LocalFlights | None = None, arm: str = "",
 ) -> Drawn:  # fmt: skip
     """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
     The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
-    A detector, with its recovery, is flown only if the faults are in its own instructions.
+    A detector, with its recovery, is flown only if the faults are in its own instructions.  `flights` are all flights
+    of the mission, `arm` the one that is flown here, if they are fast-forwarded.
 
     Raises:
         BadInputError: A kernel, class or fault model is unknown.
@@ -66,8 +69,13 @@ def draw_instruction_faults(
     plain = {name: function for own in functions.values() for name, function in own.items()}
     rewriting = rewriting_of(scenario)
     counted = {name: Profiling(function, rewriting) for name, function in plain.items()}
-    with _instrumented(detector, counted) as table:
-        golden = fly(scenario, None, detector, recovery=recovery, functions=table)
+    log = None if flights is None else flights.counted(arm, counted)
+    if log is None:
+        counted = {name: Profiling(function, rewriting) for name, function in plain.items()}
+        with _instrumented(detector, counted) as table:
+            golden = fly(scenario, None, detector, recovery=recovery, functions=table)
+    else:
+        golden = Flight(log)
 
     def fly_again(made: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
         with _instrumented(detector, made) as table, np.errstate(all="ignore"):
@@ -76,11 +84,24 @@ def draw_instruction_faults(
             fly_until(loop, enough)
         prefix_of(loop).check(golden.log)
 
+    def resolve(wanted: Mapping[str, Mapping[int, Sequence[int]]]) -> Mapping[str, Resolving]:
+        def make() -> dict[str, Resolving]:
+            return {name: Resolving(plain[name], calls, rewriting) for name, calls in wanted.items()}
+
+        made = make()
+        if log is None or flights is None or not flights.resolve(arm, made):
+            made = make()
+            fly_again(made, lambda: all(function.done for function in made.values()))
+        return made
+
     draws = [
         _Draw(kernel, number, request, {name: counted[name] for name in functions[kernel]}, seed, address)
         for kernel, number in request.kernels.items()
     ]
-    (_draw_strata if request.sampling == "stratified" else _draw_uniform)(draws, fly_again)
+    if request.sampling == "stratified":
+        _draw_strata(draws, fly_again)
+    else:
+        _draw_uniform(draws, resolve)
     return Drawn(
         golden,
         {draw.kernel: _counts(list(draw.counted.values()), _copies(draw.kernel, recovery)) for draw in draws},
@@ -174,8 +195,13 @@ class _Draw:
         return self.found + [nothing] * (self.number - len(self.found))
 
 
-def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
-    """Draw places and resolve them in golden flights, until there are enough faults of the class."""
+def _draw_uniform(
+    draws: Sequence[_Draw], resolve: Callable[[Mapping[str, Mapping[int, Sequence[int]]]], Mapping[str, Resolving]]
+) -> None:  # fmt: skip
+    """Draw places and resolve them in golden flights, until there are enough faults of the class.
+
+    `resolve` gets indices by function and call.
+    """
     for _ in range(_ROUNDS):
         places = [(draw, place) for draw in draws for place in draw.places()]
         if not places:
@@ -183,10 +209,7 @@ def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
         wanted: dict[str, dict[int, list[int]]] = {}
         for _, (name, call, index) in places:
             wanted.setdefault(name, {}).setdefault(call, []).append(index)
-        plain = {name: function.function for draw in draws for name, function in draw.counted.items()}
-        rewriting = draws[0].rewriting
-        resolving = {name: Resolving(plain[name], calls, rewriting) for name, calls in wanted.items()}
-        fly_again(resolving, lambda own=resolving: all(function.done for function in own.values()))
+        resolving = resolve(wanted)
         for draw, (name, call, index) in places:
             draw.take((name, call, index), resolving[name].sites[call, index])
 

@@ -19,6 +19,7 @@ from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup, MissionFlights
+from mavfi.hosts.local.mission_flights import LocalFlights
 from mavfi.states import DETECTORS, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 
@@ -87,7 +88,7 @@ class InstructionSampler:
         )  # fmt: skip
         drawn = draw_instruction_faults(
             scenario, request, environment, seed=scenario.seed, recovery=setup.recovery,
-            detector=setup.detector(),
+            detector=setup.detector(), flights=flights if isinstance(flights, LocalFlights) else None, arm=arm,
         )  # fmt: skip
         flights.know(arm, drawn.golden)
         return Sampled(drawn.golden, drawn.counts, {name: faults for name, faults in drawn.faults.items() if faults})

@@ -111,6 +111,14 @@ class Resolving:
         """Whether the last wanted call has been made."""
         return self._calls > max(self._wanted, default=-1)
 
+    def is_wanted(self, calls: range) -> bool:
+        """Whether any of some calls is wanted, and has not been made."""
+        return any(call in calls and (call, self._wanted[call][0]) not in self.sites for call in self._wanted)
+
+    def continue_at(self, call: int) -> None:
+        """The next call has this number."""
+        self._calls = call
+
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
         call, self._calls = self._calls, self._calls + 1

@@ -1,8 +1,8 @@
 """Progress of an instruction fault through a flight: outputs of the injected step, and the resulting flight log."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -60,6 +60,7 @@ class ChildReport:
         missed: Whether the call ended before the instruction was reached, or the value has no such bit.
         published: Publications of its flight from the start, in order; None = not recorded.
         detected: Whether protected code found a difference in the call, which has no result then.
+        watched: Logs of the same flight with detectors, by arm, where they are known.
     """
 
     log: FlightLog | None
@@ -68,6 +69,7 @@ class ChildReport:
     missed: bool = False
     published: list[Published] | None = None
     detected: bool = False
+    watched: Mapping[str, FlightLog] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -177,8 +179,8 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
 
 
 def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
-    for field in golden.dtype.names or ():
-        before, after = np.ascontiguousarray(golden[field]), np.ascontiguousarray(injected[field])
+    for name in golden.dtype.names or ():
+        before, after = np.ascontiguousarray(golden[name]), np.ascontiguousarray(injected[name])
         width = before.dtype.itemsize
         bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
         places = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
@@ -188,7 +190,7 @@ def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list:
                 apart = np.abs(after[places].astype(np.float64) - before[places].astype(np.float64))
             largest = float(apart.max()) if np.isfinite(apart).all() else math.inf
             element = first if in_list else None
-            return _difference(state, field, element, before[first].item(), after[first].item(), len(places), largest)
+            return _difference(state, name, element, before[first].item(), after[first].item(), len(places), largest)
     return None
 
 

@@ -16,7 +16,8 @@ at or after its instant.
 
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
@@ -50,6 +51,7 @@ TIMEOUT = 60.0
 """Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
 MAP_FUNCTIONS = frozenset({"insert_scan", "collect", "update_voxels", "apply_updates"})
 """Functions that write maps."""
+NO_LOGS: Mapping[str, FlightLog] = {}
 Found = TypeVar("Found")
 _ATTEMPTS = 3
 """Attempts under this limit: each finds the code that the previous child compiled in the cache."""
@@ -59,8 +61,9 @@ _ATTEMPTS = 3
 class Child:
     """The task of a forked process.
 
-    `comparable` states whether all differences from the golden flight are in results and memory of kernels, so that the
-    flights are the same from an instant at which these are.  `in_time` states whether the result of a detected call is
+    `planned` states whether the injected call could write its own memory only.  `comparable` states whether, moreover,
+    all differences from the golden flight are in results and memory of kernels, so that the flights are the same from
+    an instant at which these are.  `in_time` states whether the result of a detected call is
     published without further latency.
     """
 
@@ -68,6 +71,7 @@ class Child:
     case: Case
     dead: bool
     call_same: bool = False
+    planned: bool = True
     comparable: bool = True
     output: Output | None = None
     in_time: bool = False
@@ -92,6 +96,15 @@ class ForkingFunction:
         """Count calls in the record of a loop."""
         self._loop = loop
         loop.record.calls[self._name] = 0
+
+    @contextmanager
+    def replaced(self, function: Callable[..., Any]) -> Iterator[None]:
+        """Call another function, which returns the same."""
+        plain, self._function = self._function, function
+        try:
+            yield
+        finally:
+            self._function = plain
 
     def __call__(self, *args: Any) -> Any:
         """Call the function, with the fault if a child forked at this call."""
@@ -220,7 +233,8 @@ class Forks(ABC):
         if not child.call_same and self._repetition(function, args):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=False, detected=True)))
         report = variant.report()
-        child.comparable = report is not None and report.planned and _is_contained(fault.entry, before, golden[1], args)
+        child.planned = report is not None and report.planned
+        child.comparable = child.planned and _is_contained(fault.entry, before, golden[1], args)
         if self._shifts and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and (report.planned or report.site.value_class in DATA):
@@ -255,10 +269,10 @@ class Forks(ABC):
             with self.child.point.guard():
                 raise
 
-    def report(self, log: FlightLog) -> NoReturn:
-        """End this child with the log of its flight."""
+    def report(self, log: FlightLog, watched: Mapping[str, FlightLog] = NO_LOGS) -> NoReturn:
+        """End this child with the log of its flight, and those with detectors, by arm, as far as they are known."""
         assert self.child is not None  # called in children only
-        report = ChildReport(log, self.child.output, self.child.call_same, published=self.published)
+        report = ChildReport(log, self.child.output, self.child.call_same, published=self.published, watched=watched)
         self.child.point.finish(pickle.dumps(report))
 
 

@@ -8,7 +8,8 @@
   publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
@@ -18,12 +19,14 @@ import numpy as np
 from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
+from mavfi.faults.instruction import Resolving
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.forking import ForkingFunction
 from mavfi.hosts.local.checkpoints import Checkpoint, Instant, has_scratch, is_at, keeper_of, put, take
 from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.golden_prefix import prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import Scenario
@@ -80,13 +83,15 @@ class FastForward:
         functions: The functions of its kernels, at whose calls flights can fork, by name.
         scratch: Whether checkpoints contain the work arrays of kernels, so that faults in instructions can be injected
             after them: if that is requested, and all of these can be saved.
+        watched: Whether flights with detectors are among them: these continue from checkpoints of injected runs without
+            one, which otherwise have none.
 
     Raises:
         BadInputError: The scenario cannot be flown.
         MavfiError: It uses an estimator or a flight controller whose state is not part of a checkpoint.
     """
 
-    def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
+    def __init__(self, scenario: Scenario, *, scratch: bool = False, watched: bool = True) -> None:
         if scenario.localization.kind != "truth":
             raise MavfiError("flights with an estimator are not fast-forwarded")
         if not is_rewindable(scenario.flight_controller):
@@ -99,6 +104,7 @@ class FastForward:
         for function in self.functions.values():
             function.attach(self.loop)
         self.scratch = scratch and has_scratch(self.loop)
+        self.watched = watched
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
         self.share = Share()
         self._golden: dict[str, Track] = {}
@@ -127,6 +133,36 @@ class FastForward:
         self.share.flights += 1
         self.share.ticks += len(track.rows)
         return Flight(track.log, self._profile if fault is None and detector is None else None)
+
+    @contextmanager
+    def instrumented(self, functions: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
+        """Call these in the place of functions of the kernels; results must be the same, bit for bit."""
+        with ExitStack() as stack:
+            for name, function in functions.items():
+                stack.enter_context(self.functions[name].replaced(function))
+            yield
+
+    def resolve(self, functions: Mapping[str, Resolving]) -> None:
+        """Repeat the golden flight without a detector from the checkpoints before wanted calls to these.
+
+        Raises:
+            MavfiError: Two golden flights differ.
+        """
+        golden, loop = self.golden(), self.loop
+        places = {name: list(loop.record.calls).index(name) for name in functions}
+        with self.instrumented(functions), np.errstate(all="ignore"):
+            for here, there in golden.pieces(0):
+                calls = {name: range(here.counts[place], there.counts[place]) for name, place in places.items()}
+                if not any(function.is_wanted(calls[name]) for name, function in functions.items()):
+                    continue
+                Branch(self, None).begin(golden, here)
+                loop.taps.injector = here.injector.copy()
+                put(loop, here.here)
+                for name, function in functions.items():
+                    function.continue_at(calls[name].start)
+                while any(function.is_wanted(calls[name]) for name, function in functions.items()):
+                    loop.run(len(loop.record.rows) + 1)
+                prefix_of(loop).check(golden.log)
 
     def golden(self, detector: Detector | None = None, arm: str = "") -> Track:
         """The golden flight, flown on first use."""
@@ -172,7 +208,8 @@ class FastForward:
         as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # if the prefix has no alarms, the run without a detector is identical up to the first alarm
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
-        branch = Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
+        keeps = self.watched and detector is None
+        branch = Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=keeps)
         branch.begin(own, start)
         branch.loop.taps.injector = injector
         branch.remember(start.detector)
@@ -182,7 +219,7 @@ class FastForward:
             branch.follow(along, rows)
         else:
             put(branch.loop, start.here)
-            if detector is None:
+            if keeps:
                 branch.keep(start.here)
         return branch.fly()
 
@@ -260,7 +297,18 @@ class Branch:
         elif self._keeps:
             self.keep(there.here)
 
+    def keep_from_now_on(self) -> None:
+        """Take checkpoints at all further instants for them, without work arrays: no fault is injected after these."""
+        self._keeps, self._scratch = True, False
+
     # ---- reuse of another flight ------------------------------------------------------------------------------------
+    def is_quiet(self, track: Track, start: Checkpoint, there: Checkpoint) -> bool:
+        """Reuse a flight without a detector between two of its checkpoints, unless there is an alarm."""
+        if self._detector is None or self._alarms(track.shown[start.shown : there.shown], self._detector.content):
+            return False
+        self._append(track, start, there)
+        return True
+
     def converge(self, track: Track, rows: int) -> None:
         """Reuse the remainder of another flight."""
         self._share.converged += 1

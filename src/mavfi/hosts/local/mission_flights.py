@@ -1,15 +1,17 @@
 """In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.faults.instruction import Resolving
+from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import LocalFault, fly
-from mavfi.hosts.local.forks import fly_from_checkpoints
+from mavfi.hosts.local.forks import InjectedRuns, WatchedArm, fly_from_checkpoints
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
@@ -58,12 +60,40 @@ class LocalFlights(ArmFlights):
         self._simulated, self._make_plant = make_plant is Simulator, make_plant
         self._fast = fast_forward and self._simulated
         self._forward: dict[str, FastForward] = {}
+        self._watched = any(setup.make_detector is not None for setup in arms.values())
         self._scratch = False
 
     def know(self, arm: str, flight: Flight) -> None:
         """See `MissionFlights.know`: faults in instructions follow."""
         super().know(arm, flight)
         self._scratch = True
+
+    def counted(self, arm: str, functions: Mapping[str, Callable[..., Any]]) -> FlightLog | None:
+        """The golden flight of an arm without a detector, with instrumented functions of its kernels, by name.
+
+        It takes the checkpoints; None if there are none, or if they have been taken already.
+        """
+        setup = self._arms[arm]
+        key = setup.scenario.key()
+        if setup.make_detector is not None or setup.scenario.protection is not None or key in self._forward:
+            return None
+        self._scratch = True
+
+        def fly_first(forward: FastForward, name: str) -> FlightLog:
+            with forward.instrumented(functions):
+                return forward.golden(None, name).log
+
+        return self._forwarded(arm, fly_first)
+
+    def resolve(self, arm: str, functions: Mapping[str, Resolving]) -> bool:
+        """Resolve instructions of calls in a flight that was `counted`; whether that was possible."""
+
+        def visit(forward: FastForward, name: str) -> bool:
+            del name
+            forward.resolve(functions)
+            return True
+
+        return self._forwarded(arm, visit) is True
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `MissionFlights.injected`: faults in instructions come last, by arm."""
@@ -76,23 +106,34 @@ class LocalFlights(ArmFlights):
                 others.append(place)
         for number, flight in one_by_one([runs[place] for place in others], self._fly_injected):
             yield others[number], flight
+        known: dict[tuple[str, InstructionFault], Flight] = {}
         for arm, batch in batches.items():
-            yield from self._instructions(arm, batch)
+            for place, fault in batch:
+                if (arm, fault) in known:
+                    yield place, known[arm, fault]
+            yield from self._instructions(arm, [one for one in batch if (arm, one[1]) not in known], batches, known)
 
     def _instructions(
-        self, arm: str, batch: Sequence[tuple[int, InstructionFault]]
-    ) -> Iterator[tuple[int, Flight | Exception]]:
+        self, arm: str, batch: Sequence[tuple[int, InstructionFault]], arms: Collection[str],
+        known: dict[tuple[str, InstructionFault], Flight],
+    ) -> Iterator[tuple[int, Flight | Exception]]:  # fmt: skip
+        """Flights of a batch with faults in instructions; those of the other arms that follow from them get `known`."""
+        if not batch:
+            return
         faults = [fault for _, fault in batch]
         try:
-            found = self._from_checkpoints(arm, faults) or self._from_take_off(arm, faults)
+            found = self._from_checkpoints(arm, faults, arms) or InjectedRuns(self._from_take_off(arm, faults), {})
         except Exception as error:  # noqa: BLE001 - raised by one of the runs; each is retried separately
             if len(batch) == 1:
                 yield batch[0][0], error
                 return
             for one in batch:
-                yield from self._instructions(arm, [one])
+                yield from self._instructions(arm, [one], arms, known)
             return
-        yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
+        known.update(
+            ((other, faults[place]), flight) for other, own in found.watched.items() for place, flight in own.items()
+        )
+        yield from ((place, flight) for (place, _), flight in zip(batch, found.flights, strict=True))
 
     def _from_take_off(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
         setup = self._arms[arm]
@@ -102,38 +143,57 @@ class LocalFlights(ArmFlights):
             setup.scenario, faults, self._detector(arm), self._golden.get(arm), setup.recovery
         ).flights  # fmt: skip
 
-    def _from_checkpoints(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
-        """As `_from_take_off`, fast-forwarded; empty if that is not possible."""
+    def _from_checkpoints(
+        self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
+    ) -> InjectedRuns | None:  # fmt: skip
+        """As `_from_take_off`, fast-forwarded; None if that is not possible."""
         golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
         if golden is None or any(fault.kernel in DETECTORS for fault in faults):
-            return []
+            return None
+        watched = {} if detector else {other: self._watched_arm(other) for other in arms if self._follows(other, arm)}
 
-        def fly_all(forward: FastForward, name: str) -> list[Flight]:
+        def fly_all(forward: FastForward, name: str) -> InjectedRuns | None:
             if not forward.scratch:
-                return []
-            return fly_from_checkpoints(forward, faults, golden, detector, name, recovery)
+                return None
+            return fly_from_checkpoints(forward, faults, golden, detector, name, recovery, watched)
 
-        return self._forwarded(arm, fly_all) or []
+        return self._forwarded(arm, fly_all)
+
+    def _follows(self, arm: str, plain: str) -> bool:
+        """Whether an arm differs from one without a detector by a detector alone, and can be fast-forwarded."""
+        same = self._arms[arm].scenario.key() == self._arms[plain].scenario.key()
+        return same and self._detector(arm) is not None and arm in self._golden and self._can_forward(arm)
+
+    def _watched_arm(self, arm: str) -> WatchedArm:
+        detector = self._detector(arm)
+        assert detector is not None  # as `_follows` requires
+        return WatchedArm(detector, self._arms[arm].recovery, self._golden[arm])
 
     def _forwarded(self, arm: str, fly: Callable[[FastForward, str], Found]) -> Found | None:
-        """Result of `fly`, called with the fast-forward of an arm and the arm's name there; None if not possible.
-
-        Excluded are detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
-        detectors with `seal` or `duplicates`, which act on unpublished values.
-        """
+        """Result of `fly`, called with the fast-forward of an arm and the arm's name there; None if not possible."""
         setup, detector = self._arms[arm], self._detector(arm)
-        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
-        if not self._fast or (detector is not None and (setup.recovery.remembers or takes_part)):
+        if not self._can_forward(arm):
             return None
         key = setup.scenario.key()
         try:
-            forward = self._forward.get(key) or FastForward(setup.scenario, scratch=self._scratch)
+            forward = self._forward.get(key)
+            forward = forward or FastForward(setup.scenario, scratch=self._scratch, watched=self._watched)
             found = fly(forward, arm if detector is not None else "")
         except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
             self._forward.pop(key, None)
             return None
         self._forward[key] = forward
         return found
+
+    def _can_forward(self, arm: str) -> bool:
+        """Whether the flights of an arm can be fast-forwarded.
+
+        Excluded are detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
+        detectors with `seal` or `duplicates`, which act on unpublished values.
+        """
+        detector = self._detector(arm)
+        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        return self._fast and (detector is None or not (self._arms[arm].recovery.remembers or takes_part))
 
     def _fly(self, arm: str, fault: LocalFault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.

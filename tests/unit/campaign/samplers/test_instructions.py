@@ -31,7 +31,7 @@ def requests(monkeypatch):
     """What was asked to be drawn; the faults are numbered, and those of `octomap` beyond the first have no site."""
     asked = []
 
-    def draw(scenario, request, *address, seed, detector=None, recovery=None):
+    def draw(scenario, request, *address, seed, detector=None, recovery=None, flights=None, arm=""):
         asked.append((scenario.environment.name, seed, scenario.planner.name, address, request))
         faults = {
             kernel: [

@@ -9,6 +9,7 @@ from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, Message
 from mavfi.flight_log import Profile
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local import mission_flights
+from mavfi.hosts.local.forks import InjectedRuns
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 
@@ -24,11 +25,11 @@ class Scenario(SimpleNamespace):
 
 @pytest.fixture
 def calls(monkeypatch):
-    """What was flown, and how; `broken` lets fast-forwarding fail."""
-    found = SimpleNamespace(flown=[], made=[], detectors=0, broken=False)
+    """What was flown, and how; `broken` lets fast-forwarding fail, with `follow` runs with a detector are known."""
+    found = SimpleNamespace(flown=[], made=[], detectors=0, broken=False, follow=False)
 
     class FastForward:
-        def __init__(self, scenario, *, scratch):
+        def __init__(self, scenario, *, scratch, watched):
             found.made.append(f"{scenario.name} with scratch" if scratch else scenario.name)
             self.scratch = scratch and scenario.name != "octree"
 
@@ -48,11 +49,12 @@ def calls(monkeypatch):
         found.flown.append(("instructions", tuple(faults), detector, golden, recovery))
         return SimpleNamespace(flights=[Flight(fault) for fault in faults])
 
-    def fly_from_checkpoints(forward, faults, golden, detector, arm, recovery):
+    def fly_from_checkpoints(forward, faults, golden, detector, arm, recovery, watched):
         if found.broken or WRONG in faults:
             raise BadInputError("other machine code")
         found.flown.append(("checkpoints", tuple(faults), detector, arm, recovery))
-        return [Flight(fault) for fault in faults]
+        follow = {name: {0: Flight(f"{name} after {arm or 'plain'}")} for name in watched if found.follow}
+        return InjectedRuns([Flight(fault) for fault in faults], follow)
 
     monkeypatch.setattr(mission_flights, "FastForward", FastForward)
     monkeypatch.setattr(mission_flights, "fly_from_checkpoints", fly_from_checkpoints)
@@ -137,6 +139,17 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
         ("instructions", (DATA,), "watcher", None, Recovery("observer")),
     ], "without a golden flight of its own an arm flies from take-off"  # fmt: skip
     assert calls.made == ["own with scratch"]
+
+
+def test_runs_with_a_detector_that_follow_from_those_without_are_not_flown(calls, arms):
+    flights = LocalHost().mission(arms)
+    flights.know("", Flight("golden"))
+    flights.know("g", Flight("golden of g"))
+    calls.follow = True
+    other = InstructionFault("f", "sha", 2)
+    found = dict(flights.injected([("", DATA), ("g", DATA), ("", other), ("g", other)]))
+    assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: "g after plain", 2: other, 3: other}
+    assert [faults for way, faults, *_ in calls.flown if way == "checkpoints"] == [(DATA, other), (other,)]
 
 
 @pytest.mark.parametrize("why", ["broken", "detector", "unknown", "no fast-forward", "restarts", "octree"])
