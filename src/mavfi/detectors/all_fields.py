@@ -7,7 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import book
-from mavfi.detectors.autoencoder import INPUT_LIMIT, NETWORK, Network, fit_autoencoder, network_of
+from mavfi.detectors.autoencoder import (
+    INPUT_LIMIT,
+    NETWORK,
+    Network,
+    Recent,
+    fit_autoencoder,
+    is_recent,
+    network_of,
+    no_recent,
+)
 from mavfi.detectors.book import Book
 from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
@@ -18,7 +27,7 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.elementary import quick_tanh
 from mavfi.numerics.jit import kernel_jit, short_jit
 from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.stored import Stored, load
 
 
 @kernel_jit
@@ -150,11 +159,34 @@ def _reconstruction_at(address: int) -> float:
     return judge_reconstruction(own, judged, limit, network, holding)
 
 
+_ADMISSION = kind_with(NETWORK, Holding(*np.zeros((2, 1), np.int16)), no_recent(1, 1))
+
+
+@kernel_jit
+def _judge_again(
+    own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding, recent: Recent
+) -> float:  # fmt: skip
+    """`judge_reconstruction`, which is not built of this function, since faults are drawn in its instructions.
+
+    More than half of the publications have the codes of their predecessor, and so have the other states.
+    """
+    hold(own, judged, limit, network, holding)
+    slot = own.place[book.SLOT]
+    first, last = own.spans[slot]
+    holding.vector[:] = holding.held
+    holding.vector[first:last] = own.codes[first:last]
+    if own.place[book.REGIME] >= 0:
+        if not is_recent(holding.vector, recent, slot):
+            residuals_of_part(holding.vector, network, first, last, recent.errors[slot])
+        judged.distance[first:last] = recent.errors[slot, first:last]
+    return conclude(first, last, own, judged, limit)
+
+
 @short_jit
 def _admit_reconstruction(address: int, header: Any) -> bool:
-    own, judged, limit, network, holding = load(address, _RECONSTRUCTION)
+    own, judged, limit, network, holding, recent = load(address, _ADMISSION)
     book.measure(header_of(header), own)
-    return book.accept_unless_alarm(judge_reconstruction(own, judged, limit, network, holding), own)
+    return book.accept_unless_alarm(_judge_again(own, judged, limit, network, holding, recent), own)
 
 
 class ReconstructionScorer(CompiledScorer):
@@ -167,6 +199,10 @@ class ReconstructionScorer(CompiledScorer):
         holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
         super().__init__(everything, network, holding)
         self.kept = {**self.kept, "held": holding.held}
+
+    def admitted(self) -> Stored:
+        """See `CompiledScorer.admitted`."""
+        return Stored(_ADMISSION, *self._tables, no_recent(len(self._slots), len(self.fields)))
 
 
 class AllFieldsDetector(ScoringDetector):

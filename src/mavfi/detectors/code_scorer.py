@@ -16,7 +16,7 @@ from mavfi.numerics.lent import lent
 from mavfi.numerics.stored import Stored, kind_of
 from mavfi.states import ODOMETRY, State, new_state
 
-_UNPICKLED = ("_own", "_judge", "at_once")
+_UNPICKLED = ("_own", "_judge", "_admitted", "at_once")
 
 
 class CodeScorer(Scorer):
@@ -132,7 +132,7 @@ class CompiledScorer(CodeScorer):
             measured last.
         judge_at: Compiled: the same of the address of these.
         admit_at: Compiled: measures the publication, judges it, and accepts it if there is no alarm; arguments:
-            address of the tables, header of the publication.
+            address of the tables that `admitted` stores, header of the publication.
         learns: Compiled: adapts to an accepted publication; same arguments. None: nothing is learned.
         kind: `kind_with` the tables.
     """
@@ -176,6 +176,10 @@ class CompiledScorer(CodeScorer):
             self._judge = lambda _: given(*self._tables)
         self.at_once = {} if made else self._admissions()
 
+    def admitted(self) -> Stored:
+        """The tables of `admit_at`."""
+        return self._own
+
     def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
         """See `Scorer.at_once`."""
         found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(
@@ -183,8 +187,9 @@ class CompiledScorer(CodeScorer):
         )
         if not is_compiled(self.admit_at):
             return found
+        self._admitted = self.admitted()  # held as long as its address is used
         for name in self.everything.frequent:
-            call = partial(entry(self.admit_at, 0, lent(new_state(name).header)), self._own.address)
+            call = partial(entry(self.admit_at, 0, lent(new_state(name).header)), self._admitted.address)
             found[name] = self.everything.vehicles.settled(call) if self.everything.from_vehicle(name) else call
         return found
 

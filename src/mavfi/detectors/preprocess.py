@@ -27,7 +27,7 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
-_UNPICKLED = ("_judge", "_stored", "at_once")
+_UNPICKLED = ("_judge", "_stored", "_admitted", "at_once")
 
 
 class Preprocessor:
@@ -154,7 +154,7 @@ class DeltaScorer(Scorer):
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
         admit_at: Compiled: judges a publication, accepts it unless there is an alarm, and returns whether there is
-            one; arguments: address of the tables, slot, header that is lent.
+            one; arguments: address of the tables that `admitted` stores, slot, header that is lent.
         kind: `kind_of` these.
         features: The preprocessor.
         scratch: The publication judged last.
@@ -201,15 +201,20 @@ class DeltaScorer(Scorer):
             self._judge = lambda content, slot, _: given(content, slot, *self._tables)
         self.at_once = {} if made else self._admissions()
 
+    def admitted(self) -> Stored:
+        """The tables of `admit_at`."""
+        return self._stored
+
     def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
         """See `Scorer.at_once`."""
         odometry = frozenset(self.states or ()).difference(self._slots)
         found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(odometry, self._vehicles.add)
+        self._admitted = self.admitted()  # held as long as its address is used
         for name in FREQUENT if is_compiled(self.admit_at) else ():
             if name in self._slots:
                 slot = self._slots[name]
                 header = lent(np.zeros(1, self.features.specs[slot].header_dtype))
-                call = partial(entry(self.admit_at, 0, 0, header), self._stored.address, slot)
+                call = partial(entry(self.admit_at, 0, 0, header), self._admitted.address, slot)
                 found[name] = self._vehicles.settled(call) if self._predicts[slot] else call
         return found
 

@@ -173,3 +173,22 @@ def test_a_subclass_that_checks_in_another_way_is_asked_its_own_way():
     changed = AcceptanceTest(LIMITS["published"])
     changed.check = lambda state, time_us: None
     assert admission(changed)(wrong, 0) is None
+
+
+@pytest.mark.parametrize(("name", "profile"), [("autoencoder", "paper"), ("autoencoder_all", "paper")])
+def test_scores_are_those_of_check_where_publications_repeat_their_codes(name, profile):
+    """The network runs only for codes that differ from the last ones."""
+    published, scores = flight(6), {admission: [], one_after_the_other: []}
+    steady = next(state for state, _ in published if state.spec.name == "control.command")
+    for number, (state, _) in enumerate(published):
+        if state.spec.name == "control.command" and number % 50 > 3:
+            state.header[:] = steady.header
+    for made, found in scores.items():
+        detector = load(name, profile)
+        detector.start()
+        admit = made(detector)
+        for state, time_us in published:
+            admit(state, time_us)
+            found.append(detector.scorer.judged()[1].score)
+    assert scores[admission] == scores[one_after_the_other]
+    assert len(set(scores[admission])) > 5
