@@ -13,6 +13,7 @@ from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.local import fast_forward, fly
+from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.recovery import Recovery
@@ -125,6 +126,15 @@ def test_the_octree_is_fast_forwarded_too():
     for injected in (None, FAULTS[7], FAULTS[4]):
         assert content(forward.fly(injected).log) == content(fly(scenario, injected).log)
     assert forward.share.flown < forward.share.ticks
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched):
+    forward, taken = FastForward(mission(), watched=watched), []
+    forward.fly()
+    monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
+    assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
+    assert bool(taken) is watched
 
 
 def test_a_masked_fault_costs_a_second_of_flight():
