@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -211,6 +211,7 @@ def _planned(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault
 @partial(options.with_mission_options, without=OF_THE_PIPELINE)
 def run(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
+    context: typer.Context,
     script: Script,
     arguments: Annotated[list[str] | None, typer.Argument(metavar="[ARGS]", help="Of the program.")] = None,
     python: Python = "",
@@ -230,6 +231,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi airsim run --fault moveToPosition.x:bit=54@0 examples/airsim/box.py[/bold]
     """
     check_number("--seconds", seconds, 0.1, 1e5)
+    _hint_at_order(context, arguments or ())
     _check_detector(detector, profile)
     pixels(image)
     planned = _planned(fault, fault_seed)
@@ -254,6 +256,15 @@ def run(  # noqa: PLR0913 - one parameter per option
             return
         injected = run_program(program, mission, Boundary.of(planned, watch=watch))
     _report(program, golden, injected, as_json)
+
+
+def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
+    """Say on stderr which arguments of the program are named like options of this command."""
+    own = {name for parameter in context.command.params for name in parameter.opts}
+    named = [given for given in arguments if given.startswith("--") and given.split("=")[0] in own]
+    if named:
+        text = f"mavfi: {', '.join(named)}: passed to the program; options of mavfi come before the script"
+        typer.echo(text, err=True)
 
 
 def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_json: bool) -> None:

@@ -28,6 +28,16 @@ def test_json_has_digest_calls_and_errors(capsys):
     assert data["golden"]["calls"]["moveToPosition"] == 4 and data["golden"]["how"] == "ended"
 
 
+def test_options_after_the_script_are_the_programs_own_and_a_line_says_so(tmp_path, capsys):
+    script = tmp_path / "own.py"
+    script.write_text("import sys\nprint(sys.argv[1:])\n", encoding="utf-8")
+    assert run(["airsim", "run", str(script), "--seed", "8", "--fault=x", "--own"]) == 0
+    printed = capsys.readouterr()
+    assert "| ['--seed', '8', '--fault=x', '--own']" in printed.out
+    told = "mavfi: --seed, --fault=x: passed to the program; options of mavfi come before the script"
+    assert printed.err.splitlines() == [told]
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
