@@ -81,6 +81,15 @@ def test_what_does_not_fit_is_one_line(folder, capsys, arguments, message):
     assert message in stderr and stderr.count("\n") == 1
 
 
+def test_a_plugin_that_exits_does_not_choose_the_exit_code(folder, capsys):
+    page = folder / "my_detector.py"
+    text = page.read_text(encoding="utf-8")
+    page.write_text(text.replace("        pass", "        raise SystemExit(0)", 1), encoding="utf-8")
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--detector", "my_detector:Altitude"]) == 2
+    stderr = capsys.readouterr().err
+    assert "my_detector:Altitude: SystemExit: 0 (my_detector.py:8, start)" in stderr and stderr.count("\n") == 1
+
+
 def test_code_that_only_a_file_names_is_not_run(folder, capsys):
     (folder / "my_world.py").write_text("raise SystemExit('it was run')\n", encoding="utf-8")
     assert run(["fly", "--environment", "pillars.yaml", "--seed", "1"]) == 2

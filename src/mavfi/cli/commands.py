@@ -115,7 +115,7 @@ def run(arguments: Sequence[str]) -> int:
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         failed, of_plugin = machine_failure(error), plugin_failure(error)
         if not failed and not of_plugin:
             raise
