@@ -154,7 +154,7 @@ class ForksFromCheckpoints(Forks):
             self._branch.keep_from_now_on()
         track, logs = self._branch.fly(), {}
         for name, arm in self._watched.items():
-            with suppress(Exception):  # the run is then flown on its own, where the error counts
+            with suppress(Exception, SystemExit):  # the run is then flown on its own, where the error counts
                 log = self._under(track, child.case, name, arm)
                 if log is not None:
                     logs[name] = log

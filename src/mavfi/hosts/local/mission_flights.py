@@ -150,7 +150,8 @@ class LocalFlights(ArmFlights):
         golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
         if golden is None or any(fault.kernel in DETECTORS for fault in faults):
             return None
-        watched = {} if detector else {other: self._watched_arm(other) for other in arms if self._follows(other, arm)}
+        followers = [other for other in arms if detector is None and self._follows(other, arm)]
+        watched = {other: self._watched_arm(other) for other in followers}
 
         def fly_all(forward: FastForward, name: str) -> InjectedRuns | None:
             if not forward.scratch:
