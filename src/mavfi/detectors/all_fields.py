@@ -13,9 +13,9 @@ from mavfi.detectors.autoencoder import (
     Network,
     Recent,
     fit_autoencoder,
-    is_recent,
     network_of,
     no_recent,
+    recall,
 )
 from mavfi.detectors.book import Book
 from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
@@ -176,7 +176,7 @@ def _judge_again(
     holding.vector[:] = holding.held
     holding.vector[first:last] = own.codes[first:last]
     if own.place[book.REGIME] >= 0:
-        if not is_recent(holding.vector, recent, slot):
+        if not recall(holding.vector, recent, slot):
             residuals_of_part(holding.vector, network, first, last, recent.errors[slot])
         judged.distance[first:last] = recent.errors[slot, first:last]
     return conclude(first, last, own, judged, limit)

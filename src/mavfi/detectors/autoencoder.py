@@ -66,8 +66,8 @@ def no_recent(rows: int, fields: int) -> Recent:
 
 
 @kernel_jit
-def is_recent(vector: np.ndarray, recent: Recent, row: int) -> bool:
-    """Whether a row has the errors of this vector; if not, the row is for this vector from now on."""
+def recall(vector: np.ndarray, recent: Recent, row: int) -> bool:
+    """Whether a row has the errors of this vector; if not, the caller fills them in: the row is for this vector now."""
     same = recent.known[row]
     for index in range(len(vector)):
         same &= recent.vector[row, index] == vector[index]
@@ -182,7 +182,7 @@ def _judge_again(
     features.propose(content, slot, scratch)
     scratch.deltas[:] = held
     regime = features.measure(content, slot, watch, scratch.deltas)
-    if not is_recent(scratch.deltas, recent, 0):
+    if not recall(scratch.deltas, recent, 0):
         residuals(scratch.deltas, network, recent.errors[0])
     scratch.distance[:] = recent.errors[0]
     return conclude(regime, watch.places[slot], scratch, limit)

@@ -51,7 +51,6 @@ TIMEOUT = 60.0
 """Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
 MAP_FUNCTIONS = frozenset({"insert_scan", "collect", "update_voxels", "apply_updates"})
 """Functions that write maps."""
-NO_LOGS: Mapping[str, FlightLog] = {}
 Found = TypeVar("Found")
 _ATTEMPTS = 3
 """Attempts under this limit: each finds the code that the previous child compiled in the cache."""
@@ -63,8 +62,8 @@ class Child:
 
     `planned` states whether the injected call could write its own memory only.  `comparable` states whether, moreover,
     all differences from the golden flight are in results and memory of kernels, so that the flights are the same from
-    an instant at which these are.  `in_time` states whether the result of a detected call is
-    published without further latency.
+    an instant at which these are.  `in_time` states whether the result of a detected call is published without further
+    latency.
     """
 
     point: ForkPoint
@@ -269,11 +268,12 @@ class Forks(ABC):
             with self.child.point.guard():
                 raise
 
-    def report(self, log: FlightLog, watched: Mapping[str, FlightLog] = NO_LOGS) -> NoReturn:
+    def report(self, log: FlightLog, watched: Mapping[str, FlightLog] | None = None) -> NoReturn:
         """End this child with the log of its flight, and those with detectors, by arm, as far as they are known."""
         assert self.child is not None  # called in children only
-        report = ChildReport(log, self.child.output, self.child.call_same, published=self.published, watched=watched)
-        self.child.point.finish(pickle.dumps(report))
+        child = self.child
+        report = ChildReport(log, child.output, child.call_same, published=self.published, watched=watched or {})
+        child.point.finish(pickle.dumps(report))
 
 
 class ForksFromTakeOff(Forks):

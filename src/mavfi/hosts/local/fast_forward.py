@@ -302,8 +302,8 @@ class Branch:
         self._keeps, self._scratch = True, False
 
     # ---- reuse of another flight ------------------------------------------------------------------------------------
-    def is_quiet(self, track: Track, start: Checkpoint, there: Checkpoint) -> bool:
-        """Reuse a flight without a detector between two of its checkpoints, unless there is an alarm."""
+    def append_unless_alarm(self, track: Track, start: Checkpoint, there: Checkpoint) -> bool:
+        """Reuse a flight without a detector between two of its checkpoints; False, without effect, at an alarm."""
         if self._detector is None or self._alarms(track.shown[start.shown : there.shown], self._detector.content):
             return False
         self._append(track, start, there)

@@ -173,7 +173,7 @@ class ForksFromCheckpoints(Forks):
         branch.remember(start.detector)
         first = min(track.checkpoints, default=None)
         there = track.end if first is None else track.checkpoints[first]
-        if not branch.is_quiet(track, plain.checkpoints[rows], there):
+        if not branch.append_unless_alarm(track, plain.checkpoints[rows], there):
             return None
         if first is not None:
             self.loop.taps.injector = there.injector.copy()
