@@ -40,6 +40,7 @@ from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of, rerun_line
 from mavfi.reports.text import markdown_grid, percent, shown
 from tools.hardening_measured import measure, rows
+from tools.hardening_processors import note, section
 from tools.hardening_requirements import HEADINGS, REQUIRED, all_but_map, requirements
 from tools.markers import GENERATED, ROOT, banner, fill
 
@@ -188,10 +189,10 @@ def alternative_rows(compared: Sequence[Row]) -> list[list[str]]:
 
 
 def page(
-    study: Study, advice: Row, rest: Row, curves: Sequence[Curve], certified: Sequence[tuple[Curve, Step, Row]],
-    compared: Sequence[Row], check: GoldenCheck, measured: Row,
+    study: Study, advice: Row, required: list[list[str]], curves: Sequence[Curve],
+    certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], measured: Row,
 ) -> str:  # fmt: skip
-    """The complete page."""
+    """The complete page; `required` are the rows of `requirements`."""
     c = study.campaign
     by_step = {(*curve.target.key, step.fraction): row for curve, step, row in certified}
     columns, plan = shown(advice_table(advice))
@@ -202,9 +203,10 @@ def page(
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
         + "## Requirements\n\n"
-        + markdown_grid(HEADINGS, [*requirements(curves, certified, compared, advice, rest, check), *rows(measured)])
+        + markdown_grid(HEADINGS, [*required, *rows(measured)])
         + "\n\nThe exhaustive injection of small kernels is also a test (`tests/unit/hardening/test_duplicate.py`). "
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
+        + section()
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + f"\n\n{rerun_line(advice)}"
@@ -267,9 +269,9 @@ def main() -> None:
     measured = records.get(key) or records.put(key, measure(study, plan, given.faults))
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))
-    PAGE.write_text(
-        page(study, advice, all_but_map(advices[0]), curves, certified, compared, check, measured), encoding="utf-8"
-    )
+    required = requirements(curves, certified, compared, advice, all_but_map(advices[0]), check)
+    note(processor(), str(date.today()), required)
+    PAGE.write_text(page(study, advice, required, curves, certified, compared, measured), encoding="utf-8")
     fill(ROOT / "README.md", {"hardening": sentence(advice)})
     print(f"wrote {PAGE}")
 
