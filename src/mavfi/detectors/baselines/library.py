@@ -1,7 +1,7 @@
 """Common base of library adapters: training rows, scores of publications, score limits by state and regime."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, Protocol
 
@@ -18,6 +18,8 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import NotInstalledError
 
 _BATCH = 20_000
+REMEMBERED = 1 << 15
+"""Scores that a detector remembers: those of tens of flights, a fifth of whose publications have a new input."""
 
 
 class Judge(Protocol):
@@ -41,6 +43,28 @@ def require(package: str) -> None:
         raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
 
 
+class Remembered:
+    """Scores by input, as most publications repeat an earlier one and a library takes milliseconds for each.
+
+    Args:
+        score: Computes a score from an array and a state; always the same one from the same input.
+    """
+
+    def __init__(self, score: Callable[[np.ndarray, int], float]) -> None:
+        self._score = score
+        self._known: dict[tuple[int, bytes], float] = {}
+
+    def __call__(self, inputs: np.ndarray, slot: int) -> float:
+        """The score, computed unless the input is known; the oldest inputs are forgotten."""
+        key = slot, inputs.tobytes()
+        found = self._known.get(key)
+        if found is None:
+            if len(self._known) >= REMEMBERED:
+                del self._known[next(iter(self._known))]
+            found = self._known[key] = self._score(inputs, slot)
+        return found
+
+
 class LibraryScorer(StateScorer):
     """Scores of a fitted model, from the latest codes of all states.
 
@@ -59,11 +83,15 @@ class LibraryScorer(StateScorer):
         self.kept = {**self.kept, "held": self._held}
         self._judge, self._scale, self._floor = judge, scale, floor
         self._watched = everything.quanta > 0.0
+        self._score = Remembered(self._computed)
 
     def score_of(self, slot: int, regime: int) -> float:
         """See `StateScorer.score_of`."""
         own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
         vector[own] = self._codes[own]
+        return self._score(vector, slot)
+
+    def _computed(self, vector: np.ndarray, slot: int) -> float:
         inputs = scaled(vector[None], self._scale)[:, self._watched]
         return max(0.0, float(self._judge.scores(inputs, np.array([slot]))[0]) - self._floor)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.all_fields import AllFieldsDetector
-from mavfi.detectors.baselines.library import LibraryDetector, require, scaled
+from mavfi.detectors.baselines.library import LibraryDetector, Remembered, require, scaled
 from mavfi.detectors.code_scorer import CodeScorer
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
@@ -48,10 +48,11 @@ class StretchScorer(StateScorer):
 
     def __init__(self, everything: Everything, history: list[np.ndarray], scale: np.ndarray) -> None:
         super().__init__(everything)
-        self._history, self._scale = history, scale
+        self._scale = scale
         self._last = np.zeros((len(everything.slots), LENGTH - 1))
         self._published = np.zeros(len(everything.slots))
         self._new = 0.0
+        self._distance_of = Remembered(lambda stretch, slot: nearest(stretch, history[slot]))
         self.kept = {**self.kept, "last": self._last, "published": self._published}
 
     def value(self, slot: int) -> float:
@@ -64,7 +65,7 @@ class StretchScorer(StateScorer):
         self._new = self.value(slot)
         if self._published[slot] < LENGTH - 1:
             return 0.0
-        return nearest(np.append(self._last[slot], self._new), self._history[slot])
+        return self._distance_of(np.append(self._last[slot], self._new), slot)
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
         """Store normal values; an anomaly does not affect later subsequences."""
