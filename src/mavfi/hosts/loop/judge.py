@@ -25,11 +25,9 @@ class Judge:
             return MissionStatus.COLLISION
         if math.dist(state[:3], self._goal) < ARRIVAL_RADIUS:
             return MissionStatus.SUCCESS
-        if any(
-            max(low - value, value - high) > FLY_AWAY_MARGIN
-            for low, value, high in zip(self._lower, state[:3], self._upper, strict=True)
-        ):
-            return MissionStatus.FLY_AWAY
+        for low, value, high in zip(self._lower, state, self._upper, strict=False):  # x, y, z
+            if low - value > FLY_AWAY_MARGIN or value - high > FLY_AWAY_MARGIN:
+                return MissionStatus.FLY_AWAY
         if failed_plans > self._max_failed_plans:
             return MissionStatus.NO_PATH
         return MissionStatus.TIMEOUT if now >= self.limit_us else None
