@@ -5,7 +5,7 @@ detector scores every publication, and at the site of a fault also its corrupted
 above the threshold count as alarms.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -198,7 +198,10 @@ def _score(task: _Task) -> dict[str, _Kept]:
     return scorer.kept
 
 
-def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | None = None) -> dict[str, Scores]:
+def scores(
+    directories: Sequence[Path], executor: Executor, models_dir: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Scores]:  # fmt: skip
     """Scores of the detectors of campaigns, by arm, over all of their missions and state faults.
 
     A mission shared by several campaigns is flown and counted once.  Detectors without scores are omitted: those
@@ -208,6 +211,7 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
         directories: Folders of complete ledgers with faults in states.
         executor: Runs the flights.
         models_dir: Folder of trained models; None = the shipped ones.
+        progress: Called with the number of missions done and their total.
 
     Raises:
         BadInputError: A folder holds no ledger.
@@ -215,7 +219,11 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
     """
     tasks = _tasks(directories, models_dir)
     places = {id(task): place for place, task in enumerate(tasks)}
-    results = {places[id(task)]: result for task, result in map_each(executor, _score, tasks)}
+    results = {}
+    progress(0, len(tasks))
+    for task, result in map_each(executor, _score, tasks):
+        results[places[id(task)]] = result
+        progress(len(results), len(tasks))
     flown = [(task, results[place]) for place, task in enumerate(tasks)]
     names = dict.fromkeys(arm.name for task in tasks for arm in task.arms)
     found = {name: _joined([(task, kept[name]) for task, kept in flown if name in kept]) for name in names}

@@ -150,9 +150,13 @@ def _scores(
     """Scores of the detectors, in the parts with `scores` enabled."""
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.scores import scores
+    from mavfi.cli.progress import Bar
 
     own = [out / name for name, entry in flown.items() if entry.part.scores]
-    return scores(own, LocalExecutor(workers), models) if own else {}
+    if not own:
+        return {}
+    with Bar("bench: scores of all detectors", "missions") as bar:
+        return scores(own, LocalExecutor(workers), models, bar.show)
 
 
 def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) -> "Table":
