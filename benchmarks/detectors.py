@@ -7,6 +7,7 @@ timed: `mavfi.campaign.overheads`.
 """
 
 import os
+import re
 import statistics
 import sys
 
@@ -60,6 +61,13 @@ def table(costs: dict[tuple[str, str, str], list[Cost]], flights: int, repeats: 
     return "\n".join([*lines, *(row(*key, bars[key[1:]], own) for key, own in costs.items())])
 
 
+def with_others(written: str, earlier: str) -> str:
+    """The table, then the earlier ones that were measured on other processors: shares depend on the processor."""
+    tables = re.split(r"(?m)^(?=\d+ missions of each profile)", earlier)
+    kept = [one.strip() for one in tables if one.strip() and f"; {processor()}, " not in one.splitlines()[0]]
+    return "\n\n".join([written, *kept])
+
+
 def main() -> None:
     """Fly, and write the table."""
     repeats, seeds = int(os.environ.get("N", "5")), int(os.environ.get("SEEDS", "2"))
@@ -76,7 +84,9 @@ def main() -> None:
                     costs[autopilot, name, profile].append(found)
         sys.stderr.write(f"\r{repeat + 1} of {repeats} repeats")
     written = table(costs, len(missions), repeats)
-    PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "detector-cost", written), encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
+    earlier = page.partition("<!-- detector-cost:begin -->")[2].partition("<!-- detector-cost:end -->")[0]
+    PAGE.write_text(between(page, "detector-cost", with_others(written, earlier)), encoding="utf-8")
     sys.stdout.write(f"\n{written}\n")
 
 
