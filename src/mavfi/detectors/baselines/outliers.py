@@ -6,6 +6,9 @@ import numpy as np
 
 from mavfi.detectors.baselines.library import Judge, LibraryDetector
 from mavfi.detectors.everything import Everything
+from mavfi.numerics.elementary import exp, log
+
+_LN_2 = 0.6931471805599453
 
 
 class _Outliers:
@@ -39,13 +42,13 @@ class Forest:
         lengths = np.zeros(len(rows))
         for tree, of_leaf in zip(self._trees, self._lengths, strict=True):
             lengths += of_leaf[tree.apply(rows)]
-        return np.asarray(self._offset + np.exp2(-lengths / self._whole), np.float64)
+        return np.array([self._offset + exp(-_LN_2 * length / self._whole) for length in lengths])
 
 
 def _unsuccessful(count: np.ndarray) -> np.ndarray:
     """Mean length of an unsuccessful search in a binary tree of `count` rows (Liu et al. 2008, equation 1)."""
-    least = np.maximum(count, 2)
-    several = 2.0 * (np.log(np.maximum(least - 1.0, 1.0)) + np.euler_gamma) - 2.0 * (least - 1.0) / least
+    rest = np.maximum(count - 1.0, 1.0)
+    several = 2.0 * (np.array([log(one) for one in rest]) + np.euler_gamma) - 2.0 * rest / (rest + 1.0)
     return np.where(count <= 1, 0.0, np.where(count == 2, 1.0, several))
 
 

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -182,6 +183,14 @@ def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_pat
     assert browser.complaints() == []
 
 
+CENTRE = """
+const dot = document.querySelectorAll("g.dots")[arguments[0]].querySelectorAll("use")[arguments[1]];
+dot.scrollIntoView({block: "center", behavior: "instant"});
+const box = dot.getBoundingClientRect();
+return [box.x + box.width / 2, box.y + box.height / 2];
+"""
+
+
 def test_each_dot_of_a_box_opens_its_run(browser, flown, runs, tmp_path):
     page = tmp_path / "figures.html"
     figures = [Drawn("bit_fields", figure(runs, "bit_fields"), "bit_fields")]
@@ -193,13 +202,10 @@ def test_each_dot_of_a_box_opens_its_run(browser, flown, runs, tmp_path):
     for place in range(len(shown)):
         browser.run("location.hash = ''")
         browser.until("return !document.getElementById('report').hidden")
-        where = browser.run(
-            """const dot = document.querySelectorAll("g.dots")[arguments[0]].querySelectorAll("use")[arguments[1]];
-            dot.scrollIntoView({block: "center", behavior: "instant"});
-            const box = dot.getBoundingClientRect();
-            return [box.x + box.width / 2, box.y + box.height / 2];""",
-            group, place,
-        )  # fmt: skip
+        where = None
+        while (now := browser.run(CENTRE, group, place)) != where:  # the page may still be laid out
+            where = now
+            time.sleep(0.1)
         browser.click_at(*where)
         browser.until("return location.hash.startsWith('#run/')")
         times.append(browser.run("return location.hash").removeprefix("#run/"))
