@@ -7,14 +7,14 @@ timed: `mavfi.campaign.overheads`.
 """
 
 import os
-import re
 import statistics
 import sys
 
-from mavfi.campaign.overheads import ALL, Cost, cost, processor
+from mavfi.campaign.overheads import ALL, Cost, cost
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from tools.markers import DOCS, between
+from tools.processors import with_others
 
 PAGE = DOCS / "models.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
@@ -51,21 +51,14 @@ def table(costs: dict[tuple[str, str, str], list[Cost]], flights: int, repeats: 
     times = ", ".join(f"{value:.0f} ms (`{autopilot}`)" for autopilot, value in kernels.items())
     lines = [
         f"{flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), {repeats} repeats, detectors in turn; "
-        f"{processor()}, load {os.getloadavg()[0]:.1f}. Golden flights, one process; the kernels take "
-        f"{times} of a flight, their Python included. Medians of flights, in brackets smallest and largest.",
+        f"load {os.getloadavg()[0]:.1f}. Golden flights, one process; the kernels take {times} of a flight, their "
+        "Python included. Medians of flights, in brackets smallest and largest.",
         "",
         "| detector | autopilot profile | µs per publication | share of the kernels' time (%) "
         "| wanted (%) | recomputed, modelled (%) |",
         "|---|---|---|---|---|---|",
     ]
     return "\n".join([*lines, *(row(*key, bars[key[1:]], own) for key, own in costs.items())])
-
-
-def with_others(written: str, earlier: str) -> str:
-    """The table, then the earlier ones that were measured on other processors: shares depend on the processor."""
-    tables = re.split(r"(?m)^(?=\d+ missions of each profile)", earlier)
-    kept = [one.strip() for one in tables if one.strip() and f"; {processor()}, " not in one.splitlines()[0]]
-    return "\n\n".join([written, *kept])
 
 
 def main() -> None:
@@ -85,8 +78,8 @@ def main() -> None:
         sys.stderr.write(f"\r{repeat + 1} of {repeats} repeats")
     written = table(costs, len(missions), repeats)
     page = PAGE.read_text(encoding="utf-8")
-    earlier = page.partition("<!-- detector-cost:begin -->")[2].partition("<!-- detector-cost:end -->")[0]
-    PAGE.write_text(between(page, "detector-cost", with_others(written, earlier)), encoding="utf-8")
+    block = with_others(written, page, "detector-cost")
+    PAGE.write_text(between(page, "detector-cost", block), encoding="utf-8")
     sys.stdout.write(f"\n{written}\n")
 
 

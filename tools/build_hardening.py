@@ -40,9 +40,9 @@ from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of, rerun_line
 from mavfi.reports.text import markdown_grid, percent, shown
 from tools.hardening_measured import measure, rows
-from tools.hardening_processors import note, section
-from tools.hardening_requirements import HEADINGS, REQUIRED, all_but_map, requirements
+from tools.hardening_requirements import HEADINGS, REQUIRED, all_but_map, of_functions, requirements
 from tools.markers import GENERATED, ROOT, banner, fill
+from tools.processors import with_others
 
 PAGE = GENERATED / "hardening.md"
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
@@ -206,7 +206,7 @@ def page(
         + markdown_grid(HEADINGS, [*required, *rows(measured)])
         + "\n\nThe exhaustive injection of small kernels is also a test (`tests/unit/hardening/test_duplicate.py`). "
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
-        + section()
+        + by_processor(required, PAGE.read_text(encoding="utf-8") if PAGE.exists() else "")
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + f"\n\n{rerun_line(advice)}"
@@ -227,6 +227,16 @@ def page(
         + "\n\nTime: measured by the time stamp counter on baseline x86-64 code. "
         + "Crash rates are IR level, not quoted.\n"
     )  # fmt: skip
+
+
+def by_processor(required: Sequence[Sequence[str]], earlier: str) -> str:
+    """Section of what functions reach on each processor: which step is the largest within a time depends on it."""
+    table = f"{date.today()}\n\n{markdown_grid(HEADINGS[:4], of_functions(required))}"
+    return (
+        "## By processor\n\nThe largest step within a time differs by processor, as the time of a step does. Each was "
+        "measured by `make hardening`.\n\n<!-- processors:begin -->\n"
+        f"{with_others(table, earlier, 'processors')}\n<!-- processors:end -->\n\n"
+    )
 
 
 def sentence(advice: Row) -> str:
@@ -270,7 +280,6 @@ def main() -> None:
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))
     required = requirements(curves, certified, compared, advice, all_but_map(advices[0]), check)
-    note(processor(), str(date.today()), required)
     PAGE.write_text(page(study, advice, required, curves, certified, compared, measured), encoding="utf-8")
     fill(ROOT / "README.md", {"hardening": sentence(advice)})
     print(f"wrote {PAGE}")

@@ -38,6 +38,11 @@ def requirements(
     return [*rows, _budget(advice, rest), _prediction(certified), _choice(compared)]
 
 
+def of_functions(required: Sequence[Sequence[str]]) -> list[list[str]]:
+    """The rows of functions with a limit of time, without what limits them."""
+    return [list(row[:4]) for row in required if row[0].strip("`") in REQUIRED]
+
+
 def _met(whether: bool) -> str:
     return "yes" if whether else "no"
 

@@ -7,9 +7,9 @@ from mavfi.detectors import load_detector
 from mavfi.detectors.baselines import library
 from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, Regressors
 from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector
-from mavfi.detectors.baselines.library import LibraryDetector, Remembered, columns_of
+from mavfi.detectors.baselines.library import LibraryDetector, columns_of, score_once
 from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, nearest
-from mavfi.detectors.baselines.outliers import Forest, IsolationForestDetector, MahalanobisDetector, PcaDetector
+from mavfi.detectors.baselines.outliers import IsolationForestDetector, MahalanobisDetector, PcaDetector
 from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
 from mavfi.detectors.model import Model
 from mavfi.detectors.registry import settings_of
@@ -186,39 +186,19 @@ def test_the_value_is_that_of_an_incremental_matrix_profile():
     assert profile.P_[-1] <= nearest(stretch, history) + 1e-9
 
 
-def test_known_scores_are_not_computed_again_and_are_those_of_their_input_and_state(monkeypatch):
-    monkeypatch.setattr(library, "REMEMBERED", 3)
-    computed = []
+def test_a_score_is_computed_once_for_each_model_state_and_input():
+    class Counting:
+        def __init__(self, unit):
+            self.unit, self.computed = unit, 0
 
-    def score(inputs, slot):
-        computed.append((slot, inputs.copy()))
-        return float(inputs.sum() + 100 * slot)
+        def scores(self, inputs, slots):
+            assert inputs.shape == (1, 2)
+            self.computed += 1
+            return self.unit * (inputs.sum(axis=1) + 100 * slots)
 
-    remembered, rows = Remembered(score), np.arange(8.0).reshape(4, 2)
+    one, other = Counting(1.0), Counting(2.0)
+    rows = [np.array(row).tobytes() for row in ([0.0, 1.0], [2.0, 3.0])]
     for _ in range(2):
-        assert [remembered(rows[0], slot) for slot in (0, 1)] == [1.0, 101.0]
-    assert len(computed) == 2
-    assert [remembered(row, 0) for row in rows[1:]] == [5.0, 9.0, 13.0]  # the two oldest are forgotten
-    assert len(computed) == 5
-    assert remembered(rows[3], 0) == 13.0 and len(computed) == 5
-    assert remembered(rows[0], 0) == 1.0 and len(computed) == 6
-
-
-def test_a_score_does_not_change_with_the_array_it_was_computed_from():
-    remembered, row = Remembered(lambda inputs, slot: float(inputs[0])), np.array([1.0])
-    assert remembered(row, 0) == 1.0
-    row[0] = 2.0
-    assert remembered(row, 0) == 2.0
-
-
-def test_scores_of_an_isolation_forest_are_the_librarys():
-    pytest.importorskip("pyod", exc_type=ImportError)
-    generator = np.random.Generator(np.random.PCG64(3))
-    rows = generator.normal(size=(600, 7))
-    rows[:200] = np.round(rows[:200])  # equal rows: trees end at several of them
-    model = IsolationForestDetector.make().fit(rows)
-    probes = np.concatenate([rows[::5], 10.0 * generator.normal(size=(50, 7))])
-    found = Forest(model).scores(probes, np.zeros(len(probes), np.int64))
-    np.testing.assert_allclose(found, model.decision_function(probes), rtol=0, atol=1e-14)
-    small = IsolationForestDetector.make().fit(rows[:3])  # of trees with two rows in a leaf
-    np.testing.assert_allclose(Forest(small).scores(probes, probes[:, 0]), small.decision_function(probes), atol=1e-14)
+        assert [score_once(one, slot, row) for slot in (0, 1) for row in rows] == [1.0, 5.0, 101.0, 105.0]
+        assert score_once(other, 0, rows[0]) == 2.0
+    assert (one.computed, other.computed) == (4, 1)

@@ -11,7 +11,6 @@ from mavfi.hardening.choose import NOTHING
 from mavfi.hardening.plan import Plan
 from tools import build_hardening
 from tools.hardening_measured import rows
-from tools.hardening_processors import note, section
 from tools.hardening_requirements import HEADINGS, requirements
 from tools.markers import GENERATED, ROOT
 
@@ -124,19 +123,16 @@ def test_every_planner_of_the_study_is_flown_golden(monkeypatch, tmp_path):
     assert len(flown) == len(set(flown)) == 24 and {planner for *_, planner in flown} == set(planners)
 
 
-def test_the_table_by_processor_keeps_others_and_replaces_its_own(tmp_path):
-    path = tmp_path / "processors.json"
+def test_the_section_by_processor_has_the_functions_and_keeps_other_processors():
+    page = "<!-- processors:begin -->\n**another one**\n\n2026-01-01\n\n| x |\n<!-- processors:end -->"
     digests = ["golden digests with any plan", "equal", "720 of 720", "yes", ""]
-    note("one", "2026-01-01", [digests, ["`track`", "≥ 85 % at ≤ ×1.30", "70.0 % at ×1.30", "no", "why"]], path)
-    note("two", "2026-01-02", [["`track`", "≥ 85 % at ≤ ×1.30", "90.0 % at ×1.29", "yes", ""]], path)
-    note("one", "2026-01-03", [["`track`", "≥ 85 % at ≤ ×1.30", "80.0 % at ×1.30", "no", ""]], path)
-    table = section(path)
-    assert "70.0 %" not in table and "2026-01-01" not in table and "720" not in table
-    assert "| one | 2026-01-03 | `track` | ≥ 85 % at ≤ ×1.30 | 80.0 % at ×1.30 | no |" in table
-    assert "| two | 2026-01-02 | `track` | ≥ 85 % at ≤ ×1.30 | 90.0 % at ×1.29 | yes |" in table
+    track = ["`track`", "≥ 85 % at ≤ ×1.30", "70.0 % at ×1.30", "no", "why"]
+    section = build_hardening.by_processor([digests, track], page)
+    assert "| `track` | ≥ 85 % at ≤ ×1.30 | 70.0 % at ×1.30 | no |" in section and "720" not in section
+    assert section.index("70.0 %") < section.index("**another one**\n\n2026-01-01\n\n| x |")
 
 
-def test_the_page_has_its_own_processor_in_the_table():
+def test_the_page_has_its_own_processor_in_the_section():
     page = (GENERATED / "hardening.md").read_text(encoding="utf-8")
     processor, date = page.partition("faults per kernel); ")[2].partition(".")[0].split("; ")
-    assert f"| {processor} | {date} | " in page.partition("## By processor")[2]
+    assert f"**{processor}**\n\n{date}\n" in page.partition("## By processor")[2]

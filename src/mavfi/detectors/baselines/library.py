@@ -1,7 +1,8 @@
 """Common base of library adapters: training rows, scores of publications, score limits by state and regime."""
 
+import functools
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Hashable, Mapping
 from importlib.util import find_spec
 from typing import Any, Protocol
 
@@ -18,11 +19,9 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import NotInstalledError
 
 _BATCH = 20_000
-REMEMBERED = 1 << 15
-"""Scores that a detector remembers: those of tens of flights, a fifth of whose publications have a new input."""
 
 
-class Judge(Protocol):
+class Judge(Hashable, Protocol):
     """A fitted model of a library."""
 
     def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
@@ -37,32 +36,22 @@ class Judge(Protocol):
         """
 
 
+@functools.lru_cache(1 << 15)
+def score_once(judge: Judge, slot: int, content: bytes) -> float:
+    """Score of a publication, computed once per input: most publications repeat an earlier one.
+
+    Args:
+        judge: The model.
+        slot: Index of the published state.
+        content: Bytes of its inputs, float64.
+    """
+    return float(judge.scores(np.frombuffer(content).copy()[None], np.array([slot]))[0])
+
+
 def require(package: str) -> None:
     """Check that a package of the extra `bench` is installed; `NotInstalledError` if not."""
     if find_spec(package) is None:
         raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
-
-
-class Remembered:
-    """Scores by input, as most publications repeat an earlier one and a library takes milliseconds for each.
-
-    Args:
-        score: Computes a score from an array and a state; always the same one from the same input.
-    """
-
-    def __init__(self, score: Callable[[np.ndarray, int], float]) -> None:
-        self._score = score
-        self._known: dict[tuple[int, bytes], float] = {}
-
-    def __call__(self, inputs: np.ndarray, slot: int) -> float:
-        """The score, computed unless the input is known; the oldest inputs are forgotten."""
-        key = slot, inputs.tobytes()
-        found = self._known.get(key)
-        if found is None:
-            if len(self._known) >= REMEMBERED:
-                del self._known[next(iter(self._known))]
-            found = self._known[key] = self._score(inputs, slot)
-        return found
 
 
 class LibraryScorer(StateScorer):
@@ -83,17 +72,13 @@ class LibraryScorer(StateScorer):
         self.kept = {**self.kept, "held": self._held}
         self._judge, self._scale, self._floor = judge, scale, floor
         self._watched = everything.quanta > 0.0
-        self._score = Remembered(self._computed)
 
     def score_of(self, slot: int, regime: int) -> float:
         """See `StateScorer.score_of`."""
         own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
         vector[own] = self._codes[own]
-        return self._score(vector, slot)
-
-    def _computed(self, vector: np.ndarray, slot: int) -> float:
         inputs = scaled(vector[None], self._scale)[:, self._watched]
-        return max(0.0, float(self._judge.scores(inputs, np.array([slot]))[0]) - self._floor)
+        return max(0.0, score_once(self._judge, slot, inputs.tobytes()) - self._floor)
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
         """Hold the codes of a normal publication; 0 for an anomalous one."""

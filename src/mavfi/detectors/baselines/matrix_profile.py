@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.all_fields import AllFieldsDetector
-from mavfi.detectors.baselines.library import LibraryDetector, Remembered, require, scaled
+from mavfi.detectors.baselines.library import LibraryDetector, require, scaled, score_once
 from mavfi.detectors.code_scorer import CodeScorer
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
@@ -35,6 +35,17 @@ def nearest(stretch: np.ndarray, history: np.ndarray) -> float:
     return float(mass_absolute(stretch, history).min())
 
 
+class Histories:
+    """Distances from the training series of each state; their inputs are subsequences, see `Judge.scores`."""
+
+    def __init__(self, series: list[np.ndarray]) -> None:
+        self._series = series
+
+    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
+        """Distances of subsequences, shape (m, LENGTH), of states, shape (m,). Shape (m,)."""
+        return np.array([nearest(row, self._series[slot]) for row, slot in zip(inputs, slots, strict=True)])
+
+
 class StretchScorer(StateScorer):
     """Distances of the latest subsequences.
 
@@ -48,11 +59,10 @@ class StretchScorer(StateScorer):
 
     def __init__(self, everything: Everything, history: list[np.ndarray], scale: np.ndarray) -> None:
         super().__init__(everything)
-        self._scale = scale
+        self._judge, self._scale = Histories(history), scale
         self._last = np.zeros((len(everything.slots), LENGTH - 1))
         self._published = np.zeros(len(everything.slots))
         self._new = 0.0
-        self._distance_of = Remembered(lambda stretch, slot: nearest(stretch, history[slot]))
         self.kept = {**self.kept, "last": self._last, "published": self._published}
 
     def value(self, slot: int) -> float:
@@ -65,7 +75,7 @@ class StretchScorer(StateScorer):
         self._new = self.value(slot)
         if self._published[slot] < LENGTH - 1:
             return 0.0
-        return self._distance_of(np.append(self._last[slot], self._new), slot)
+        return score_once(self._judge, slot, np.append(self._last[slot], self._new).tobytes())
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
         """Store normal values; an anomaly does not affect later subsequences."""

@@ -6,9 +6,6 @@ import numpy as np
 
 from mavfi.detectors.baselines.library import Judge, LibraryDetector
 from mavfi.detectors.everything import Everything
-from mavfi.numerics.elementary import exp, log
-
-_LN_2 = 0.6931471805599453
 
 
 class _Outliers:
@@ -22,46 +19,6 @@ class _Outliers:
         return np.asarray(self._model.decision_function(inputs), np.float64)
 
 
-class Forest:
-    """Scores of a fitted isolation forest, from its trees: for one row, the library spends 11 ms on calls of them.
-
-    Args:
-        model: PyOD's `IForest`, fitted; its `decision_function` returns the same.
-    """
-
-    def __init__(self, model: Any) -> None:  # noqa: ANN401 - the library has no types
-        forest = model.detector_
-        self._trees = [tree.tree_ for tree in forest.estimators_]
-        self._lengths = [_path_lengths(tree) for tree in self._trees]
-        self._offset = float(forest.offset_)
-        self._whole = len(self._trees) * float(_unsuccessful(np.array([forest.max_samples_]))[0])
-
-    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """See `Judge.scores`."""
-        rows = np.ascontiguousarray(inputs, np.float32)
-        lengths = np.zeros(len(rows))
-        for tree, of_leaf in zip(self._trees, self._lengths, strict=True):
-            lengths += of_leaf[tree.apply(rows)]
-        return np.array([self._offset + exp(-_LN_2 * length / self._whole) for length in lengths])
-
-
-def _unsuccessful(count: np.ndarray) -> np.ndarray:
-    """Mean length of an unsuccessful search in a binary tree of `count` rows (Liu et al. 2008, equation 1)."""
-    rest = np.maximum(count - 1.0, 1.0)
-    several = 2.0 * (np.array([log(one) for one in rest]) + np.euler_gamma) - 2.0 * rest / (rest + 1.0)
-    return np.where(count <= 1, 0.0, np.where(count == 2, 1.0, several))
-
-
-def _path_lengths(tree: Any) -> np.ndarray:  # noqa: ANN401
-    """Length of the path to each leaf of a tree, with the mean of the subtree that was not grown. Shape (nodes,)."""
-    depth = np.zeros(tree.node_count)
-    for node in range(tree.node_count):  # parents precede their children
-        for child in (tree.children_left[node], tree.children_right[node]):
-            if child >= 0:
-                depth[child] = depth[node] + 1.0
-    return np.asarray(depth + _unsuccessful(tree.n_node_samples), np.float64)
-
-
 class _OutlierDetector(LibraryDetector):
     """Base: a PyOD class with its options."""
 
@@ -73,12 +30,7 @@ class _OutlierDetector(LibraryDetector):
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            return cls.scores_of(cls.make().fit(inputs))
-
-    @classmethod
-    def scores_of(cls, model: Any) -> Judge:  # noqa: ANN401
-        """Scores of a fitted model."""
-        return _Outliers(model)
+            return _Outliers(cls.make().fit(inputs))
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
@@ -97,11 +49,6 @@ class IsolationForestDetector(_OutlierDetector):
         from pyod.models.iforest import IForest
 
         return IForest(n_estimators=100, random_state=0, n_jobs=1)
-
-    @classmethod
-    def scores_of(cls, model: Any) -> Judge:  # noqa: ANN401
-        """See the base class."""
-        return Forest(model)
 
 
 class PcaDetector(_OutlierDetector):

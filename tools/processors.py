@@ -1,0 +1,19 @@
+"""Tables of figures that depend on the processor: a page keeps those that were measured on others."""
+
+import re
+
+from mavfi.campaign.overheads import processor
+
+
+def with_others(table: str, page: str, name: str) -> str:
+    """A table of this processor, then those of others.
+
+    Args:
+        table: What was measured; no line begins with `**`.
+        page: The page with earlier ones between `<!-- name:begin -->` and `<!-- name:end -->`, or none.
+        name: Name of the markers.
+    """
+    heading = f"**{processor()}**"
+    earlier = page.partition(f"<!-- {name}:begin -->")[2].partition(f"<!-- {name}:end -->")[0]
+    others = [one.strip() for one in re.split(r"(?m)^(?=\*\*)", earlier) if one.strip()]
+    return "\n\n".join([f"{heading}\n\n{table}", *(one for one in others if not one.startswith(heading))])
