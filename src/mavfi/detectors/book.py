@@ -93,14 +93,14 @@ def _finish(slot: int, regime: int, book: Book) -> None:
 @kernel_jit
 def _leading(header: np.ndarray, width: int) -> np.ndarray:
     """The leading float64 fields of a header, as the single row of a list. Shape (1, width)."""
-    return header.view(np.uint8)[: 8 * width].view(np.float64).reshape((1, width))
+    return header.view(np.uint8)[: 8 * width].view(np.float64)[np.newaxis, :]
 
 
 @kernel_jit
 def measure_status(header: np.ndarray, book: Book) -> None:
     """Codes of a collision status, see `Book`."""
     values = _begin(_STATUS, book)
-    _finish(_STATUS, residuals.status(header, values.reshape((1, len(values))), book.after, values, True), book)
+    _finish(_STATUS, residuals.status(header, values[np.newaxis, :], book.after, values, True), book)
 
 
 @kernel_jit

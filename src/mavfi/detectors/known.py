@@ -199,7 +199,9 @@ def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, b
         places[index] = places[index + 1]
     own["numbers"][last], own["counts"][last], places[last] = number, len(points), place
     own["stored"] = last + 1
-    blocks[place, : len(points)] = points
+    for row in range(len(points)):  # an assigned slice would call functions with memory of their own
+        for column in range(points.shape[1]):
+            blocks[place, row, column] = points[row, column]
 
 
 @kernel_jit

@@ -1,0 +1,31 @@
+"""Shipped kernels and detectors own their memory: no address of the process enters the record of a fault in them."""
+
+import pytest
+
+from mavfi.campaign.config import InstructionSampling, load_campaign
+from mavfi.campaign.mission import MissionPlan, model_hashes, scenarios_of
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.warm_up import warm_up
+from mavfi.faults.instruction import variant
+from mavfi.faults.instruction.build import Built, cached_build
+
+
+@pytest.mark.parametrize("name", ["kernels", "detector_instructions"])
+def test_every_function_into_which_a_campaign_injects_has_planned_memory(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Built] = []
+
+    def noted(*arguments: object) -> Built:
+        seen.append(cached_build(*arguments))  # type: ignore[arg-type]
+        return seen[-1]
+
+    monkeypatch.setattr(variant, "cached_build", noted)
+    monkeypatch.setattr(variant, "_variants", {})
+    monkeypatch.setattr(variant, "_known", {})
+    campaign = load_campaign(name)
+    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
+    assert isinstance(campaign.sampling, InstructionSampling)
+    assert len(seen) >= len(campaign.sampling.kernels)
+    assert [built.wrapper for built in seen if not built.owned] == []
