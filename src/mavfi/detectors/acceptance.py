@@ -90,15 +90,6 @@ _KIND = kind_of(np.zeros(1, known.KNOWN), np.zeros((1, 1, rules.POINT_WIDTH)))
 
 
 @short_jit
-def _admit_status(address: int, header: Any, now: int) -> bool:
-    record, _ = load(address, _KIND)
-    violated = judge_status(header_of(header), record) >= 0
-    if not violated:
-        known.note_status(header_of(header), now, record)
-    return violated
-
-
-@short_jit
 def _admit_command(address: int, header: Any) -> bool:
     record, _ = load(address, _KIND)
     return known.accept_unless_violated(judge_command(header_of(header), record), record)
@@ -160,7 +151,7 @@ class AcceptanceTest:
         unread = () if limits.held else (_TRACKING,)
         self.states = frozenset((*RULES, *_POSITIONS)).difference(unread)
         self._calls: dict[str, Compiled] = {}
-        self._stepwise = False
+        self._stepwise, self._at_once = False, AtOnce()
         self.start()
         self._use(functions)
 
@@ -180,7 +171,6 @@ class AcceptanceTest:
             places = {name: lent(own) for name, own in header.items()}
             odometry = lent(self.odometry, listed=True)
             self._calls = {
-                _STATUS: entry(_admit_status, 0, places[_STATUS], 0),
                 _WAYPOINT: entry(_admit_waypoint, 0, odometry, places[_WAYPOINT]),
                 _COMMAND: entry(_admit_command, 0, places[_COMMAND]),
             }
@@ -189,18 +179,23 @@ class AcceptanceTest:
         self._store()
 
     def _store(self) -> None:
-        """Bring up to date what `admit` calls: the blocks are others."""
+        """Bring `at_once` up to date: the blocks are others."""
         self._own = Stored(_KIND, self.record, self.blocks)
-        self._at_once, self._at_time = AtOnce(), AtOnce()
+        self._at_once.clear()
         if self._stepwise:
             return
         self._at_once.update(dict.fromkeys(_POSITIONS, self._latest.append))
         for name, call in self._calls.items():
             own = (self._own.address, self._latest) if name == _WAYPOINT else (self._own.address,)
-            (self._at_time if name == _STATUS else self._at_once)[name] = partial(call, *own)
+            self._at_once[name] = partial(call, *own)
+
+    @property
+    def at_once(self) -> AtOnce:
+        """See `Detector`."""
+        return self._at_once
 
     def step_by_step(self, always: bool) -> None:
-        """Whether `admit` always calls `check` and `accept`, which a host may have replaced."""
+        """Whether hosts always call `check` and `accept`, which one of them may have replaced."""
         self._stepwise = always
         self._store()
 
@@ -237,23 +232,9 @@ class AcceptanceTest:
             rule = RULES.get(name)
             if rule is None or rule.judge is None:
                 return None
+            del self._latest[:-1]  # `at_once` keeps all
             place = rule.judge(self, state, time_us)
         return None if place < 0 else _alarm(state, place)
-
-    def admit(self, state: State, time_us: int) -> Alarm | None:
-        """Check a publication, and record it if there is no alarm."""
-        name = state.spec.name
-        if not self._at_once[name](state.header):
-            self.candidate = None
-            return None
-        del self._latest[:-1]
-        if not self._at_time[name](state.header, time_us):
-            self.candidate = None
-            return None
-        alarm = self.check(state, time_us)
-        if alarm is None:
-            self.accept(state, time_us)
-        return alarm
 
     def score(self, state: State, time_us: int) -> float | None:
         """2 for a violation, else 0; None for states without a rule."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from mavfi.detectors.detector import Alarm, admission
+from mavfi.detectors.detector import Alarm, AtOnce, admission
 from mavfi.states import State
 
 
@@ -56,12 +56,12 @@ class Chain:
 
     def admit(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication, and pass it to all detectors that read its state if none raises an alarm."""
-        first, admit = self._of_state.get(state.spec.name, self._of_any)
+        first, at_once, otherwise = self._of_state.get(state.spec.name, self._of_any)
         for detector in first:
             alarm: Alarm | None = detector.check(state, time_us)
             if alarm is not None:
                 return alarm
-        alarm = admit(state, time_us)
+        alarm = otherwise(state, time_us) if at_once[state.spec.name](state.header) else None
         if alarm is None:
             for detector in first:
                 detector.accept(state, time_us)
@@ -82,6 +82,8 @@ class Chain:
             detector.restore(kept)
 
 
-def _divided(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], Callable[[State, int], Alarm | None]]:
-    """All detectors but the last, and `admit` of the last."""
-    return (tuple(detectors[:-1]), admission(detectors[-1])) if detectors else ((), lambda state, time_us: None)
+def _divided(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], AtOnce, Callable[[State, int], Alarm | None]]:
+    """All detectors but the last, and the admission of the last."""
+    if not detectors:
+        return (), AtOnce(), lambda state, time_us: None
+    return tuple(detectors[:-1]), *admission(detectors[-1])

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
@@ -45,8 +45,12 @@ class Detector(Protocol):
     A detector may have `states`, the names of the states that it reads; a host need not pass it any others.  If absent
     or None, the detector receives all states.
 
-    A detector may have `admit(state, time_us)`: `check`, then `accept` if there is no alarm, in one call.
-    A subclass of it that changes `check` or `accept` needs its own; else the host calls these two.
+    `accept` belongs to the publication that was checked last, or to one that was not checked: a host passes a value
+    that is sent again as a copy.
+
+    A detector may have `admit(state, time_us)`: `check`, then `accept` if there is no alarm, in one call.  It may have
+    `at_once`, an `AtOnce`, always the same object: what a host asks first, see `admission`.  A subclass of it that
+    changes `check` or `accept` needs its own; else the host calls these two.
 
     A detector whose memory can be injected has `arrays()`: the arrays that it remembers between publications, by name,
     not copies; without the parameters of its model, and called between publications only.
@@ -66,7 +70,7 @@ class Detector(Protocol):
 
 
 class AtOnce(dict[str, Callable[..., object]]):
-    """By state: a function of the header, or of header and time, that accepts a publication or returns a true value.
+    """By state: a function of the header that accepts a publication or returns a true value.
 
     The latter means that it takes longer: there is an alarm, or the state is not in the dictionary.
     """
@@ -76,15 +80,28 @@ class AtOnce(dict[str, Callable[..., object]]):
         return _takes_longer
 
 
-def _takes_longer(*publication: Any) -> bool:  # noqa: ANN401 - header, and time
+def _takes_longer(header: Any) -> bool:  # noqa: ANN401 - an array
     return True
 
 
-def admission(detector: Detector) -> Callable[[State, int], Alarm | None]:
-    """`admit` of a detector, or the same from its `check` and `accept` if it has none or a subclass changes these."""
-    if _level_of(detector, "admit") <= min(_level_of(detector, "check"), _level_of(detector, "accept")):
-        own: Callable[[State, int], Alarm | None] = detector.admit  # type: ignore[attr-defined]
-        return own
+class Admission(NamedTuple):
+    """How a host passes publications to a detector: most pass `at_once`, without a further call in Python.
+
+    Attributes:
+        at_once: Asked first, by name of the state, with the header.
+        otherwise: Called with state and time (us) if that returns a true value: `check`, then `accept` if no alarm.
+    """
+
+    at_once: AtOnce
+    otherwise: Callable[[State, int], Alarm | None]
+
+    def __call__(self, state: State, time_us: int) -> Alarm | None:
+        """Pass a publication, and return the alarm on it."""
+        return self.otherwise(state, time_us) if self.at_once[state.spec.name](state.header) else None
+
+
+def admission(detector: Detector) -> Admission:
+    """`at_once` and `admit` of a detector; only `check` and `accept` if it has none or a subclass changes these."""
 
     def admit(state: State, time_us: int) -> Alarm | None:
         alarm = detector.check(state, time_us)
@@ -92,7 +109,12 @@ def admission(detector: Detector) -> Callable[[State, int], Alarm | None]:
             detector.accept(state, time_us)
         return alarm
 
-    return admit
+    most = min(_level_of(detector, "check"), _level_of(detector, "accept"))
+    own: Any = detector
+    return Admission(
+        own.at_once if _level_of(detector, "at_once") <= most else AtOnce(),
+        own.admit if _level_of(detector, "admit") <= most else admit,
+    )
 
 
 def _level_of(detector: Detector, method: str) -> float:

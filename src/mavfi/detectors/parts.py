@@ -268,17 +268,23 @@ class ScoringDetector:
         self._adapts, self._accept, self._measure = scorer.adapts, scorer.accept, scorer.score
         self._scored: State | None = None
         self._score: float | None = None
-        self._stepwise = False
+        self._stepwise, self._at_once = False, AtOnce()
         self._use()
+
+    @property
+    def at_once(self) -> AtOnce:
+        """See `Detector`."""
+        return self._at_once
 
     def _use(self) -> None:
         """Look up the scorer's functions; a policy that counts way-points needs the score of each."""
         counted = (_WAYPOINT,) if self._counts_waypoints else ()
-        found = {name: call for name, call in self.scorer.at_once.items() if name not in counted}
-        self._at_once = AtOnce() if self._stepwise else AtOnce(found)
+        self._at_once.clear()
+        if not self._stepwise:
+            self._at_once.update((name, call) for name, call in self.scorer.at_once.items() if name not in counted)
 
     def step_by_step(self, always: bool) -> None:
-        """Whether `admit` always calls `check` and `accept`, which a host may have replaced."""
+        """Whether hosts always call `check` and `accept`, which one of them may have replaced."""
         self._stepwise = always
         self._use()
 
@@ -289,6 +295,7 @@ class ScoringDetector:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
         self.__dict__.update(state)
+        self._at_once = AtOnce()
         self._use()
 
     def start(self) -> None:
@@ -308,16 +315,6 @@ class ScoringDetector:
             self._scored, self._score = state, self._measure(state)
         score = self._score
         return None if score is None or score <= 1.0 else self._alarm(state, score)
-
-    def admit(self, state: State, time_us: int) -> Alarm | None:
-        """Check a publication, and record it if there is no alarm."""
-        if not self._at_once[state.spec.name](state.header):
-            self._scored = self.scorer.candidate = None
-            return None
-        alarm = self.check(state, time_us)
-        if alarm is None:
-            self.accept(state, time_us)
-        return alarm
 
     def _alarm(self, state: State, score: float) -> Alarm:
         reading, verdict = self.scorer.judged()

@@ -230,7 +230,7 @@ class Watch:
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
-        self._admit = admission(detector)
+        self._at_once, self._otherwise = admission(detector)
         self.memory = Remembered()
         self.alarm: Alarm | None = None
         self.action: Action | None = None
@@ -264,7 +264,7 @@ class Watch:
         if self._setpoints is not None and self.memory.degraded:
             return self._setpoints.command(self.memory.trail, state) if state.spec.name == COMMAND else state
         asks = not self.memory.silenced and (awaited is None or recovery.same_twice == "escalate")
-        alarm = self._admit(state, now) if asks else None
+        alarm = self._otherwise(state, now) if asks and self._at_once[state.spec.name](state.header) else None
         admitted = asks and alarm is None
         after = self._after(awaited)
         uncured = False
