@@ -2,6 +2,7 @@
 
 import pytest
 
+from mavfi.detectors.detector import Alarm
 from mavfi.detectors.duplicate import Duplicate
 from mavfi.detectors.random_alarms import RandomAlarms
 from mavfi.detectors.sealed import Checksum, Oracle
@@ -37,6 +38,29 @@ def test_a_message_that_is_sent_again_leaves_the_golden_flight(state, field, bit
     assert [(alarm.state, alarm.action, alarm.outcome) for alarm in struck.alarms] == [(state, "resend", "repaired")]
     assert struck.digest() == golden().log.digest()
     assert sum(struck.meta["recompute_us"].values()) == 0
+
+
+class AlarmsOnce:
+    states = frozenset({"control.command"})
+
+    def start(self):
+        self.checked, self.accepted = [], []
+
+    def check(self, state, time_us):
+        self.checked.append(state)
+        return Alarm("once", "control") if len(self.checked) == 100 else None
+
+    def accept(self, state, time_us):
+        self.accepted.append(state)
+
+
+def test_a_message_that_is_sent_again_is_another_object():
+    """A detector takes the object that it has checked last for one whose codes it knows."""
+    detector = AlarmsOnce()
+    log = fly(mission(), detector=detector, recovery=RESEND).log
+    assert [alarm.action for alarm in log.alarms] == ["resend"]
+    sent, again = detector.checked[99], detector.accepted[99]
+    assert again.same_bits(sent) and again is not sent
 
 
 def test_an_observer_sends_it_again_after_consumers_have_seen_it():

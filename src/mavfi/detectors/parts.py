@@ -65,7 +65,7 @@ class Scorer(ABC):
         adapts: Whether `accept` needs the verdict on the publication.
         at_once: By state, for frequent ones: a function of the header that accepts the publication, or returns a true
             value if there is an alarm.  Publications of other states are scored, then accepted.
-        candidate: The publication scored last, None = another one since; of scorers in compiled code.
+        candidate: The publication scored last by `score`, not by `at_once`; None = none yet, or the memory was read.
         threshold: Converts readings to scores.
     """
 

@@ -347,10 +347,11 @@ class Watch:
             loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)
         if action.kind == "resend":
             assert self._sent is not None  # `seal` precedes the check
+            again = self._sent.copy()  # another object: a detector may know this one
             if action.withholds:
-                loop.deliver(self._sent, now)
+                loop.deliver(again, now)
             else:
-                loop.at(now, "resend", self._sent)  # consumers first receive the current value
+                loop.at(now, "resend", again)  # consumers first receive the current value
             return
         if self._recovery.coupling == "observer":
             if action.kernel:

@@ -254,8 +254,8 @@ class Loop:
             self.publish(seen, now)
 
     def resend(self, now: int, state: State) -> None:
-        """Retransmit the producer's copy of a value: another object, as a detector may know this one."""
-        self.deliver(state.copy(), now)
+        """Retransmit the producer's copy of a value."""
+        self.deliver(state, now)
 
     def publish(self, state: State, now: int) -> None:
         """Hand a value to its consumers, and start the steps that it makes due."""
