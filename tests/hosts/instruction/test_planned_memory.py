@@ -2,17 +2,31 @@
 
 import pytest
 
-from mavfi.campaign.config import InstructionSampling, load_campaign
+from mavfi.campaign.config import Campaign, InstructionSampling, load_campaign
 from mavfi.campaign.mission import MissionPlan, model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.warm_up import warm_up
 from mavfi.faults.instruction import variant
 from mavfi.faults.instruction.build import Built, cached_build
 
+FEW = Campaign(
+    name="few", environments=("dense",), missions=2, faults=2,
+    sampling={"level": "instruction", "kernels": ["acceptance", "limits"]},
+    arms={"recommended": {"detector": "recommended"}, "limits": {"detector": "limits"}},
+)  # fmt: skip
+"""The functions of other detectors of all fields differ from those of `limits` in the last one only."""
 
-@pytest.mark.parametrize("name", ["kernels", "detector_instructions"])
+
+@pytest.mark.parametrize(
+    "campaign",
+    [
+        FEW,
+        *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
+    ],
+    ids=lambda campaign: campaign.name,
+)
 def test_every_function_into_which_a_campaign_injects_has_planned_memory(
-    name: str, monkeypatch: pytest.MonkeyPatch
+    campaign: Campaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Built] = []
 
@@ -23,7 +37,6 @@ def test_every_function_into_which_a_campaign_injects_has_planned_memory(
     monkeypatch.setattr(variant, "cached_build", noted)
     monkeypatch.setattr(variant, "_variants", {})
     monkeypatch.setattr(variant, "_known", {})
-    campaign = load_campaign(name)
     models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
     warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
     assert isinstance(campaign.sampling, InstructionSampling)
