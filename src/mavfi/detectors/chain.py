@@ -6,9 +6,15 @@ from typing import Any
 from mavfi.detectors.detector import Alarm, AtOnce, admission
 from mavfi.states import State
 
+_UNPICKLED = ("at_once", "_of_state", "_of_any")
+
 
 class Chain:
-    """Several detectors in sequence: the first alarm counts."""
+    """Several detectors in sequence: the first alarm counts.
+
+    All but the last need a method `retract` for `at_once`: if a later one raises an alarm, the publication that they
+    accepted at once is not recorded.
+    """
 
     def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
         self.parts = detectors
@@ -24,12 +30,13 @@ class Chain:
             self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
 
     def _look_up(self) -> None:
+        self.at_once = AtOnce({name: _in_turn(name, readers) for name, readers in self._readers.items()})
         self._of_state = {name: _divided(readers) for name, readers in self._readers.items()}
         self._of_any = _divided(self.parts)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without what is looked up."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_of_state", "_of_any")}
+        return {name: value for name, value in self.__dict__.items() if name not in _UNPICKLED}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -87,3 +94,26 @@ def _divided(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], AtOnce, Callabl
     if not detectors:
         return (), AtOnce(), lambda state, time_us: None
     return tuple(detectors[:-1]), *admission(detectors[-1])
+
+
+def _in_turn(name: str, detectors: Sequence[Any]) -> Callable[[Any], object]:
+    """A function for `AtOnce` that passes a publication of a state through the tables of several detectors."""
+    *before, last = detectors
+    table = admission(last).at_once
+    for detector in reversed(before):
+        able = hasattr(detector, "retract")
+        first = admission(detector).at_once if able else AtOnce()
+        table = AtOnce({name: _both(name, first, table, detector.retract if able else None)})
+    return table[name] if before else lambda header: table[name](header)  # tables change: looked up at each call
+
+
+def _both(name: str, first: AtOnce, following: AtOnce, retract: Any) -> Callable[[Any], object]:  # noqa: ANN401
+    def admit(header: Any) -> bool:  # noqa: ANN401 - an array
+        if first[name](header):
+            return True
+        if following[name](header):
+            retract()  # what `first` has accepted
+            return True
+        return False
+
+    return admit

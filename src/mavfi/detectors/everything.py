@@ -78,6 +78,9 @@ _WATCHED = {
     "control.tracking": _Watched(book.measure_tracking, _fields("remaining"), False, 1),
 }  # fmt: skip
 
+_ALONE = "control.tracking"
+"""State that predicts nothing but its own residual."""
+
 COMPILED: dict[str, Callable[..., Any]] = {
     **{own.measure.__name__: own.measure for own in _WATCHED.values()}, "note_vehicle": book.note_vehicle,
 }  # fmt: skip
@@ -96,7 +99,7 @@ class Everything:
         fields: Names of the residuals, "state.field"; lists have residuals over all elements.
         stages: Stage of each.
         slots: Index of each state, by name.
-        states: Names of these states and of the vehicle's odometry.
+        states: Names of those that it reads, and of the vehicle's odometry.
         quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
         book: The publication measured last, and the memory between publications.
         vehicles: Odometry that is not yet stored.
@@ -104,7 +107,6 @@ class Everything:
 
     def __init__(self, autopilot: str) -> None:
         self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
-        self.states = frozenset(self.slots).union(ODOMETRY.values())
         self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
         self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
         self.quanta = np.array(
@@ -112,6 +114,7 @@ class Everything:
         )
         ends = np.cumsum([len(own.names) for own in _WATCHED.values()])
         self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
+        self.states = frozenset(filter(self._is_read, self.slots)).union(ODOMETRY.values())
         self._watched = tuple(_WATCHED.values())
         self._empty = [np.zeros((0, own.width)) for own in self._watched]
         self.vehicles = VehicleQueue(self._store)
@@ -160,8 +163,12 @@ class Everything:
 
     @property
     def frequent(self) -> tuple[str, ...]:
-        """States that are published at most control ticks, and of which something is watched."""
-        return tuple(name for name in FREQUENT if self.quanta[slice(*self._ranges[self.slots[name]])].any())
+        """States that it reads and that are published at most control ticks."""
+        return tuple(name for name in FREQUENT if name in self.states)
+
+    def _is_read(self, name: str) -> bool:
+        """Whether something of a state is watched, or predicts residuals of other states."""
+        return name != _ALONE or bool(self.quanta[slice(*self._ranges[self.slots[name]])].any())
 
     def from_vehicle(self, name: str) -> bool:
         """Whether the residuals of a state depend on the vehicle's odometry."""

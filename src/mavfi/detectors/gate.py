@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, AtOnce
 from mavfi.detectors.features import integer_at, real_at
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit, short_jit
 from mavfi.numerics.lent import content_of, lent
@@ -169,6 +169,16 @@ def _judge_at(address: int, slot: int, header: Any) -> int:
     return judge(content_of(header), slot, limits, kept, then)
 
 
+@short_jit
+def _admit_at(address: int, slot: int, header: Any) -> bool:
+    """Whether a publication is implausible; it is accepted if it is not."""
+    limits, kept, then = load(address, _KIND)
+    if judge(content_of(header), slot, limits, kept, then) >= 0:
+        return True
+    then[_ACCEPTED] = 1.0
+    return False
+
+
 class PhysicsGate:
     """Checks for finite numbers, the arena, speeds, way-point steps, and a collision counter that grows by 0 or 1.
 
@@ -181,6 +191,7 @@ class PhysicsGate:
     Attributes:
         states: Names of the states that it reads.
         compiled: Compiled functions that can be instrumented, by name; see `detector.part_of`.
+        at_once: See `Detector`.
     """
 
     source, states = SOURCE, frozenset(STATES_JUDGED)
@@ -191,6 +202,7 @@ class PhysicsGate:
         self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
         self._kept, self._then = np.zeros(_ACCEPTED), np.zeros(_ACCEPTED + 1)
         self._candidate: State | None = None
+        self.at_once = AtOnce()
         self.instrument({})
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
@@ -198,6 +210,11 @@ class PhysicsGate:
         self._own = Stored(_KIND, self._limits, self._kept, self._then)
         given = made.get("judge_gate", judge)
         self._judges = [self._judge_of(given, slot, name) for slot, name in enumerate(STATES_JUDGED)]
+        self.at_once.clear()
+        if not made and is_compiled(judge):
+            for slot, name in enumerate(STATES_JUDGED):
+                call = entry(_admit_at, 0, 0, lent(new_state(name).header))
+                self.at_once[name] = partial(call, self._own.address, slot)
 
     def _judge_of(self, given: Callable[..., int], slot: int, name: str) -> Callable[[np.ndarray], int]:
         """A function of the header of a state."""
@@ -235,6 +252,10 @@ class PhysicsGate:
                 return
             self.check(state, time_us)
         self._then[_ACCEPTED] = 1.0
+
+    def retract(self) -> None:
+        """Take back the acceptance of the publication admitted last."""
+        self._then[_ACCEPTED] = 0.0
 
     def memory(self) -> bytes:
         """Memory between publications, see `Detector`."""

@@ -119,10 +119,13 @@ def test_a_copy_goes_on_alone(name, profile, copied):
     assert fly(copied_once, admission, published, copied=copied) == fly(alone, admission, published)
 
 
-@pytest.mark.parametrize(("name", "profile"), DETECTORS[:9])
-def test_instrumented_code_is_called_for_every_publication(name, profile):
+@pytest.mark.parametrize(
+    ("name", "profile", "place"),
+    [*((*names, -1) for names in DETECTORS[:9]), ("gaussian", "tuned", 0), ("autoencoder", "tuned", 0)],
+)
+def test_instrumented_code_is_called_for_every_publication(name, profile, place):
     plain, detector = load(name, profile), load(name, profile)
-    watched = detector.parts[-1] if isinstance(detector, Chain) else detector
+    watched = detector.parts[place] if isinstance(detector, Chain) else detector
     calls = []
 
     def counted(function):

@@ -194,6 +194,27 @@ def test_every_field_that_is_read_is_watched_and_no_other(autopilot):
     assert [everything.slot_of(k) for k in (0, 6, len(everything.fields) - 1)] == [0, 1, 5]
 
 
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_state_that_is_not_read_has_no_code_and_changes_none(autopilot):
+    published, random = [], np.random.default_rng(0)
+    for state, _ in flight(3, 400):
+        report = new_state("control.tracking")
+        report.header["remaining"] = random.normal()
+        published += [state, report]
+    some, every = Everything(autopilot), Everything(autopilot)
+    assert ("control.tracking" in some.states) == (autopilot == "published")
+    codes = {}
+    for everything, passed in ((some, some.states), (every, every.slots)):
+        codes[everything], own = [], np.zeros(len(everything.fields), np.int16)
+        for state in published:
+            name = state.spec.name
+            if name in everything.slots and name in passed:
+                regime = everything.measure(state, everything.slots[name], own, keep=True)
+                if name in everything.states:
+                    codes[everything].append((regime, own.tobytes()))
+    assert codes[some] == codes[every]
+
+
 @pytest.mark.parametrize(("name", "count"), [("planning.path", 4), ("planning.trajectory", 8)])
 @pytest.mark.parametrize("field", ["x", "y", "z"])
 def test_a_point_out_of_place_moves_a_residual(name, count, field):
