@@ -163,6 +163,8 @@ firmware: setup  ## fly register faults in a flight controller's firmware, write
 hardening: setup  ## which instructions to duplicate, certified; writes docs/generated/hardening.md (FAULTS=200 FLIGHTS=10)
 	@$(BIN)/mavfi campaign run configs/campaigns/hardening.yaml --out out/hardening
 	@$(BIN)/python -m tools.build_hardening out/hardening --faults $(or $(FAULTS),200) --flights $(or $(FLIGHTS),10)
+	@$(BIN)/mavfi harden out/hardening --plan configs/protections/ten_percent.yaml --certify --faults 1000 || test $$? = 3
+	@$(BIN)/python -m tools.build_certificate
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
 	@$(BIN)/python -m mavfi.hosts.ros1.install

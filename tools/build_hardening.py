@@ -210,6 +210,7 @@ def page(
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + f"\n\n{rerun_line(advice)}"
+        + "\n\n## Certificate of the shipped plan\n\n<!-- certificate:begin -->\n<!-- certificate:end -->"
         + "\n\n## Curves and certificates\n\n"
         + "Step: share of the cost of full duplication. Certified with n faults in plain and n in "
         + "protected code, on fresh missions; brackets: 95 % intervals.\n\n"

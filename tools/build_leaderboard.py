@@ -126,16 +126,19 @@ def publish(page: str, scale: str) -> None:
 
 
 def with_earlier(page: str, earlier: str) -> str:
-    """The page with the sections of an earlier one that it lacks, each with the line that says when it was flown."""
-    head, *sections = earlier.partition("\n![")[0].partition(FOOTER)[0].rstrip().split("\n## ")
+    """The page in the order of an earlier one, whose sections remain where it lacks them, each with its date."""
+    top, new = _divided(page)
+    head, old = _divided(earlier.partition("\n![")[0].partition(FOOTER)[0])
     flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
-    titles = {section.partition("\n")[0] for section in page.split("\n## ")[1:]}
-    for section in sections:
-        title, _, rest = section.partition("\n")
-        if title not in titles:
-            when = "" if _FLOWN in rest else f"\n{flown}\n"
-            page = f"{page.rstrip()}\n\n## {title}\n{when}{rest.rstrip()}\n"
-    return page
+    for title, rest in old.items():
+        old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
+    return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in (old | new).items())]) + "\n"
+
+
+def _divided(page: str) -> tuple[str, dict[str, str]]:
+    """What comes before the sections of a page, and the sections by title."""
+    top, *sections = page.rstrip().split("\n## ")
+    return top.rstrip(), {title: rest.rstrip() for title, _, rest in (one.partition("\n") for one in sections)}
 
 
 def main(arguments: list[str]) -> int:
@@ -146,7 +149,7 @@ def main(arguments: list[str]) -> int:
     bench, scale = Path(arguments[0]), arguments[1] if len(arguments) == 2 else "quick"
     name = "leaderboard" if scale == "quick" else f"leaderboard-{scale}"
     try:
-        compared = load(bench / "sites").values("arm")
+        compared = set(load(bench / "sites").values("arm")) if (bench / "sites").is_dir() else set()
         worth = recovery = ""
         if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared) and (bench / "instruction").is_dir():
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)

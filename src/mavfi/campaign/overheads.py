@@ -135,7 +135,7 @@ def _recovery(clock: _Clock, repeated: Mapping[tuple[str, str], int]) -> dict[st
 
 
 def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> float:
-    """Wall time (s) of a detector over publications, which it receives as in flight.
+    """Wall time (s) of a detector over publications, which it receives, and may seal, as in flight.
 
     In flight a publication has just been written, so each block is read once before timing to warm the CPU cache.
     The time of the loop itself is subtracted: that of the same loop without the detector.
@@ -143,14 +143,21 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
     detector.start()
     spent, clock = 0.0, time.perf_counter
     at_once, otherwise = admission(detector)
+    seal: Callable[[State, int], None] | None = getattr(detector, "seal", None)
     for first in range(0, len(publications), _BLOCK):
         block = publications[first : first + _BLOCK]
         for state, _ in block:
             state.header.tobytes(), state.elements.tobytes()
         start = clock()
-        for state, now in block:
-            if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
-                detector.accept(state, now)
+        if seal is not None:
+            for state, now in block:
+                seal(state, now)
+                if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
+                    detector.accept(state, now)
+        else:
+            for state, now in block:
+                if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
+                    detector.accept(state, now)
         middle = clock()
         for state, now in block:  # noqa: B007 - as above
             pass

@@ -84,8 +84,20 @@ def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
 
 def test_sections_that_were_not_flown_again_remain_with_their_date():
     earlier = "top\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n- n\n\n## b\n\n| 2 |\n\n![picture](p.png)\n"
-    page = with_earlier("top\n\nFlown on 2.\n\n## b\n\n| 3 |\n", earlier)
-    assert page == "top\n\nFlown on 2.\n\n## b\n\n| 3 |\n\n## a\n\nFlown on 1.\n\n| 1 |\n\n- n\n"
-    assert with_earlier(page, page) == page and with_earlier(page, "") == page
+    page = with_earlier("top\n\nFlown on 2.\n\n## c\n\n| 5 |\n\n## b\n\n| 3 |\n", earlier)
+    assert page == "top\n\nFlown on 2.\n\n## a\n\nFlown on 1.\n\n| 1 |\n\n- n\n\n## b\n\n| 3 |\n\n## c\n\n| 5 |\n"
+    assert with_earlier(page, "") == page
     again = with_earlier("top\n\nFlown on 3.\n\n## b\n\n| 4 |\n", page)
-    assert "## a\n\nFlown on 1.\n\n| 1 |" in again and again.count("Flown on") == 2
+    assert "## a\n\nFlown on 1.\n\n| 1 |" in again and "## c\n\nFlown on 2." in again and "| 3 |" not in again
+    assert again.count("Flown on") == 3
+
+
+def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch):
+    for name in ("ROOT", "GENERATED", "DOCS", "IMAGES"):
+        monkeypatch.setattr(build_leaderboard, name, tmp_path)
+    (tmp_path / "configs" / "bench").mkdir(parents=True)
+    (tmp_path / "bench").mkdir()
+    (tmp_path / "bench" / "leaderboard.md").write_text("# Top\n\nFlown on 1.\n\n## a\n\n| 1 |\n")
+    assert main([str(tmp_path / "bench"), "paper"]) == 0
+    assert "## a\n\n| 1 |" in (tmp_path / "leaderboard-paper.md").read_text()
+    assert not (tmp_path / "README.md").exists()

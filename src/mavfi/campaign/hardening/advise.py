@@ -30,7 +30,9 @@ FRACTIONS = tuple(place / 20 for place in range(1, 21))
 _UNITS = 10_000
 """Number of units into which a budget is divided."""
 TIMED_S = 1.0
-"""For how long a function and its variants are timed (s): `mavfi harden` has a minute."""
+"""For how long a function and its variants are timed at most (s): `mavfi harden` has a minute."""
+_ROUNDS = 400
+"""Number of rounds per second of that time that are enough: short functions have thousands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,17 +182,17 @@ def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[byt
 
 
 def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -> tuple[float, list[float]]:
-    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; takes some time (s)."""
+    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; takes up to `seconds`."""
     environment = environment_of(target.seen.function, target.seen.signature)
     base, *others = (Timed(target.source, code, environment).ticks for code in codes)
     clocks = {str(place): clock for place, clock in enumerate(others)}
     end = monotonic() + seconds
-    timing = compare(base, clocks, target.seen.calls, lambda _: monotonic() > end)
+    timing = compare(base, clocks, target.seen.calls, lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end)
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
 
 
 def timed_steps(target: Target, own: Prepared, seconds: float = TIMED_S) -> tuple[float, tuple[Step, ...]]:
-    """Time the steps of a function for some time (s); also returns the ticks of a plain call."""
+    """Time the steps of a function for up to `seconds`; also returns the ticks of a plain call."""
     ticks, times = times_of(target, own.codes, seconds)
     return ticks, tuple(
         Step(fraction, choice, time, judged)
@@ -242,7 +244,7 @@ def curves_of(
         ready: As of `prepare_all`.
         other_ticks: Ticks of all other functions in the flight.
         tell: Called with the name of each function.
-        seconds: For how long each is timed (s).
+        seconds: For how long each is timed at most (s).
     """
     rows = []
     for target, own in zip(targets, ready, strict=True):

@@ -144,9 +144,15 @@ class Unprotected(_Counted):
 
 def verdict_of(measured: Rate, predicted: Coverage | None) -> str:
     """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %."""
-    if predicted is None or measured.rate is None:
+    own = Rate(0, None, None, None) if predicted is None else Rate(0, predicted.estimate, predicted.low, predicted.high)
+    return verdict_on(measured, own)
+
+
+def verdict_on(measured: Rate, predicted: Rate) -> str:
+    """The same for a rate; `UNKNOWN` if one of them is."""
+    if measured.rate is None or predicted.rate is None:
         return UNKNOWN
-    low, high = difference(measured, Rate(0, predicted.estimate, predicted.low, predicted.high))
+    low, high = difference(measured, predicted)
     return REFUTED if high < 0 else BETTER if low > 0 else CONFIRMED
 
 
@@ -254,6 +260,16 @@ def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] 
     _, low, high = bounds_of(found)
     products = [bound * share for bound in (low, high) for share in shares]
     return Rate(found.n, found.rate * before.rate / (before.rate + left.rate), min(products), max(products))
+
+
+def foreseen(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
+    """What `together` finds if each function is as predicted, with the same weights; all None without a prediction."""
+    masses = [one.instructions * (one.sdc_before.rate or 0.0) for one in certificates]
+    whole = sum(masses) + sum(one.instructions * (one.sdc.rate or 0.0) for one in others)
+    predicted = [one.predicted_rate for one in certificates]
+    if not whole or any(one.rate is None for one in predicted):
+        return Rate(0, None, None, None)
+    return _sum([(mass / whole, one) for mass, one in zip(masses, predicted, strict=True)])
 
 
 def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:

@@ -19,10 +19,12 @@ from mavfi.campaign.hardening.certify import (
     Certificate,
     Unprotected,
     certify,
+    foreseen,
     observe_plain,
     pairs_of,
     together,
     unprotected,
+    verdict_on,
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Learn, injections_in
@@ -218,9 +220,20 @@ class Certification:
         return together(self.certificates, self.others)
 
     @property
+    def predicted(self) -> Rate:
+        """The same, by the predictions for its functions."""
+        return foreseen(self.certificates, self.others)
+
+    @property
+    def verdict(self) -> str:
+        """Whether both agree, see `verdict_of`."""
+        return verdict_on(self.coverage, self.predicted)
+
+    @property
     def refuted(self) -> bool:
         """Whether a prediction is refuted, or a golden flight differs or raises an alarm."""
-        return not self.golden.passed or any(one.verdict == REFUTED for one in self.certificates)
+        verdicts = [self.verdict, *(one.verdict for one in self.certificates)]
+        return not self.golden.passed or REFUTED in verdicts
 
 
 def certify_plan(
@@ -330,7 +343,8 @@ def certification_json(certification: Certification) -> dict[str, Any]:
     return {
         "plan": certification.plan, "faults": certification.faults, "missions": list(certification.missions),
         "refuted": certification.refuted, "golden": certification.golden.to_json(),
-        "coverage": asdict(certification.coverage), "kernels": list(certification.scope) or "all",
+        "coverage": asdict(certification.coverage), "predicted": asdict(certification.predicted),
+        "verdict": certification.verdict, "cpu": processor(), "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],
         "unprotected": [one.to_json() for one in certification.others],
         "machine": [one.to_json() for one in certification.machine],

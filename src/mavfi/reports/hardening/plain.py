@@ -121,9 +121,11 @@ def verdict_line(certification: Certification) -> str:
     outcome = "refuted" if certification.refuted else "confirmed"
     scope = certification.scope
     counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
+    foreseen = certification.predicted
+    said = "" if foreseen.rate is None else f" (predicted with the same weights: {interval_of(foreseen)})"
     return (
         f"The plan is {outcome}: {interval_of(certification.coverage)} of {counted} are removed, on fresh missions and "
-        f"faults; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted; golden digests "
+        f"faults{said}; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted; golden digests "
         f"equal in {golden.same} of {golden.flights} flights; {golden.alarms} false alarms in {golden.calls:,} calls."
     )
 

@@ -10,13 +10,14 @@ from mavfi.campaign.hardening.certify import (
     Pair,
     Unprotected,
     certify,
+    foreseen,
     observe_plain,
     together,
     unprotected,
 )
-from mavfi.campaign.hardening.golden import Guarded
+from mavfi.campaign.hardening.golden import GoldenCheck, Guarded
 from mavfi.campaign.hardening.kernel import see
-from mavfi.campaign.hardening.study import certify_plan
+from mavfi.campaign.hardening.study import Certification, certify_plan
 from mavfi.errors import BadInputError
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
@@ -42,6 +43,23 @@ def test_totals_weight_functions_by_their_silent_corruptions():
     whole = together([certificate(200, 0), certificate(20, 10, growth=1.0)])
     assert whole.rate == pytest.approx(1 - 10 / 220) and whole.low < whole.rate <= whole.high
     assert together([]).rate is None
+
+
+def test_the_total_is_judged_by_predictions_with_the_same_weights():
+    claim = Coverage(estimate=0.9, low=0.86, high=0.94)
+    large, small = certificate(200, 10, predicted=claim), certificate(20, 10, predicted=claim)
+    assert foreseen([large, small]).rate == pytest.approx(0.9)
+    assert foreseen([large], [plain(1000, 200)]).rate == pytest.approx(0.45)
+    assert foreseen([large], [plain(3000, 200)]).rate == pytest.approx(0.225)
+    assert foreseen([large, certificate(20, 10)]).rate is None and foreseen([]).rate is None
+
+    def whole(*certificates):
+        return Certification("ab" * 32, 400, (), certificates, GoldenCheck(1, 1, 9, 0))
+
+    assert whole(large).verdict == "confirmed" and not whole(large).refuted
+    weak = [certificate(200, 15, predicted=claim) for _ in range(6)]  # each within its prediction, all together not
+    assert all(one.verdict == "confirmed" for one in weak)
+    assert whole(*weak).verdict == "refuted" and whole(*weak).refuted
 
 
 def plain(instructions, sdc):
