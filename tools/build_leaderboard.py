@@ -8,6 +8,7 @@ fly remain, with their date.
 """
 
 import csv
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -35,6 +36,7 @@ LEVELS = {
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 _FLOWN = "Flown on "
+_PARTS = re.compile(r"(?: --part \S+)+")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
     "Alarms that come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). Faults that last: "
@@ -154,18 +156,18 @@ def main(arguments: list[str]) -> int:
         if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared) and (bench / "instruction").is_dir():
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
+        page = _PARTS.sub("", page)  # of the command for a detector of one's own: the page has all parts
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "")
         freeze(bench, scale)
         publish(page, scale)
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    picture = FOOTER
+    image = IMAGES / f"{name.replace('leaderboard', 'curves')}.png"
     if (bench / "curves.png").is_file():
-        image = name.replace("leaderboard", "curves")
-        picture = f"\n![Detection against false alarms](../images/{image}.png)\n{FOOTER}"
-        shutil.copy(bench / "curves.png", IMAGES / f"{image}.png")
-    file.write_text(banner(COMMAND) + page + picture, encoding="utf-8")
+        shutil.copy(bench / "curves.png", image)
+    picture = f"\n![Detection against false alarms](../images/{image.name})\n" if image.is_file() else ""
+    file.write_text(banner(COMMAND) + page + picture + FOOTER, encoding="utf-8")
     if worth:
         fill(DOCS / "engineers.md", {"rules": worth})
         fill(ROOT / "README.md", {"recovery": recovery})

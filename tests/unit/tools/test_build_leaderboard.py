@@ -97,7 +97,12 @@ def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch
         monkeypatch.setattr(build_leaderboard, name, tmp_path)
     (tmp_path / "configs" / "bench").mkdir(parents=True)
     (tmp_path / "bench").mkdir()
-    (tmp_path / "bench" / "leaderboard.md").write_text("# Top\n\nFlown on 1.\n\n## a\n\n| 1 |\n")
+    (tmp_path / "bench" / "leaderboard.md").write_text(
+        "# Top\n\n    mavfi bench detectors --part a --part b-c --detector d\n\nFlown on 1.\n\n## a\n\n| 1 |\n"
+    )
+    (tmp_path / "curves-paper.png").touch()
     assert main([str(tmp_path / "bench"), "paper"]) == 0
-    assert "## a\n\n| 1 |" in (tmp_path / "leaderboard-paper.md").read_text()
+    page = (tmp_path / "leaderboard-paper.md").read_text()
+    assert "## a\n\n| 1 |" in page and "mavfi bench detectors --detector d\n" in page
+    assert "curves-paper.png" in page, "drawn earlier"
     assert not (tmp_path / "README.md").exists()
