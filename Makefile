@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting firmware hardening pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting hit-detectors firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -149,6 +149,11 @@ real-logs: setup  ## judge recorded flights of other vehicles, write docs/genera
 sensors: setup  ## fly missions with failing sensors and motors, write docs/generated/sensors.md
 	@$(BIN)/mavfi campaign run sensors --scale paper --out out/sensors
 	@$(BIN)/python -m tools.sensor_faults out/sensors
+
+hit-detectors: setup  ## inject faults in detectors, alone and in copies, write docs/generated/hit-detectors.md
+	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
+	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
+	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

@@ -182,7 +182,7 @@ def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[byt
 
 
 def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -> tuple[float, list[float]]:
-    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; takes up to `seconds`."""
+    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; at most `seconds`."""
     environment = environment_of(target.seen.function, target.seen.signature)
     base, *others = (Timed(target.source, code, environment).ticks for code in codes)
     clocks = {str(place): clock for place, clock in enumerate(others)}
