@@ -31,7 +31,7 @@ class Lent(types.Type):
 
     Args:
         array: Type of the header, a contiguous array of one record.
-        listed: Whether a list is passed, whose last item is the header.
+        listed: Whether a list is passed, whose last item is the header, or a longer one that begins like it.
     """
 
     def __init__(self, array: types.Array, listed: bool) -> None:
@@ -64,8 +64,8 @@ def _address_of(typ: Lent, obj: Any, c: Any) -> NativeValue:  # noqa: ANN401 - N
         known = module.globals.get(kind) or cgutils.add_global_variable(module, _BYTE, kind)  # type: ignore[no-untyped-call]
         return if_equal(word(address, _TYPE), builder.ptrtoint(known, _WORD))
 
-    def if_equal(found: Any, expected: Any) -> Any:  # noqa: ANN401
-        return builder.if_then(builder.icmp_unsigned("==", found, expected), likely=True)
+    def if_equal(found: Any, expected: Any, how: str = "==") -> Any:  # noqa: ANN401
+        return builder.if_then(builder.icmp_unsigned(how, found, expected), likely=True)
 
     def read(header: Any) -> None:  # noqa: ANN401
         with (
@@ -73,7 +73,8 @@ def _address_of(typ: Lent, obj: Any, c: Any) -> NativeValue:  # noqa: ANN401 - N
             if_equal(builder.trunc(word(header, _DIMENSIONS), narrow), ir.Constant(narrow, 1)),
         ):
             shape, strides = (word(pointer(header, place), 0) for place in (_SHAPE, _STRIDES))
-            with if_equal(shape, ir.Constant(_WORD, 1)), if_equal(strides, ir.Constant(_WORD, typ.size)):
+            fits = ">=" if typ.listed else "=="
+            with if_equal(shape, ir.Constant(_WORD, 1)), if_equal(strides, ir.Constant(_WORD, typ.size), fits):
                 builder.store(cgutils.false_bit, error)
                 builder.store(pointer(header, _DATA), data)
 
@@ -121,5 +122,5 @@ content_of: Any = intrinsic(_content)
 
 
 def lent(header: np.ndarray, *, listed: bool = False) -> Lent:
-    """Type of headers like this one, shape (1,), or of lists whose last item is one, for `numerics.jit.entry`."""
+    """Type of headers like this one, shape (1,), or of lists (see `Lent`), for `numerics.jit.entry`."""
     return Lent(_type_of(header), listed)

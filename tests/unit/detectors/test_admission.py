@@ -11,7 +11,7 @@ from mavfi.detectors.chain import Chain
 from mavfi.detectors.detector import Alarm, admission
 from mavfi.detectors.gate import PhysicsGate
 from mavfi.detectors.registry import load_detector
-from mavfi.states import new_state
+from mavfi.states import floats, new_state
 from tests.unit.detectors.streams import LIMITS, PROVENANCE, flight, later, strike
 
 DETECTORS = [
@@ -88,6 +88,24 @@ def test_alarms_and_memory_are_those_of_check_and_accept(name, profile, every):
     found = fly(at_once, admission, published, every)
     assert found == fly(stepwise, one_after_the_other, published, every)
     assert found[0] or name in ("none", "rule_2")
+
+
+@pytest.mark.parametrize(("name", "profile"), DETECTORS)
+def test_estimated_odometry_is_read_like_the_true_one(name, profile):
+    """Its header is longer, and begins alike."""
+    published = []
+    for state, time_us in events():
+        if state.spec.name == "sensor.odometry":
+            estimated = new_state("perception.odometry")
+            floats(estimated.header, 7)[:] = floats(state.header, 7)
+            state = estimated
+        published.append((state, time_us))
+    at_once, stepwise, true = (load(name, profile) for _ in range(3))
+    for detector in (at_once, stepwise, true):
+        detector.start()
+    found = fly(at_once, admission, published)
+    assert found == fly(stepwise, one_after_the_other, published)
+    assert found == fly(true, admission, events())
 
 
 @pytest.mark.parametrize(("name", "profile"), DETECTORS)
