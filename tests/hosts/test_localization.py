@@ -9,6 +9,7 @@ from mavfi.config import LocalizationConfig, parse
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
 from tests.hosts.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission
@@ -36,6 +37,15 @@ class Seen:
 def flown(autopilot="hardened"):
     seen = Seen(ESTIMATE, "sensor.depth", "sensor.position", "sensor.imu")
     return fly(estimating(autopilot), profile=True, recorders=[seen]), seen.rows
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_acceptance_test_reads_the_estimate(autopilot):
+    scenario = mission(autopilot, localization="estimator")
+    detector, _ = detector_for(scenario, "acceptance", "paper")
+    log = fly(scenario, detector=detector).log
+    assert not log.alarms and log.digest() == fly(scenario).log.digest()
+    assert np.abs(detector.arrays()["vehicle"]).max() > 20.0, "the estimate at the end, not the start"
 
 
 def errors(flight, estimates):
