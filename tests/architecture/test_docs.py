@@ -78,3 +78,8 @@ def test_decisions_are_numbered_without_gaps_and_say_their_status():
     assert [int(record.name[:4]) for record in records] == list(range(1, len(records) + 1))
     for record in records:
         assert "Status:" in text(record) and "## Consequences" in text(record), record.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_no_page_names_a_folder_of_the_machine_that_wrote_it(page):
+    assert re.findall(rf"{re.escape(str(ROOT))}|(?<![\w.~>)])/(?:tmp|home|root|work|Users)/\w[^\s:]*", text(page)) == []

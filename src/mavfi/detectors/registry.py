@@ -212,8 +212,9 @@ def load_detector(
 
 def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any], option: str) -> Model:
     if not is_file(path):
+        shown = path.name if path.parent == SHIPPED_MODELS else path
         raise SpecMismatchError(
-            f"{path}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
+            f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
             "--autopilot ... --platform ... --out FOLDER), then name the folder with --models"
         )
     model = Model.load(path)

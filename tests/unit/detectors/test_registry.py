@@ -91,6 +91,8 @@ def test_profiles_and_models_that_are_not_there_are_named(model_folder, tmp_path
         load_detector("gaussian", "best", model_folder, FITS)
     with pytest.raises(BadInputError, match=r"gaussian-paper\.json: no model is trained"):
         load_detector("gaussian", "paper", tmp_path, FITS)
+    with pytest.raises(BadInputError, match=r"^published-none-gaussian-paper\.json: no model"):  # not where it would be
+        load_detector("gaussian", "paper", None, {**FITS, "platform": "none"})
     with pytest.raises(SpecMismatchError, match=r"trained for v_max 3\.0, used with v_max 5\.0"):
         load_detector("gaussian", "paper", model_folder, {**FITS, "v_max": 5.0})
 
