@@ -24,7 +24,7 @@ from typing import Any
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.fingerprint import code
 from mavfi.campaign.hardening.advise import Advice, Curve, Step
-from mavfi.campaign.hardening.certify import certify, pairs_of, verdict_of
+from mavfi.campaign.hardening.certify import certify, pairs_of, rate_of, verdict_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import harm_of
@@ -120,7 +120,7 @@ def certificates(
                         continue
                     print(planned.function, step.fraction, flush=True)
                     row = records.put(key, certify(pairs[0], n, key).to_json())
-                row["verdict"] = verdict_of(Rate(**row["coverage"]), planned.predicted)
+                row["verdict"] = verdict_of(Rate(**row["coverage"]), rate_of(planned.predicted))
                 yield curve, step, row
 
 

@@ -4,7 +4,7 @@ Faults are drawn over the dynamic instructions of the protected program, so shad
 The same calls are injected without protection, and these faults once more, instruction by instruction, with it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from math import hypot
@@ -98,13 +98,23 @@ class Certificate(_Counted):
     @property
     def predicted_rate(self) -> Rate:
         """The prediction; all None without one."""
-        own = self.predicted
-        return Rate(0, None, None, None) if own is None else Rate(0, own.estimate, own.low, own.high)
+        return rate_of(self.predicted)
 
     @property
     def verdict(self) -> str:
         """See `verdict_of`."""
-        return verdict_of(self.coverage, self.predicted)
+        return verdict_of(self.coverage, self.predicted_rate)
+
+    @staticmethod
+    def from_json(found: Mapping[str, Any]) -> "Certificate":
+        """Inverse of `to_json`."""
+        same = ("kernel", "function", "signature", "instructions", "before", "after", "growth", "time", "planned_time")
+        predicted, paired = found["predicted"], found["paired"]
+        return Certificate(
+            **{key: found[key] for key in same},
+            predicted=None if predicted is None else Coverage(**predicted),
+            paired=Paired(*(paired[key] for key in ("n", "plain_only", "protected_only", "p"))),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -142,14 +152,15 @@ class Unprotected(_Counted):
         return asdict(self) | {"sdc": asdict(self.sdc)}
 
 
-def verdict_of(measured: Rate, predicted: Coverage | None) -> str:
+def rate_of(predicted: Coverage | None) -> Rate:
+    """A prediction as a rate; all None without one."""
+    return (
+        Rate(0, None, None, None) if predicted is None else Rate(0, predicted.estimate, predicted.low, predicted.high)
+    )
+
+
+def verdict_of(measured: Rate, predicted: Rate) -> str:
     """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %."""
-    own = Rate(0, None, None, None) if predicted is None else Rate(0, predicted.estimate, predicted.low, predicted.high)
-    return verdict_on(measured, own)
-
-
-def verdict_on(measured: Rate, predicted: Rate) -> str:
-    """The same for a rate; `UNKNOWN` if one of them is."""
     if measured.rate is None or predicted.rate is None:
         return UNKNOWN
     low, high = difference(measured, predicted)

@@ -2,8 +2,8 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from mavfi.campaign.hardening.certify import (
     pairs_of,
     together,
     unprotected,
-    verdict_on,
+    verdict_of,
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Learn, injections_in
@@ -203,6 +203,7 @@ class Certification:
         others: Functions of the study's kernels that the plan leaves as they are.
         scope: Kernels whose silent corruptions are counted; () = all of the missions.
         machine: Functions in which faults were injected at machine level, too.
+        cpu: Class of the processor on which times were measured; "" = not known.
     """
 
     plan: str
@@ -213,6 +214,7 @@ class Certification:
     others: tuple[Unprotected, ...] = ()
     scope: tuple[str, ...] = ()
     machine: tuple[MachineLevel, ...] = ()
+    cpu: str = ""
 
     @property
     def coverage(self) -> Rate:
@@ -227,7 +229,7 @@ class Certification:
     @property
     def verdict(self) -> str:
         """Whether both agree, see `verdict_of`."""
-        return verdict_on(self.coverage, self.predicted)
+        return verdict_of(self.coverage, self.predicted)
 
     @property
     def refuted(self) -> bool:
@@ -288,8 +290,9 @@ def certify_plan(
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
     scope = () if study.complete else study.kernels
     return Certification(
-        plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels)
-    )
+        plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels),
+        processor(),
+    )  # fmt: skip
 
 
 def merged(seen: Sequence[Seen]) -> list[Seen]:
@@ -344,8 +347,20 @@ def certification_json(certification: Certification) -> dict[str, Any]:
         "plan": certification.plan, "faults": certification.faults, "missions": list(certification.missions),
         "refuted": certification.refuted, "golden": certification.golden.to_json(),
         "coverage": asdict(certification.coverage), "predicted": asdict(certification.predicted),
-        "verdict": certification.verdict, "cpu": processor(), "kernels": list(certification.scope) or "all",
+        "verdict": certification.verdict, "cpu": certification.cpu, "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],
         "unprotected": [one.to_json() for one in certification.others],
         "machine": [one.to_json() for one in certification.machine],
     }  # fmt: skip
+
+
+def certification_of(found: Mapping[str, Any]) -> Certification:
+    """Inverse of `certification_json`; ones that were written without a processor have none."""
+    machine = [{one.name: row[one.name] for one in fields(MachineLevel)} for row in found["machine"]]
+    others = [{one.name: row[one.name] for one in fields(Unprotected)} for row in found["unprotected"]]
+    return Certification(
+        found["plan"], found["faults"], tuple(found["missions"]), tuple(map(Certificate.from_json, found["functions"])),
+        GoldenCheck(**found["golden"]), tuple(Unprotected(**row) for row in others),
+        () if found["kernels"] == "all" else tuple(found["kernels"]), tuple(MachineLevel(**row) for row in machine),
+        found.get("cpu", ""),
+    )  # fmt: skip
