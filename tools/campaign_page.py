@@ -23,9 +23,14 @@ def page(ledger: Path, command: str, title: str, text: str, views: Iterable[str]
     Raises:
         BadInputError: The folder holds no ledger, or its runs have nothing to show in a view.
     """
+    return f"{banner(command)}{section(ledger, f'# {title}', text, views)}"
+
+
+def section(ledger: Path, heading: str, text: str, views: Iterable[str]) -> str:
+    """The page without its banner, below a heading; other arguments and errors as of `page`."""
     runs = load(ledger)
     lines = [
-        banner(command).strip(), "", f"# {title}", "", text, "",
+        heading, "", text, "",
         *(f"- {line}" for line in (*header(runs.campaign), *findings(runs))), "",
         *(f"{markdown_table(table(runs, name))}\n" for name in views),
     ]  # fmt: skip

@@ -8,10 +8,9 @@ python -m tools.hit_detectors out/detector-memory out/replicas
 import sys
 from pathlib import Path
 
-from tools.campaign_page import page
+from tools.campaign_page import page, section
 from tools.markers import GENERATED
 
-NAME = "hit-detectors"
 MEMORY = (
     "One bit of what a detector remembers between publications flips, drawn by exposure over all that it stores. "
     "`_x2`, `_x3`: two or three copies that vote, of which the first is hit "
@@ -25,14 +24,14 @@ INSTRUCTIONS = (
 )
 
 
-def main(memory: Path, instructions: Path) -> None:
-    """Write the page."""
-    first = page(memory, f"make {NAME}", "Faults in detectors", MEMORY, ("by_target", "outcomes"))
-    second = page(instructions, "", "Instructions of detectors", INSTRUCTIONS, ("failures_per_hour",))
-    path = GENERATED / f"{NAME}.md"
-    path.write_text(f"{first}\n{second[second.index('# ') :].replace('# ', '## ', 1)}", encoding="utf-8")
-    print(f"wrote {path.name}")
+VIEWS = ("by_target", "outcomes")
+
+
+def content(memory: Path, instructions: Path) -> str:
+    """The page."""
+    first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
+    return f"{first}\n{section(instructions, '## Instructions of detectors', INSTRUCTIONS, ('failures_per_hour',))}"
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    (GENERATED / "hit-detectors.md").write_text(content(Path(sys.argv[1]), Path(sys.argv[2])), encoding="utf-8")

@@ -9,7 +9,7 @@ import platform
 import statistics
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,20 +149,22 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
         for state, _ in block:
             state.header.tobytes(), state.elements.tobytes()
         start = clock()
-        if seal is not None:
-            for state, now in block:
-                seal(state, now)
-                if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
-                    detector.accept(state, now)
-        else:
-            for state, now in block:
-                if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
-                    detector.accept(state, now)
+        for state, now in block if seal is None else _sealed(block, seal):
+            if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
+                detector.accept(state, now)
         middle = clock()
         for state, now in block:  # noqa: B007 - as above
             pass
         spent += 2.0 * middle - start - clock()
     return spent
+
+
+def _sealed(
+    publications: Iterable[tuple[State, int]], seal: Callable[[State, int], None]
+) -> Iterator[tuple[State, int]]:  # fmt: skip
+    for state, now in publications:
+        seal(state, now)
+        yield state, now
 
 
 def processor() -> str:

@@ -6,8 +6,6 @@ from typing import Any
 from mavfi.detectors.detector import Alarm, AtOnce, admission
 from mavfi.states import State
 
-_UNPICKLED = ("at_once", "_of_state", "_of_any")
-
 
 class Chain:
     """Several detectors in sequence: the first alarm counts.
@@ -31,12 +29,10 @@ class Chain:
 
     def _look_up(self) -> None:
         self.at_once = AtOnce({name: _in_turn(name, readers) for name, readers in self._readers.items()})
-        self._of_state = {name: _divided(readers) for name, readers in self._readers.items()}
-        self._of_any = _divided(self.parts)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without what is looked up."""
-        return {name: value for name, value in self.__dict__.items() if name not in _UNPICKLED}
+        return {name: value for name, value in self.__dict__.items() if name != "at_once"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -61,19 +57,6 @@ class Chain:
                 return alarm
         return None
 
-    def admit(self, state: State, time_us: int) -> Alarm | None:
-        """Check a publication, and pass it to all detectors that read its state if none raises an alarm."""
-        first, at_once, otherwise = self._of_state.get(state.spec.name, self._of_any)
-        for detector in first:
-            alarm: Alarm | None = detector.check(state, time_us)
-            if alarm is not None:
-                return alarm
-        alarm = otherwise(state, time_us) if at_once[state.spec.name](state.header) else None
-        if alarm is None:
-            for detector in first:
-                detector.accept(state, time_us)
-        return alarm
-
     def accept(self, state: State, time_us: int) -> None:
         """Pass a published value to all detectors that read its state."""
         for detector in self._readers.get(state.spec.name, self.parts):
@@ -87,13 +70,6 @@ class Chain:
         """Inverse of `memory`."""
         for detector, kept in zip(self.parts, memory, strict=True):
             detector.restore(kept)
-
-
-def _divided(detectors: Sequence[Any]) -> tuple[tuple[Any, ...], AtOnce, Callable[[State, int], Alarm | None]]:
-    """All detectors but the last, and the admission of the last."""
-    if not detectors:
-        return (), AtOnce(), lambda state, time_us: None
-    return tuple(detectors[:-1]), *admission(detectors[-1])
 
 
 def _in_turn(name: str, detectors: Sequence[Any]) -> Callable[[Any], object]:

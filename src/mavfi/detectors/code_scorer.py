@@ -10,7 +10,7 @@ import numpy as np
 from mavfi.detectors import book
 from mavfi.detectors.book import Book
 from mavfi.detectors.everything import COMPILED, Everything
-from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.detectors.parts import FREQUENT, Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
 from mavfi.numerics.lent import lent
 from mavfi.numerics.stored import Stored, kind_of
@@ -188,7 +188,7 @@ class CompiledScorer(CodeScorer):
         if not is_compiled(self.admit_at):
             return found
         self._admitted = self.admitted()  # held as long as its address is used
-        for name in self.everything.frequent:
+        for name in self.everything.states.intersection(FREQUENT):
             call = partial(entry(self.admit_at, 0, lent(new_state(name).header)), self._admitted.address)
             found[name] = self.everything.vehicles.settled(call) if self.everything.from_vehicle(name) else call
         return found

@@ -48,9 +48,9 @@ class Detector(Protocol):
     `accept` belongs to the publication that was checked last, or to one that was not checked: a host passes a value
     that is sent again as a copy.
 
-    A detector may have `admit(state, time_us)`: `check`, then `accept` if there is no alarm, in one call.  It may have
-    `at_once`, an `AtOnce`, always the same object: what a host asks first, see `admission`.  A subclass of it that
-    changes `check` or `accept` needs its own; else the host calls these two.
+    A detector may have `at_once`, an `AtOnce`, always the same object: what a host asks first, see `admission`.  A
+    subclass of it that changes `check` or `accept` needs its own; else the host calls these two.  With `retract()`,
+    which takes back the publication accepted at once last, it can be in front of others in a `Chain`.
 
     A detector whose memory can be injected has `arrays()`: the arrays that it remembers between publications, by name,
     not copies; without the parameters of its model, and called between publications only.
@@ -101,7 +101,7 @@ class Admission(NamedTuple):
 
 
 def admission(detector: Detector) -> Admission:
-    """`at_once` and `admit` of a detector; only `check` and `accept` if it has none or a subclass changes these."""
+    """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these."""
 
     def admit(state: State, time_us: int) -> Alarm | None:
         alarm = detector.check(state, time_us)
@@ -111,10 +111,7 @@ def admission(detector: Detector) -> Admission:
 
     most = min(_level_of(detector, "check"), _level_of(detector, "accept"))
     own: Any = detector
-    return Admission(
-        own.at_once if _level_of(detector, "at_once") <= most else AtOnce(),
-        own.admit if _level_of(detector, "admit") <= most else admit,
-    )
+    return Admission(own.at_once if _level_of(detector, "at_once") <= most else AtOnce(), admit)
 
 
 def _level_of(detector: Detector, method: str) -> float:

@@ -12,7 +12,6 @@ import numpy as np
 from mavfi.detectors import book, residuals
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.parts import FREQUENT
 from mavfi.detectors.samples import Sample
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.numerics.jit import entry, is_compiled
@@ -160,11 +159,6 @@ class Everything:
         """Forget the publication measured last; the memory stays."""
         self.vehicles.forget()
         self._place[book.ACCEPTED], self._place[book.LEARNED] = 0, book.NEVER
-
-    @property
-    def frequent(self) -> tuple[str, ...]:
-        """States that it reads and that are published at most control ticks."""
-        return tuple(name for name in FREQUENT if name in self.states)
 
     def _is_read(self, name: str) -> bool:
         """Whether something of a state is watched, or predicts residuals of other states."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from mavfi.numerics.bits import saturated_int16, sign_exponent_code
 from mavfi.numerics.elementary import atan2, cos, sin
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.stored import kind_of, load
+from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.stored import kind_of
 
 DELTA_OF_CODES, INTEGER, CODE_OF_DELTA, CODE_OF_ANGLE, CODE_OF_INTERVAL, CODE_OF_TRAPEZOID = range(6)
 """Delta rule of a field; see `measure`."""
@@ -276,17 +276,6 @@ def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> bool:
         vehicle[index] = real_at(content, 8 * index)
     vehicle[KNOWN] = 1.0
     return True
-
-
-VEHICLE_KIND = kind_of(np.zeros(KNOWN + 1))
-"""Of a stored vehicle."""
-
-
-@short_jit
-def note_vehicle_at(content: np.ndarray, address: int) -> bool:
-    """`note_vehicle` with the address of a stored vehicle."""
-    (vehicle,) = load(address, VEHICLE_KIND)
-    return note_vehicle(content, vehicle)
 
 
 @kernel_jit

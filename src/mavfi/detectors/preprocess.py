@@ -27,7 +27,7 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
-_UNPICKLED = ("_judge", "_stored", "_admitted", "_vehicle", "_note", "at_once")
+_UNPICKLED = ("_judge", "_stored", "_admitted", "_note", "at_once")
 
 
 class Preprocessor:
@@ -200,11 +200,7 @@ class DeltaScorer(Scorer):
         else:
             self._judge = lambda content, slot, _: given(content, slot, *self._tables)
         vehicle = self.features.watch.vehicle
-        self._vehicle = Stored(features.VEHICLE_KIND, vehicle)
-        if is_compiled(features.note_vehicle_at):
-            self._note: Callable[..., bool] = entry(features.note_vehicle_at, vehicle.view(np.uint8), 0)
-        else:
-            self._note = lambda content, _: features.note_vehicle(content, vehicle)
+        self._note = entry(features.note_vehicle, vehicle.view(np.uint8), vehicle)
         self.at_once = {} if made else self._admissions()
 
     def admitted(self) -> Stored:
@@ -276,7 +272,7 @@ class DeltaScorer(Scorer):
         self._place[features.ACCEPTED] = 1
 
     def _store(self, odometry: np.ndarray) -> bool:
-        return self._note(bytes_of(odometry), self._vehicle.address)
+        return bool(self._note(bytes_of(odometry), self.features.watch.vehicle))
 
     def memory(self) -> tuple[bytes, ...]:
         """Memory between publications."""

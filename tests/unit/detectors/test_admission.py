@@ -176,9 +176,6 @@ class Strict(PhysicsGate):
     def check(self, state, time_us):
         return Alarm("strict", "control")
 
-    def admit(self, state, time_us):
-        return Alarm("at once", "control")
-
 
 def test_a_subclass_that_checks_in_another_way_is_asked_its_own_way():
     wrong = new_state("control.command")
@@ -190,7 +187,7 @@ def test_a_subclass_that_checks_in_another_way_is_asked_its_own_way():
     for right in (normal, new_state("sensor.odometry")):
         assert admission(AcceptanceTest(LIMITS["published"]))(right, 0) is None
         assert admission(Suspicious(LIMITS["published"]))(right, 0).source == "suspicious"
-    assert admission(Strict(3.0))(wrong, 0).source == "at once"
+    assert admission(Strict(3.0))(wrong, 0).source == "strict"
     assert admission(Chain(Strict(3.0), Careless(LIMITS["published"])))(wrong, 0).source == "strict"
     changed = AcceptanceTest(LIMITS["published"])
     changed.check = lambda state, time_us: None
