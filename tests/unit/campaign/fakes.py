@@ -161,13 +161,20 @@ HURRY = "FAKE_FLIGHTS_HURRY"
 """Variable of the environment: the file from whose creation on no flight is slow."""
 
 
-class SlowHost(FakeHost):
-    """One whose golden flights take so long that a person can press Ctrl-C."""
+class SlowFlights(FakeFlights):
+    """Slow ones between the golden run and the others: the mission is in the air, and seen to be."""
 
-    def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
+    def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
         if not os.path.exists(os.environ.get(HURRY, "")):
             time.sleep(1.0)
-        return FakeFlights(arms, fast_forward)
+        yield from super().injected(runs)
+
+
+class SlowHost(FakeHost):
+    """One whose missions take so long that a person can press Ctrl-C."""
+
+    def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
+        return SlowFlights(arms, fast_forward)
 
 
 def fly(setup: ArmSetup, detector: Any, fault: Fault | None) -> Flight:
