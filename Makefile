@@ -153,7 +153,8 @@ sensors: setup  ## fly missions with failing sensors and motors, write docs/gene
 hit-detectors: setup  ## inject faults in detectors, alone and in copies, write docs/generated/hit-detectors.md
 	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
 	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
-	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas
+	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
+	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/recovery-instructions
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

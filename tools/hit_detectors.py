@@ -1,8 +1,9 @@
-"""Writes docs/generated/hit-detectors.md, faults in detectors alone and in copies, from two campaigns' ledgers.
+"""Writes docs/generated/hit-detectors.md, faults in detectors, in copies and in recovery, from campaigns' ledgers.
 
 mavfi campaign run detector_memory --scale paper --out out/detector-memory
 mavfi campaign run replicas --scale paper --out out/replicas
-python -m tools.hit_detectors out/detector-memory out/replicas
+mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
+python -m tools.hit_detectors out/detector-memory out/replicas out/recovery-instructions
 """
 
 import sys
@@ -22,16 +23,22 @@ INSTRUCTIONS = (
     "Failures per flight hour count the instructions that copies add, which a share of harmful faults does not: "
     "[failures per flight hour](../models.md#failures-per-flight-hour)."
 )
-
-
+RECOVERY = (
+    "One bit of the result of one instruction of recovery flips: of the wait for a path that answers a collision "
+    "alarm, which is checked at every collision status. The response to an alarm is selected only where there is one, "
+    "so these golden flights do not execute it (`mavfi fly --detector gaussian --fault instruction:recovery` does). A "
+    "fault may restart the planner's node without need, or delay the restart of one that is lost."
+)
 VIEWS = ("by_target", "outcomes")
+HIT = ("failures_per_hour",)
 
 
-def content(memory: Path, instructions: Path) -> str:
+def content(memory: Path, instructions: Path, recovery: Path) -> str:
     """The page."""
     first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
-    return f"{first}\n{section(instructions, '## Instructions of detectors', INSTRUCTIONS, ('failures_per_hour',))}"
+    second = section(instructions, "## Instructions of detectors", INSTRUCTIONS, HIT)
+    return f"{first}\n{second}\n{section(recovery, '## Instructions of recovery', RECOVERY, (*HIT, VIEWS[1]))}"
 
 
 if __name__ == "__main__":
-    (GENERATED / "hit-detectors.md").write_text(content(Path(sys.argv[1]), Path(sys.argv[2])), encoding="utf-8")
+    (GENERATED / "hit-detectors.md").write_text(content(*map(Path, sys.argv[1:4])), encoding="utf-8")

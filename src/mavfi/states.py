@@ -97,25 +97,22 @@ for _spec in _KERNEL_TABLE:
         if _functions:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
-_CODES = (
-    "measure_status", "measure_path", "measure_trajectory", "measure_waypoint", "measure_command", "measure_tracking",
-    "note_vehicle", "judge",
-)  # fmt: skip
+_PUBLISHED = ("status", "path", "trajectory", "waypoint", "command", "tracking")
+_CODES = (*(f"measure_{name}" for name in _PUBLISHED), "note_vehicle", "judge")
 DETECTORS: dict[str, tuple[str, ...]] = {
-    "acceptance": (
-        "judge_status", "judge_path", "judge_trajectory", "judge_waypoint", "judge_command", "judge_tracking",
-        "note_status", "note_path", "note_trajectory",
-    ),
+    "acceptance": (*(f"judge_{name}" for name in _PUBLISHED), *(f"note_{name}" for name in _PUBLISHED[:3])),
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
     "physics_gate": ("judge_gate",),
     **dict.fromkeys(("limits", "autoencoder_all", "cusum", "conformal"), _CODES),
     "checksum": ("crc32c",),
-}  # fmt: skip
+}
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"
-"""What recovery remembers between alarms: a target of memory faults in flights with a detector."""
-WATCHING = (*(name for name in DETECTORS if name != "checksum"), RECOVERY)
+"""Recovery as a target of faults, in flights with any detector: its functions, and what it remembers between alarms."""
+GUARDS = {**DETECTORS, RECOVERY: ("respond", "wait_for_path", "is_free")}
+"""Injectable functions of detectors and of recovery."""
+WATCHING = tuple(name for name in GUARDS if name != "checksum")
 """Targets of memory faults that exist only in flights with a detector; a checksum is not kept."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}

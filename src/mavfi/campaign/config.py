@@ -16,7 +16,7 @@ from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
-from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
+from mavfi.states import GUARDS, INJECTABLE, MONITORED_SETS, PLANNERS
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
@@ -125,7 +125,7 @@ class InstructionSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
+        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *GUARDS))
         check_distinct("sampling.kernels", self.kernels)
         return self
 

@@ -17,7 +17,7 @@ from mavfi.hosts.loop.compiling import STAGES, compile_stage
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
-from mavfi.states import DETECTORS, PLANNERS
+from mavfi.states import GUARDS, PLANNERS
 
 
 def warm_up(mission: MissionPlan) -> None:
@@ -153,7 +153,7 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
 def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
     if isinstance(campaign.sampling, InstructionSampling):
-        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in DETECTORS))
+        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in GUARDS))
     return _with_arms(campaign, ())
 
 

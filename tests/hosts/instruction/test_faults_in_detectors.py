@@ -25,11 +25,11 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.recovery import Recovery, Remembered
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.states import DETECTORS, new_state
+from mavfi.states import DETECTORS, RECOVERY, new_state
 from tests.unit.detectors.streams import LIMITS, command
 from tests.unit.detectors.test_registry import FITS
 
@@ -102,6 +102,44 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
         loop.actions["detector back"](501_000)
         assert loop.taps.detector is tap
         assert int(watching.record["counters"][0, 1]) == 3
+
+
+def test_recovery_can_be_hit_with_any_detector():
+    check_kernel(RECOVERY, "rrt_connect", detector("gaussian"))
+    with pytest.raises(BadInputError, match="'recovery': this detector does not watch.*allowed: with a detector"):
+        check_kernel(RECOVERY, "rrt_connect", None)
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+def test_recovery_dies_with_all_copies_of_its_detector_and_what_it_remembers(copies):
+    loop = new_loop(resolve(MissionSpec(environment="sparse", seed=7)))
+    watching = replicated(AcceptanceTest(LIMITS["published"]), copies)
+    watch(loop, watching, Recovery(copies=copies))
+    tap, restarts = loop.taps.detector, Restarts(loop, "fresh")
+    tap.memory.restarts_left = 1
+    assert restarts.detector_dies(watching, 1_000, 500_000, recovery=True)
+    assert loop.taps.detector is None
+    loop.actions["detector back"](501_000)
+    assert loop.taps.detector is tap and tap.memory.same(Remembered())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "entry"), [("recommended", "wait_for_path"), ("gaussian", "respond")])
+def test_a_flight_continues_whatever_becomes_of_its_recovery(name, entry):
+    policy = Recovery(answer_s=0.6 if entry == "wait_for_path" else 0.0)
+    scenario = resolve(MissionSpec(environment="sparse", seed=7, answer_s=policy.answer_s, dead_node="readback"))
+    watching, _ = detector_for(scenario, name, "paper")
+    drawn = draw_instruction_faults(
+        scenario, InstructionRequest({RECOVERY: 6}), "test", seed=1, detector=watching, recovery=policy
+    )
+    faults = drawn.faults[RECOVERY]
+    assert {fault.entry for fault in faults} == {entry} and drawn.counts[RECOVERY]["calls"] >= 1
+    impatient = [replace(fault, budget=0) for fault in faults]
+    found = fly_instruction_faults(scenario, [*faults, *impatient], watching, recovery=policy)
+    assert found.golden.log.digest() == drawn.golden.log.digest()
+    assert {flight.log.status for flight in found.flights} == {MissionStatus.SUCCESS}
+    hangs = [flight for flight in found.flights if flight.log.kernel.effect == "hang"]
+    assert hangs and not any(flight.log.alarms for flight in hangs), "a dead one does not respond"
 
 
 @pytest.mark.slow

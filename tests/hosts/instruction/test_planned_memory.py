@@ -21,6 +21,7 @@ FEW = Campaign(
     "campaign",
     [
         FEW,
+        load_campaign("recovery_instructions"),
         *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
     ],
     ids=lambda campaign: campaign.name,

@@ -21,7 +21,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, PERCENT, POINTS, Table
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
-from mavfi.states import DETECTORS, PLANNERS
+from mavfi.states import GUARDS, PLANNERS
 
 INSTRUCTION = "instruction"
 
@@ -75,10 +75,10 @@ def payoff(
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
     pairs = against_fi(runs).where("judged", level=INSTRUCTION, environment=environment, setting=setting)
-    shared = {name for name in pairs.values("kernel") if name not in DETECTORS and (not kernels or name in kernels)}
+    shared = {name for name in pairs.values("kernel") if name not in GUARDS and (not kernels or name in kernels)}
     parts = []
     for kernel, (_, one) in exposed(runs).get((environment, setting), {}).items():
-        if kernel in DETECTORS:
+        if kernel in GUARDS:
             parts.append(one)
         elif kernel in shared:
             own = pairs.where(kernel=kernel)

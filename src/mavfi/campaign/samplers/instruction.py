@@ -34,7 +34,7 @@ from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.ir.build import Rewriting, name_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.states import DETECTORS, INJECTABLE
+from mavfi.states import DETECTORS, GUARDS, INJECTABLE
 
 _ROUNDS, _SPARE = 6, 40
 
@@ -123,11 +123,11 @@ def instruction_fault(scenario: Scenario, site: InstructionSite, detector: Detec
 
 
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
-    """The compiled functions of a kernel, or of the detector of that name."""
+    """The compiled functions of a kernel, of the detector of that name, or of recovery."""
     if kernel in DETECTORS:
         compiled: dict[str, Any] = part_of(detector, kernel).compiled
         return compiled
-    return {name: getattr(PLAIN, name) for name in INJECTABLE[kernel]}
+    return {name: getattr(PLAIN, name) for name in (INJECTABLE | GUARDS)[kernel]}
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from mavfi.faults.sampling import share_out
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.hosts.local.mission_flights import LocalFlights
-from mavfi.states import DETECTORS, KERNEL_STAGES, PLANNERS, PPC_STAGES
+from mavfi.states import GUARDS, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 
 class InstructionSampler:
@@ -45,7 +45,7 @@ class InstructionSampler:
                 f"sampling.kernels: {others[0]!r}: detectors are trained with one planner; allowed with arms: kernels "
                 f"of missions with planner {planner!r}"
             )
-        self._watched = {name: watched_in(campaign, name) for name in self._sampling.kernels if name in DETECTORS}
+        self._watched = {name: watched_in(campaign, name) for name in self._sampling.kernels if name in GUARDS}
         _check_arms(campaign, self._sampling.kernels, {"planner": planner, "map": "octomap"})
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
@@ -125,4 +125,4 @@ def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
     if sampling.share == "kernel":
         return [(name,) for name in sampling.kernels]
     stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES.get(name) is stage) for stage in PPC_STAGES]
-    return [group for group in (*stages, *((name,) for name in sampling.kernels if name in DETECTORS)) if group]
+    return [group for group in (*stages, *((name,) for name in sampling.kernels if name in GUARDS)) if group]

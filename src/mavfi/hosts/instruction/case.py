@@ -19,7 +19,7 @@ from mavfi.hosts.host import Flight
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers
-from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, RECOVERY, State
+from mavfi.states import DETECTORS, GUARDS, INJECTABLE, INJECTED_KERNEL, PLANNERS, RECOVERY, State
 
 WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
@@ -78,8 +78,8 @@ class Case:
 
     Attributes:
         fault: The sampled fault.
-        kernel: The injected kernel of the pipeline, "" = the detector; `call` of its function is injected, at
-            `time_us` (us).
+        kernel: The injected kernel of the pipeline, "" = the detector or recovery; `call` of its function is injected,
+            at `time_us` (us).
         value: The injected value, as reported by the machine code.
         how: How the call ended, or `WAITING`; `detail`: as in `KernelEffect`.
         report: Report of the child that completed the flight.
@@ -104,13 +104,13 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
         BadInputError: The kernel is unknown, is a planner that the mission does not use, or is a detector that does not
             monitor the mission.
     """
-    if kernel in DETECTORS:
+    if kernel in GUARDS:
         check_watched(kernel, detector)
         return
     if kernel not in INJECTABLE:
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
         why = f"is a configuration of {configured!r}, whose instructions can be injected" if configured else "not known"
-        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
+        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *GUARDS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
 

@@ -40,12 +40,13 @@ from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.ir.build import name_of
 from mavfi.ir.forked import WALL_CLOCK
+from mavfi.kernels.recovery.response import NOTHING
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied, same
 from mavfi.sim.controller import is_rewindable
-from mavfi.states import DETECTORS, State
+from mavfi.states import DETECTORS, RECOVERY, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
@@ -178,13 +179,18 @@ class Forks(ABC):
             if ended is None:
                 assert self.child is not None  # this is one
                 self.child.in_time = repetition == "vote"
-                if not case.kernel and self._detector is not None:
-                    self.restarts().detector_dies(self._detector, self.loop.now, round(1e6 * case.fault.restart_s))
-                return True, function(*args)
+                return True, NOTHING if self._recovery_dies(case) else function(*args)
             case.report = _report_of(ended)
         if case.kernel:
             self._awaited.setdefault(case.kernel, []).append(case)
         return False, None
+
+    def _recovery_dies(self, case: Case) -> bool:
+        """End the detector, if the call was of it or of recovery, in a child; returns whether recovery ends with it."""
+        if case.kernel or self._detector is None:
+            return False
+        down_us, recovery = round(1e6 * case.fault.restart_s), case.fault.kernel == RECOVERY
+        return self.restarts().detector_dies(self._detector, self.loop.now, down_us, recovery=recovery) and recovery
 
     def _repetition(self, function: Any, args: tuple[Any, ...]) -> str:
         """See `repetition_of`."""
@@ -299,9 +305,9 @@ class ForksFromTakeOff(Forks):
             return made[-1]
 
         sites = [case for case in self.cases if case.fault.has_site]
-        names = tuple(dict.fromkeys(case.fault.entry for case in sites if case.kernel))
+        names = tuple(dict.fromkeys(case.fault.entry for case in sites if case.fault.kernel not in DETECTORS))
         self.loop = new_loop(scenario, functions=PLAIN.instrumented(names, forking))
-        for source in {case.fault.kernel for case in sites if not case.kernel}:
+        for source in {case.fault.kernel for case in sites if case.fault.kernel in DETECTORS}:
             part = part_of(detector, source)
             entries = {case.fault.entry for case in sites if case.fault.kernel == source}
             part.instrument({name: forking(name, part.compiled[name]) for name in entries})

@@ -16,7 +16,7 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.sim.simulator import Simulator
-from mavfi.states import DETECTORS
+from mavfi.states import GUARDS
 
 Found = TypeVar("Found")
 
@@ -148,7 +148,7 @@ class LocalFlights(ArmFlights):
     ) -> InjectedRuns | None:  # fmt: skip
         """As `_from_take_off`, fast-forwarded; None if that is not possible."""
         golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
-        if golden is None or any(fault.kernel in DETECTORS for fault in faults):
+        if golden is None or any(fault.kernel in GUARDS for fault in faults):
             return None
         followers = [other for other in arms if detector is None and self._follows(other, arm)]
         watched = {other: self._watched_arm(other) for other in followers}

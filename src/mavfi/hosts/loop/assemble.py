@@ -29,7 +29,7 @@ def new_loop(
     Args:
         scenario: The mission.
         profile: Whether to record the publication times of each state.
-        functions: Functions that the kernels call: compiled or instrumented.
+        functions: Functions that kernels and recovery call: compiled or instrumented.
         rewindable: Whether the flight can be restored to earlier instants (`hosts.local.checkpoints`): maps keep an
             undo log, and kernels are marked even without a detector.
         make_plant: Constructs the plant.
@@ -41,7 +41,8 @@ def new_loop(
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
-    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    make = partial(make_kernels, config)
+    return Loop(scenario, world, plant, make, functions=functions, want_profile=profile, marks=rewindable)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:

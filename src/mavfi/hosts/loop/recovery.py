@@ -1,4 +1,4 @@
-"""Responses to alarms: the pure function `decide` selects an action; `Watch` connects a detector and executes it.
+"""Responses to alarms: `decide` selects an action by a compiled function; `Watch` connects a detector and executes it.
 
 Coupling `inline`: the detector is a gate.  A rejected value is withheld, the kernel's memory is restored, and its step
 is repeated at once; the result is published and accepted, even if it is the same value.  With `same_twice: escalate` it
@@ -22,9 +22,11 @@ from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
 from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
+from mavfi.kernels.recovery import response as responses
 from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Memory
-from mavfi.states import STAGE_KERNELS, STATES, Stage, State, StateSpec
+from mavfi.states import KERNELS, STAGE_KERNELS, STATES, Stage, State, StateSpec
 
 if TYPE_CHECKING:
     from mavfi.hosts.loop.scheduler import Loop
@@ -129,11 +131,14 @@ class Awaited(NamedTuple):
     place: int
 
 
+_AFTER = {"": responses.FIRST, "resend": responses.RESENT, "recompute": responses.RECOMPUTED}
+
+
 def decide(
     alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: Literal["", "resend", "recompute"] = "",
-    uncured: bool = False,
-) -> Action:  # fmt: skip
-    """Select the response to an alarm on a value of state `spec`.
+    uncured: bool = False, functions: KernelFunctions = PLAIN,
+) -> Action | None:  # fmt: skip
+    """Select the response to an alarm on a value of state `spec`; None = none, after a fault in this selection.
 
     Only a gate (coupling `inline`) withholds values.
 
@@ -141,27 +146,32 @@ def decide(
         alarm: The alarm, checked by `detector.checked_alarm`.
         spec: The state's specification.
         recovery: The recovery policy.
-        after: Action that produced the value: a value rejected after a retransmission was computed incorrectly, one
-            rejected after a recomputation indicates corrupted node memory.
+        after: Action that produced the value.
         uncured: Whether the degraded mode applies: no restart is left or hard alarms persist, and a mode is configured.
+        functions: Functions that it calls: compiled or instrumented.
     """
-    stage, gated = Stage(alarm.stage), recovery.coupling == "inline"
-    if after == "recompute" or uncured:
-        if uncured:
-            assert recovery.degraded != "none"
-            return Action(recovery.degraded, Stage.CONTROL)
-        return Action("restart", spec.stage, spec.writer, withholds=gated)
-    if alarm.stop or alarm.abandon_waypoint:
-        kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
-        return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
-    if stage is spec.stage:
-        if recovery.grain == "message" and not after:
-            return Action("resend", stage, "", (), spec.name, gated)
-        alone = recovery.grain != "stage"
-        restores = SCANNING if spec.writer in SCANNING and not alone else (spec.writer,)
-        return Action("recompute", stage, restores[0], restores, spec.name, gated, alone)
-    # the alarm requests recomputation of a stage other than the writer's: this value passes
-    return Action("recompute", stage, "pid", ("pid",)) if stage is Stage.CONTROL else Action("recompute", stage)
+    stage, gated, own = Stage(alarm.stage), recovery.coupling == "inline", Stage(alarm.stage) is spec.stage
+    stop, abandon, resends = bool(alarm.stop), bool(alarm.abandon_waypoint), recovery.grain == "message"
+    action: Action | None = None
+    match functions.respond(_AFTER[after], uncured, stop, abandon, own, resends):
+        case responses.DEGRADE if recovery.degraded != "none":
+            action = Action(recovery.degraded, Stage.CONTROL)
+        case responses.RESTART if recovery.restarts and spec.writer in KERNELS:
+            action = Action("restart", spec.stage, spec.writer, withholds=gated)
+        case responses.STOP:
+            action = Action("stop", Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
+        case responses.ABANDON:
+            action = Action("abandon", Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
+        case responses.RESEND if resends:
+            action = Action("resend", stage, "", (), spec.name, gated)
+        case responses.RECOMPUTE if own:
+            alone = recovery.grain != "stage"
+            restores = SCANNING if spec.writer in SCANNING and not alone else (spec.writer,)
+            action = Action("recompute", stage, restores[0], restores, spec.name, gated, alone)
+        case responses.CHARGE:
+            kernel = "pid" if stage is Stage.CONTROL else ""
+            action = Action("recompute", stage, kernel, (kernel,) if kernel else ())
+    return action
 
 
 def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRecord:
@@ -246,7 +256,8 @@ class Watch:
         self.seals = self._seal is not None or recovery.grain == "message"
         self._answer = None
         if recovery.answer_s:
-            self._answer = Answer(recovery.answer_s, repeated=repeats(loop.scenario.autopilot))
+            repeated = repeats(loop.scenario.autopilot)
+            self._answer = Answer(recovery.answer_s, repeated=repeated, functions=loop.functions)
 
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
@@ -284,7 +295,9 @@ class Watch:
             return state
         if alarm.hard and recovery.restarts:
             self._count(now)
-        action = decide(alarm, state.spec, recovery, after=after, uncured=uncured)
+        action = decide(alarm, state.spec, recovery, after=after, uncured=uncured, functions=loop.functions)
+        if action is None:
+            return state
         self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._execute(action, state, now)
@@ -372,6 +385,11 @@ class Watch:
         waited = answer.overdue(self.memory.waiting, state, now, away=away)
         if waited is not None and (self._may_restart or recovery.degraded != "none"):
             alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
-            action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=not self._may_restart)
+            uncured = not self._may_restart
+            action = decide(
+                alarm, STATES[PATH], recovery, after="recompute", uncured=uncured, functions=self._loop.functions
+            )
+            if action is None:
+                return
             self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
             self._execute(action, state, now)

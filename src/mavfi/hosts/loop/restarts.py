@@ -18,6 +18,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import INJECTED, Replicated
 from mavfi.faults.state import ActedOn
+from mavfi.hosts.loop.recovery import Remembered, Watch
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Tap
 from mavfi.hosts.loop.waiting import WAYPOINT
@@ -79,24 +80,36 @@ class Restarts:
             self._lose(kernel)
             self._loop.at(now + after_us, self._back, kernel)
 
-    def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
+    def detector_dies(self, detector: Detector, now: int, after_us: int, *, recovery: bool = False) -> bool:
         """Terminate the detector at this instant; publications pass unchecked and the flight continues.
 
         Policy `end`: the detector does not return.  `recompute`, `standby`: its call is repeated, without effect on the
         flight.  Otherwise it restarts with initialized memory after the down time and receives the last publication of
         each state, as any restarted node.  Of several copies only the injected one dies; the others go on voting.
+
+        Args:
+            detector: The detector.
+            now: Instant (us).
+            after_us: Down time (us).
+            recovery: Whether it dies in recovery, which is in its node: all copies, and what recovery remembers.
+
+        Returns:
+            Whether it dies, or only its copy.
         """
         if self._policy in ("recompute", "standby"):
-            return
-        if isinstance(detector, Replicated):
+            return False
+        if isinstance(detector, Replicated) and not recovery:
             detector.lose()
             back: Callable[[int], None] = partial(self._vote_again, detector)
         else:
             taps = self._loop.taps
+            if recovery and isinstance(taps.detector, Watch):
+                taps.detector.memory = Remembered()
             back, taps.detector = partial(self._watch_again, detector, taps.detector), None
         if self._policy != "end":
             self._loop.actions["detector back"] = back
             self._loop.at(now + after_us, "detector back")
+        return True
 
     def _vote_again(self, detector: Replicated, now: int) -> None:
         self._begin_again(detector.parts[INJECTED], now)

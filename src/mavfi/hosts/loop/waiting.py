@@ -7,11 +7,11 @@ status still tell of a collision.  Neither is the status of a vehicle without a 
 judge: there the planner is needed.
 """
 
-import math
 from dataclasses import dataclass
 
 from mavfi.config import AutopilotConfig
-from mavfi.detectors.rules import NO_COLLISION
+from mavfi.kernels.recovery.response import BEGIN, END, NOT_WAITING, OVERDUE, POSTPONE
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Memory
 from mavfi.states import State
 
@@ -46,12 +46,13 @@ class Answer:
     Args:
         limit_s: Deadline (s).
         repeated: Whether every scan re-evaluates the trajectory (`repeats`).
+        functions: Functions that it calls: compiled or instrumented.
     """
 
     states = frozenset((COLLISION, PATH, WAYPOINT))
 
-    def __init__(self, limit_s: float, *, repeated: bool = False) -> None:
-        self._limit_us, self._repeated = 1e6 * limit_s, repeated
+    def __init__(self, limit_s: float, *, repeated: bool = False, functions: KernelFunctions = PLAIN) -> None:
+        self._limit_us, self._repeated, self._functions = 1e6 * limit_s, repeated, functions
 
     def overdue(self, memory: Waiting, state: State, now: int, *, away: bool = False) -> float | None:
         """Take note of an accepted publication; returns the duration of a wait beyond the deadline (s), and ends it.
@@ -65,35 +66,28 @@ class Answer:
         if state.spec.name == WAYPOINT:
             memory.waypoint = state
             return None
-        number = int(state.header["future_collision_seq"][0])
-        if state.spec.name == PATH:
-            if memory.since is not None and number >= memory.asked:
-                memory.since = None
-            return None
-        raised = bool(state.header["collision"][0])
+        number, path = int(state.header["future_collision_seq"][0]), state.spec.name == PATH
+        raised = not path and bool(state.header["collision"][0])
         if raised:
             memory.raised = number
-        if memory.since is None:
-            if raised:
-                memory.since, memory.asked = now, number
-        elif self._withdrawn(memory, state, number):
+        waiting = memory.since is not None
+        if path and not (waiting and number >= memory.asked):
+            return None
+        withdrawn = waiting and not path and not raised and self._withdrawn(memory, state, number)
+        since = NOT_WAITING if memory.since is None else memory.since
+        becomes = self._functions.wait_for_path(path or withdrawn, raised, away, since, now, self._limit_us)
+        if becomes == BEGIN:
+            memory.since, memory.asked = now, number
+        elif becomes in (END, OVERDUE):
             memory.since = None
-        elif away:
+        elif becomes == POSTPONE:
             memory.since = now
-        elif now - memory.since > self._limit_us:
-            waited, memory.since = now - memory.since, None
-            return 1e-6 * waited
-        return None
+        return 1e-6 * (now - since) if becomes == OVERDUE else None
 
     def _withdrawn(self, memory: Waiting, status: State, number: int) -> bool:
         """Whether a status says that the trajectory in force is free, under the number of the last alarm."""
         header, waypoint = status.header[0], memory.waypoint
-        return (
-            self._repeated
-            and not header["collision"]
-            and number == memory.raised
-            and header["time_to_collision"] == NO_COLLISION
-            and header["distance_to_blocked"] == math.inf
-            and waypoint is not None
-            and int(waypoint.header["index"][0]) >= 0
-        )
+        if not self._repeated or number != memory.raised or waypoint is None:
+            return False
+        time, distance = float(header["time_to_collision"]), float(header["distance_to_blocked"])
+        return bool(self._functions.is_free(time, distance, int(waypoint.header["index"][0])))

@@ -19,6 +19,7 @@ from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTION, INJECTOR, RECOMPU
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports, fatal
 from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
 from mavfi.states import STATES, State, StateSpec, in_node
 
 if TYPE_CHECKING:
@@ -66,12 +67,12 @@ class Shadow:
     """Stub of a loop for `Watch` in the detector's node: the world holds the real loop and executes the actions.
 
     Attributes:
-        scenario, awaited, requests, busy: As of `Loop`.
+        scenario, functions, awaited, requests, busy: As of `Loop`.
         record: Alarms only; the world records events.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+        self.scenario, self.functions = scenario, PLAIN
         self.awaited: dict[str, Any] = {}
         self.requests: dict[str, Any] = {}
         self.busy: dict[str, Any] = {}

@@ -24,7 +24,8 @@ from mavfi.hosts.loop.recovery import (
     record_of,
 )
 from mavfi.mission import MissionSpec
-from mavfi.states import STAGE_KERNELS, STATES, Stage, new_state
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import KERNELS, STAGE_KERNELS, STATES, Stage, new_state
 
 OBSERVER = Recovery("observer")
 PERCEPTION = STAGE_KERNELS[Stage.PERCEPTION]
@@ -152,10 +153,12 @@ class Flight:
 
     def __init__(self, alarm="one_shot"):
         self.scenario = SimpleNamespace(autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"), v_max=3.0)
+        self.functions = PLAIN
         self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
         self.steps, self.restarted = [], []
+        self.deliver = self.at = self.charge = lambda *arguments: None
 
     def recompute(self, action, now):
         self.steps.append((action.kernel, now))
@@ -405,3 +408,31 @@ def test_each_restart_of_a_flight_takes_longer():
     shown(Always(hard=True), ESCALATES, [(now, status(5)) for now in range(4 * MOST_RESTARTS)], flight)
     assert [away / RESTART_US for _, _, away in flight.restarted] == [1, 3, 9, 27, 81]
     assert sum(away for _, _, away in flight.restarted) > 1_000_000
+
+
+# ---- a fault in the selection itself -------------------------------------------------------------------------------
+POLICIES = [
+    INLINE, OBSERVER, ESCALATES, Recovery(grain="message"),
+    Recovery(grain="kernel", same_twice="escalate", degraded="hold"), Recovery(degraded="back"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("recovery", POLICIES, ids=str)
+@pytest.mark.parametrize("code", [-1, *range(9), 2**40])
+@pytest.mark.parametrize("stage", [Stage.PERCEPTION, Stage.CONTROL])
+@pytest.mark.parametrize("state", [STATUS, "sensor.odometry"])
+def test_whatever_response_is_selected_it_is_one_of_the_policy_or_none(recovery, code, stage, state):
+    flight = Flight()
+    flight.functions = replace(PLAIN, respond=lambda *arguments: code, wait_for_path=lambda *arguments: code)
+    watching = Watch(flight, Always(hard=True), recovery, flight.restart)
+    value = new_state(state)
+    watching.seal(value, 0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Always, "check", lambda self, state, now: Alarm("d", stage.value, hard=True))
+        passed = watching(value, 0)
+    kinds = {"recompute", "stop", "abandon"} | ({"restart"} if recovery.restarts else set())
+    kinds |= {recovery.grain.replace("message", "resend"), recovery.degraded}
+    assert {alarm.action for alarm in flight.record.alarms} <= kinds
+    assert {kernel for kernel, *_ in flight.restarted} <= set(KERNELS)
+    if not flight.record.alarms:
+        assert passed is not None, "a value passes whose alarm has no response"

@@ -1,0 +1,1 @@
+"""Kernels from alarm to response."""
