@@ -14,15 +14,18 @@ import numpy as np
 from mavfi.faults.sampling import draw, stage_target
 from mavfi.hosts.local import Flight, fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import INLINE, Recovery
-from mavfi.hosts.watching import detector_for
+from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros.md"
 FIRST_SEED = 10_000
 ENVIRONMENT, AUTOPILOT = "dense", "published"
-ARMS = ("none", "gaussian inline", "gaussian observer", "autoencoder inline", "autoencoder observer")
+ARMS = (
+    "none",
+    *(f"{name} {how}" for name in ("gaussian", "autoencoder", "recommended") for how in ("inline", "observer")),
+)
 
 
 def peak(flight: Flight, golden: Flight) -> float:
@@ -34,19 +37,18 @@ def peak(flight: Flight, golden: Flight) -> float:
 
 def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
     """One mission with one fault in every arm: success, flight time (s), maximum distance from its golden run (m)."""
-    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=AUTOPILOT))
-    profile = fly(scenario, profile=True).profile
+    bare = MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=AUTOPILOT)
+    profile = fly(resolve(bare), profile=True).profile
     assert profile is not None
     stage = ("planning", "control")[seed % 2]
     fault = draw(stage_target(stage, AUTOPILOT, "paper-13"), "sign_exponent", profile, seed, ENVIRONMENT, 0)
     found = {}
     for arm in ARMS:
         name, _, coupling = arm.partition(" ")
+        mission = bare if name == "none" else with_keys_of(bare.model_copy(update={"coupling": coupling}), name)
+        scenario = resolve(mission)
         detector = None if name == "none" else detector_for(scenario, name, "paper")[0]
-        golden, flight = (
-            fly(scenario, planned, detector, recovery=Recovery("observer") if coupling == "observer" else INLINE)
-            for planned in (None, fault)
-        )
+        golden, flight = (fly(scenario, planned, detector, recovery=Recovery.of(mission)) for planned in (None, fault))
         success = flight.log.status is MissionStatus.SUCCESS
         found[arm] = success, float(flight.log.column("time")[-1]), peak(flight, golden)
     return found

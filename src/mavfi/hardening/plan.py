@@ -122,6 +122,7 @@ class Plan(Config):
     llvmlite: str = Field(default_factory=partial(version, "llvmlite"))
     cpu: str = Field("", description="class of the processor on which times were measured")
     ledger: str = Field("", description="digest of the ledger whose missions were studied")
+    studied: dict[str, tuple[int, int]] = Field({}, description="their first and last seed, by environment")
     functions: tuple[FunctionPlan, ...] = ()
 
     @model_validator(mode="after")
@@ -140,7 +141,20 @@ class Plan(Config):
         functions = tuple(
             one.model_copy(update=nothing) for one in self.functions if one.kind != "none" or one.time > 1.0
         )
-        return self.model_copy(update={"functions": functions})
+        return self.model_copy(update={"functions": functions, "studied": {}})
+
+    @model_serializer(mode="wrap")
+    def _known(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A plan without studied seeds has the digest that it had before there were any."""
+        found: dict[str, Any] = write(self)
+        if not self.studied:
+            found.pop("studied", None)
+        return found
+
+    def has_studied(self, environment: str, seed: int) -> bool:
+        """Whether its choice has seen a mission; of environments that it does not list it has seen none."""
+        first, last = self.studied.get(environment, (0, -1))
+        return first <= seed <= last
 
     @property
     def digest(self) -> str:

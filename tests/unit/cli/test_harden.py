@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.campaign.analysis.pairs import mcnemar
+from mavfi.campaign.config import load_campaign
 from mavfi.campaign.hardening import study
 from mavfi.campaign.hardening.certify import Certificate
 from mavfi.campaign.hardening.golden import GoldenCheck
@@ -38,14 +39,15 @@ def test_bad_input_is_one_line_and_exit_code_2(words, message, tmp_path, capsys,
 
 @pytest.fixture
 def opened(monkeypatch):
-    """A ledger with the digest of no plan."""
-    monkeypatch.setattr(Study, "open", lambda directory, _: Study(directory, None, "0" * 64, ("pid",)))
+    """A ledger with the digest of no plan, whose next missions are among those of the shipped one."""
+    campaign = load_campaign("hardening").model_copy(update={"first_seed": 9_999})
+    monkeypatch.setattr(Study, "open", lambda directory, _: Study(directory, campaign, "0" * 64, ("pid",)))
 
 
 def test_a_shipped_plan_is_certified_by_name(opened, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(["harden", "out", "--plan", "ten_percent", "--certify"]) == 2
-    assert "the plan was made from 9f6e16e63775" in capsys.readouterr().err
+    assert "mission dense 10007, the next after its own: the plan was made from it" in capsys.readouterr().err
 
 
 def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
@@ -119,7 +121,7 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     assert run(["harden", "out", "--plan", "boast.yaml", "--certify", "--faults", "40"]) == 3
     assert capsys.readouterr().out.startswith("The plan is refuted: ")
 
-    save_plan(plan.model_copy(update={"ledger": "0" * 64}), Path("other.yaml"))
+    save_plan(plan.model_copy(update={"ledger": "0" * 64, "studied": {}}), Path("other.yaml"))
     assert run(["harden", "out", "--plan", "other.yaml", "--certify"]) == 2
     assert "the plan was made from 000000000000" in capsys.readouterr().err
 

@@ -169,7 +169,9 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
         for curve, step in advice.steps
         if len(curve.steps) > 1  # of the kernels to protect
     ]
-    return Plan(cpu=processor(), ledger=study.digest, functions=tuple(functions))
+    seeds = study.campaign.seeds
+    studied = dict.fromkeys(study.campaign.environments, (seeds.start, seeds.stop - 1))
+    return Plan(cpu=processor(), ledger=study.digest, studied=studied, functions=tuple(functions))
 
 
 def planned_of(target: Target, step: Step, share: float | None = None) -> FunctionPlan:
@@ -244,23 +246,20 @@ def certify_plan(
     """Certify a plan with missions and faults that its choice has not seen.
 
     Args:
-        study: The ledger of the plan.
+        study: The ledger of the plan, or another one whose next missions the plan was not made from.
         plan: The plan.
         faults: Number per function, in plain and in protected code.
         tell: Called with each piece of work.
         machine: A kernel in which as many faults are injected at machine level, too.
 
     Raises:
-        BadInputError: The plan was made from another ledger or for other code, or protects nothing here.
+        BadInputError: These missions are not known to be fresh, the plan was made for other code, or it protects
+            nothing here.
     """
     if machine is not None:
         check_kernel(plan, machine, study.kernels)
     check_plan(plan, "plan")
-    if plan.ledger != study.digest:
-        raise BadInputError(
-            f"{study.directory}: ledger {study.digest[:12]}, the plan was made from {plan.ledger[:12] or 'none'}: its "
-            "seeds are not known to be fresh; allowed: the ledger of the plan"
-        )
+    check_fresh(study, plan)
     certificates: list[Certificate] = []
     others: list[Unprotected] = []
     levels: list[MachineLevel] = []
@@ -293,6 +292,23 @@ def certify_plan(
         plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels),
         processor(),
     )  # fmt: skip
+
+
+def check_fresh(study: Study, plan: Plan) -> None:
+    """Raise a BadInputError if the choice of a plan may have seen the missions with which it is to be certified."""
+    if plan.ledger == study.digest:
+        return
+    if not plan.studied:
+        raise BadInputError(
+            f"{study.directory}: ledger {study.digest[:12]}, the plan was made from {plan.ledger[:12] or 'none'}: its "
+            "seeds are not known to be fresh; allowed: the ledger of the plan"
+        )
+    for one in study.fresh(next(iter(study.by_planner()))):
+        if plan.has_studied(one.environment.name, one.seed):
+            raise BadInputError(
+                f"{study.directory}: mission {one.environment.name} {one.seed}, the next after its own: the plan was "
+                "made from it; allowed: a ledger whose next missions are fresh"
+            )
 
 
 def merged(seen: Sequence[Seen]) -> list[Seen]:

@@ -1,9 +1,12 @@
 """Certificates: pairs of injections in plain and protected code, verdicts, totals."""
 
+import re
+
 import numpy as np
 import pytest
 
 from mavfi.campaign.analysis.pairs import mcnemar
+from mavfi.campaign.config import load_campaign
 from mavfi.campaign.hardening.battery import SDC
 from mavfi.campaign.hardening.certify import (
     Certificate,
@@ -17,10 +20,10 @@ from mavfi.campaign.hardening.certify import (
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, Guarded
 from mavfi.campaign.hardening.kernel import see
-from mavfi.campaign.hardening.study import Certification, certify_plan
+from mavfi.campaign.hardening.study import Certification, Study, certify_plan, check_fresh
 from mavfi.errors import BadInputError
 from mavfi.hardening.candidates import candidates
-from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 from mavfi.hardening.sources import cached_source
 from mavfi.ir.parser import parse_module
 from tests.unit.campaign.hardening.kernels import calls, smooth
@@ -131,3 +134,31 @@ def test_a_plan_that_a_flight_refuses_is_not_certified(planned, change, message)
 def test_a_plan_of_other_code_is_refused(planned):
     with pytest.raises(BadInputError, match="planned for IR 000000000000"):
         Pair.of(see(smooth, calls()), planned.model_copy(update={"ir_sha256": "0" * 64}))
+
+
+# ---- a plan and the ledger of its certificate ----------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("studied", "refusal"),
+    [
+        ({}, "ledger other, the plan was made from made: its seeds are not known to be fresh"),
+        ({"dense": (10_000, 10_008)}, "mission dense 10008, the next after its own: the plan was made from it"),
+        ({"dense": (10_000, 10_007)}, ""),
+        ({"sparse": (0, 20_000)}, ""),
+    ],
+)
+def test_a_plan_is_certified_with_missions_that_its_choice_has_not_seen(tmp_path, studied, refusal):
+    study = Study(tmp_path, load_campaign("hardening"), "other", ("pid",))
+    plan = Plan(ledger="made", studied=studied)
+    check_fresh(study, Plan(ledger="other"))
+    if not refusal:
+        check_fresh(study, plan)
+        return
+    with pytest.raises(BadInputError, match=re.escape(f"{tmp_path}: {refusal}")):
+        check_fresh(study, plan)
+
+
+def test_the_seeds_that_a_choice_has_seen_do_not_identify_a_plan(tmp_path):
+    plan = Plan(studied={"dense": (10_000, 10_007)})
+    save_plan(plan, tmp_path / "plan.yaml")
+    assert load_plan(tmp_path / "plan.yaml") == plan
+    assert plan.digest == Plan().digest and "studied" not in Plan().model_dump()
