@@ -68,6 +68,8 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
             "p: two-sided randomization tests, random signs of the differences of worlds (of groups of different "
             "worlds: worlds shuffled); flights of one world are not taken as independent",
+            "[95 % interval]: of rates Wilson's, n reduced by the design effect of worlds; of other means a bootstrap "
+            "of worlds",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
         ),
     )  # fmt: skip

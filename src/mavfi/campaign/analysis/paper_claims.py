@@ -1,6 +1,7 @@
 """Claims of the paper's text, each with a test on runs (see `claims`); all tests treat worlds as independent."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import polars as pl
 from scipy.stats import binomtest
@@ -10,7 +11,7 @@ from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.claims import Claim, Evidence, register
 from mavfi.campaign.analysis.paper_views import by_bits, leading_faults
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.worlds import Difference, between_worlds, within_worlds
+from mavfi.campaign.analysis.worlds import Difference, Mean, between_worlds, within_worlds
 from mavfi.campaign.overheads import ALL
 from mavfi.campaign.plan import FI
 
@@ -26,18 +27,28 @@ _SIGNS = "sign test of environments and stages"
 _BETWEEN = "worlds shuffled between the groups"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """How means are written: value x factor, with decimals, before the name."""
+
+    name: str
+    factor: float = 1.0
+    decimals: int = 1
+
+    def text(self, mean: Mean, own: str = "") -> str:
+        """E.g. "97.0 s [95.1, 99.2] (n = 100)"; `own`: of what."""
+        value, low, high = (f"{self.factor * one:.{self.decimals}f}" for one in (mean.value, mean.low, mean.high))
+        return f"{own} {value} {self.name} [{low}, {high}] (n = {mean.n})".lstrip()
 
 
-def tested(
-    found: Difference | None, one: str, other: str, *, more: bool, what: str, form: Callable[[float], str] = _percent
-) -> Evidence:
+PERCENT = Unit("%", 100.0)
+
+
+def tested(found: Difference | None, one: str, other: str, *, more: bool, what: str, unit: Unit = PERCENT) -> Evidence:
     """Evidence from a difference, which the claim states to be positive (`more`) or negative."""
     if found is None:
         return Evidence("no runs to compare", None, supports=False)
-    here = f"{what}: {one} {form(found.first)} (n = {found.first_n}), {other} {form(found.second)} "
-    here += f"(n = {found.second_n}), {found.worlds} worlds"
+    here = f"{what}: {unit.text(found.first, one)}, {unit.text(found.second, other)}, {found.worlds} worlds"
     return Evidence(here, found.p_value, supports=(found.difference > 0) == more)
 
 
@@ -116,7 +127,7 @@ def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
         found = within_worlds(known, known.adding(value=pl.lit(bound)), pl.col("value"))
         if found is None:
             return Evidence("no runs", None, supports=False)
-        here = f"{100 * found.first:.3g} % of compute time, mean of {found.first_n} runs, {found.worlds} worlds"
+        here = f"{Unit('%', 100.0, 5).text(found.first)} of compute time, {found.worlds} worlds"
         return Evidence(here, found.p_value, supports=found.difference < 0)
 
     return test

@@ -6,7 +6,7 @@ import polars as pl
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.claims import Claim, Evidence, register
-from mavfi.campaign.analysis.paper_claims import HURT, paired, tested
+from mavfi.campaign.analysis.paper_claims import HURT, Unit, paired, tested
 from mavfi.campaign.analysis.paper_views import leading_faults
 from mavfi.campaign.analysis.platform_views import compared
 from mavfi.campaign.analysis.redundancy_views import TMR, band, between, ratio
@@ -23,21 +23,16 @@ _WITHIN = "random signs of the differences of worlds"
 _MODEL = "none: a model without chance"
 
 
-def _seconds(value: float) -> str:
-    return f"{value:.1f} s"
+_SECONDS, _KILOJOULES = Unit("s"), Unit("kJ", 1e-3)
 
 
-def _kilojoules(value: float) -> str:
-    return f"{value / 1000:.1f} kJ"
-
-
-def _of_golden(column: str, what: str, form: Callable[[float], str]) -> Callable[[Runs], Evidence]:
+def _of_golden(column: str, what: str, unit: Unit) -> Callable[[Runs], Evidence]:
     """Test of successful golden flights on both platforms."""
 
     def test(runs: Runs) -> Evidence:
         own = compared(runs).where(setting=GOLDEN)
         found = between_worlds(own.where(environment=SLOW), own.where(environment=FAST), pl.col(column))
-        return tested(found, SLOW, FAST, more=True, what=what, form=form)
+        return tested(found, SLOW, FAST, more=True, what=what, unit=unit)
 
     return test
 
@@ -49,7 +44,7 @@ def _times_as_long(factor: float) -> Callable[[Runs], Evidence]:
         own = compared(runs).where(setting=FI)
         scaled = own.where(environment=FAST).adding(flight_time_s=factor * pl.col("flight_time_s"))
         found = between_worlds(own.where(environment=SLOW), scaled, pl.col("flight_time_s"))
-        return tested(found, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", form=_seconds)
+        return tested(found, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", unit=_SECONDS)
 
     return test
 
@@ -87,11 +82,11 @@ def _of_redundancy() -> Iterable[Claim]:
 def _of_platforms() -> Iterable[Claim]:
     yield Claim(
         "slow_platform_time", "Flights on the Cortex-A57 take longer (115 s : 322 s)", "VI-D", PLATFORMS, _BETWEEN,
-        _of_golden("flight_time_s", "mean flight time", _seconds),
+        _of_golden("flight_time_s", "mean flight time", _SECONDS),
     )  # fmt: skip
     yield Claim(
         "slow_platform_energy", "Flights on the Cortex-A57 need more energy (61.7 kJ : 177.1 kJ)", "VI-D", PLATFORMS,
-        _BETWEEN, _of_golden("energy_j", "mean energy", _kilojoules),
+        _BETWEEN, _of_golden("energy_j", "mean energy", _KILOJOULES),
     )  # fmt: skip
     factor = float(paper.figure("platforms_worst", quantity="flight_time_ratio"))
     text = f"With a fault, flights on the Cortex-A57 take at least {factor:g} times as long (the paper: the worst)"

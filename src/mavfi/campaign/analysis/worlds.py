@@ -12,19 +12,28 @@ import polars as pl
 import scipy
 
 from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import cluster_sums, clustered_rate, percentiles, resample
 
 _RESAMPLES = 9999
 _SEED = 20
 
 
 @dataclass(frozen=True, slots=True)
+class Mean:
+    """A mean over runs, with its 95 % interval: Wilson's of a rate, else a bootstrap of worlds."""
+
+    value: float
+    low: float
+    high: float
+    n: int  # runs
+
+
+@dataclass(frozen=True, slots=True)
 class Difference:
     """A difference of means, first - second, and its p value."""
 
-    first: float  # mean over runs
-    second: float
-    first_n: int  # runs
-    second_n: int
+    first: Mean
+    second: Mean
     worlds: int  # in the test
     difference: float  # first - second, mean over worlds
     p_value: float | None  # two-sided; None = fewer than two worlds
@@ -68,9 +77,21 @@ def _by_world(runs: Runs, value: pl.Expr) -> dict[str, list[float]]:
 def _found(
     one: dict[str, list[float]], other: dict[str, list[float]], worlds: int, difference: float, p_value: float | None
 ) -> Difference:  # fmt: skip
-    first, second = ([value for values in part.values() for value in values] for part in (one, other))
-    means = float(np.mean(first)), float(np.mean(second))
-    return Difference(*means, len(first), len(second), worlds, difference, p_value)
+    return Difference(_mean(one), _mean(other), worlds, difference, p_value)
+
+
+def _mean(by_world: dict[str, list[float]]) -> Mean:
+    values = [value for own in by_world.values() for value in own]
+    worlds = [world for world, own in by_world.items() for _ in own]
+    mean = float(np.mean(values))
+    if set(values) <= {0.0, 1.0}:
+        rate = clustered_rate([value == 1.0 for value in values], worlds)
+        low, high = rate.low, rate.high
+        assert low is not None and high is not None  # there are runs
+    else:
+        totals = resample(cluster_sums(worlds, values, np.ones(len(values))))
+        low, high = percentiles(totals[:, 0] / totals[:, 1])
+    return Mean(mean, low, high, len(values))
 
 
 def _p_value(data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str) -> float | None:

@@ -3,6 +3,7 @@ import polars as pl
 import pytest
 
 from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import wilson
 from mavfi.campaign.analysis.worlds import between_worlds, within_worlds
 
 VALUE = pl.col("value")
@@ -15,7 +16,7 @@ def runs(worlds, values):
 def test_signs_of_differences_of_worlds():
     worlds = [f"w{place}" for place in range(6)]
     found = within_worlds(runs(worlds, [1.0] * 6), runs(worlds, [0.0] * 6), VALUE)
-    assert (found.first, found.second, found.worlds, found.difference) == (1.0, 0.0, 6, 1.0)
+    assert (found.first.value, found.second.value, found.worlds, found.difference) == (1.0, 0.0, 6, 1.0)
     assert found.p_value == pytest.approx(2 / 2**6), "exact: two of 64 patterns of signs are as extreme"
 
 
@@ -32,7 +33,7 @@ def test_worlds_that_do_not_differ_have_p_1():
 
 def test_values_that_are_not_known_are_left_out():
     found = within_worlds(runs(["a", "a", "b"], [1.0, None, 1.0]), runs(["a", "b"], [0.0, 0.0]), VALUE)
-    assert (found.first_n, found.second_n) == (2, 2)
+    assert (found.first.n, found.second.n) == (2, 2)
 
 
 def test_different_worlds_are_shuffled():
@@ -48,3 +49,15 @@ def test_the_level_is_kept_where_nothing_differs():
     values = random.random((200, 2, 12)) < 0.8
     found = [within_worlds(runs(worlds, one), runs(worlds, other), VALUE) for one, other in values.astype(float)]
     assert np.mean([one.p_value < 0.05 for one in found]) <= 0.08
+
+
+def test_a_rate_has_wilsons_interval_and_another_mean_that_of_a_bootstrap():
+    worlds = list("abcdefghij")
+    found = within_worlds(runs(worlds, [1.0] * 10), runs(worlds, [float(place) for place in range(10)]), VALUE)
+    rate = wilson(10, 10)
+    assert (found.first.low, found.first.high) == (rate.low, rate.high)
+    half = 1.96 * np.std(range(10)) / 10**0.5
+    assert found.second.low == pytest.approx(4.5 - half, abs=0.2)
+    assert found.second.high == pytest.approx(4.5 + half, abs=0.2)
+    alike = within_worlds(runs(["a"] * 5 + ["b"] * 5, range(10)), runs(list("ab"), [0.0] * 2), VALUE).first
+    assert alike.low < found.second.low and alike.high > found.second.high, "two worlds say less than ten"
