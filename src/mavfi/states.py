@@ -97,10 +97,10 @@ for _spec in _KERNEL_TABLE:
         if _functions:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
-_PUBLISHED = ("status", "path", "trajectory", "waypoint", "command", "tracking")
-_CODES = (*(f"measure_{name}" for name in _PUBLISHED), "note_vehicle", "judge")
+_MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
+_CODES = (*(f"measure_{name}" for name in _MESSAGES), "note_vehicle", "judge")
 DETECTORS: dict[str, tuple[str, ...]] = {
-    "acceptance": (*(f"judge_{name}" for name in _PUBLISHED), *(f"note_{name}" for name in _PUBLISHED[:3])),
+    "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3])),
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
     "physics_gate": ("judge_gate",),
