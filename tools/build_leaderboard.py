@@ -35,7 +35,10 @@ LEVELS = {
 """Parts in README.md, and the place of their faults in words."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
+SCORED = {"Detection at fixed rates of false alarms", "False alarms by regime"}
+"""Sections that combine parts: a scheme that was not flown again keeps its rows."""
 _FLOWN = "Flown on "
+_KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _PARTS = re.compile(r"(?: --part \S+)+")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
@@ -134,7 +137,36 @@ def with_earlier(page: str, earlier: str) -> str:
     flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
     for title, rest in old.items():
         old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
+    for title in SCORED & old.keys() & new.keys():
+        new[title] = _with_rows(new[title], old[title])
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in (old | new).items())]) + "\n"
+
+
+def _with_rows(section: str, earlier: str) -> str:
+    """A section with the rows of an earlier one whose schemes it lacks, and notes that say when they were flown."""
+    own, others = _schemes(section), _schemes(earlier)
+    rows = {name: lines for name, lines in others.items() if name not in own}
+    if not rows:
+        return section
+    date = next(line for line in earlier.splitlines() if line.startswith(_FLOWN)).removeprefix(_FLOWN).split()[0]
+    dates = {name: date for name in rows} | {
+        name: match[2] for match in _KEPT.finditer(earlier) for name in match[1].split(", ") if name in rows
+    }
+    notes = [
+        f"- {', '.join(name for name in rows if dates[name] == date)}: flown on {date}"
+        for date in dict.fromkeys(dates.values())
+    ]
+    table, kept = ("\n".join(line for lines in part.values() for line in lines) for part in (own, rows))
+    return "\n".join([section.replace(table, f"{table}\n{kept}", 1), *notes])
+
+
+def _schemes(section: str) -> dict[str, list[str]]:
+    """Rows of a section's table by scheme; a row without one belongs to that above it."""
+    found: dict[str, list[str]] = {}
+    for line in [line for line in section.splitlines() if line.startswith("|")][2:]:
+        name = line.split("|")[1].strip() or next(reversed(found))
+        found.setdefault(name, []).append(line)
+    return found
 
 
 def _divided(page: str) -> tuple[str, dict[str, str]]:

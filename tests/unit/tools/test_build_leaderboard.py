@@ -92,6 +92,20 @@ def test_sections_that_were_not_flown_again_remain_with_their_date():
     assert again.count("Flown on") == 3
 
 
+def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
+    def page(day, *rows):
+        table = "\n".join(["| scheme | regime |", "| --- | --- |", *rows])
+        return f"top\n\nFlown on {day} at scale paper.\n\n## False alarms by regime\n\n{table}\n\n- note\n"
+
+    first = page(1, "| a | x |", "|  | y |", "| b | x |", "|  | y |")
+    second = with_earlier(page(2, "| b | X |", "|  | Y |", "| c | X |"), first)
+    assert second.endswith("| b | X |\n|  | Y |\n| c | X |\n| a | x |\n|  | y |\n\n- note\n- a: flown on 1\n")
+    third = with_earlier(page(3, "| c | 3 |"), second)
+    assert "| c | 3 |\n| b | X |\n|  | Y |\n| a | x |\n|  | y |\n" in third
+    assert third.endswith("- note\n- b: flown on 2\n- a: flown on 1\n")
+    assert with_earlier(page(4, "| a | 4 |", "| b | 4 |", "| c | 4 |"), third).count("flown on") == 0
+
+
 def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch):
     for name in ("ROOT", "GENERATED", "DOCS", "IMAGES"):
         monkeypatch.setattr(build_leaderboard, name, tmp_path)
