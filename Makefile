@@ -150,7 +150,7 @@ sensors: setup  ## fly missions with failing sensors and motors, write docs/gene
 	@$(BIN)/mavfi campaign run sensors --scale paper --out out/sensors
 	@$(BIN)/python -m tools.sensor_faults out/sensors
 
-hit-detectors: setup  ## inject faults in detectors, alone and in copies, write docs/generated/hit-detectors.md
+hit-detectors: setup  ## inject faults in detectors, copies and recovery, write docs/generated/hit-detectors.md
 	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
 	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
 	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions

@@ -24,20 +24,20 @@ INSTRUCTIONS = (
     "[failures per flight hour](../models.md#failures-per-flight-hour)."
 )
 RECOVERY = (
-    "One bit of the result of one instruction of recovery flips: of the wait for a path that answers a collision "
-    "alarm, which is checked at every collision status. The response to an alarm is selected only where there is one, "
-    "so these golden flights do not execute it (`mavfi fly --detector gaussian --fault instruction:recovery` does). A "
-    "fault may restart the planner's node without need, or delay the restart of one that is lost."
+    "One bit of the result of one instruction of recovery flips, drawn over all that it executes in a flight: it "
+    "checks at every collision status whether the path that answers an alarm is overdue, and selects the response "
+    "where there is an alarm (see the alarms on flights without a fault below). A fault may restart the planner's node "
+    "without need, or delay the restart of one that is lost."
 )
 VIEWS = ("by_target", "outcomes")
-HIT = ("failures_per_hour",)
 
 
 def content(memory: Path, instructions: Path, recovery: Path) -> str:
     """The page."""
     first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
-    second = section(instructions, "## Instructions of detectors", INSTRUCTIONS, HIT)
-    return f"{first}\n{second}\n{section(recovery, '## Instructions of recovery', RECOVERY, (*HIT, VIEWS[1]))}"
+    second = section(instructions, "## Instructions of detectors", INSTRUCTIONS, ("failures_per_hour",))
+    third = section(recovery, "## Instructions of recovery", RECOVERY, ("failures_per_hour", "outcomes"))
+    return f"{first}\n{second}\n{third}"
 
 
 if __name__ == "__main__":

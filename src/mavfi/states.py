@@ -110,7 +110,7 @@ DETECTORS: dict[str, tuple[str, ...]] = {
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"
 """Recovery as a target of faults, in flights with any detector: its functions, and what it remembers between alarms."""
-GUARDS = {**DETECTORS, RECOVERY: ("respond", "wait_for_path", "is_free")}
+GUARDS = {**DETECTORS, RECOVERY: ("respond", "wait_for_path")}
 """Injectable functions of detectors and of recovery."""
 WATCHING = tuple(name for name in GUARDS if name != "checksum")
 """Targets of memory faults that exist only in flights with a detector; a checksum is not kept."""

@@ -30,8 +30,8 @@ def watched_in(campaign: Campaign, detector: str) -> str:
     leads = list(dict.fromkeys(lead_of(campaign.arms, name) for name in found))
     if len(leads) != 1:
         raise BadInputError(
-            f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm, or "
-            "of arms that differ in copies alone"
+            f"sampling.kernels: {detector!r}: is in {len(found)} arms; allowed: what is in one arm, or in arms that "
+            "differ in copies alone"
         )
     return leads[0]
 

@@ -17,7 +17,7 @@ from mavfi.hosts.loop.compiling import STAGES, compile_stage
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
-from mavfi.states import GUARDS, PLANNERS
+from mavfi.states import GUARDS, PLANNERS, RECOVERY
 
 
 def warm_up(mission: MissionPlan) -> None:
@@ -168,7 +168,7 @@ def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     arms = {
         name: arm
         for name, arm in campaign.arms.items()
-        if not arm.detector or any(is_named(arm.detector, one) for one in detectors)
+        if not arm.detector or RECOVERY in detectors or any(is_named(arm.detector, one) for one in detectors)
     }
     return campaign.model_copy(update={"arms": arms})
 

@@ -117,7 +117,7 @@ class InstructionRequest:
     """Faults in instructions to be drawn from one mission.
 
     Attributes:
-        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE`.
+        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.GUARDS`.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
@@ -141,7 +141,7 @@ class InstructionSite:
     """A fault in one dynamic instruction of one call; nothing is drawn.
 
     Attributes:
-        kernel: As in `states.INJECTABLE`.
+        kernel: As in `states.INJECTABLE` and `states.GUARDS`.
         entry: Its function, an attribute of `pipeline.functions.KernelFunctions`.
         given: Other attributes of the `fault.InstructionFault`.
     """

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple
 import yaml
 from pydantic import (
     Field,
+    NonNegativeInt,
     SerializerFunctionWrapHandler,
     field_serializer,
     field_validator,
@@ -122,11 +123,16 @@ class Plan(Config):
     llvmlite: str = Field(default_factory=partial(version, "llvmlite"))
     cpu: str = Field("", description="class of the processor on which times were measured")
     ledger: str = Field("", description="digest of the ledger whose missions were studied")
-    studied: dict[str, tuple[int, int]] = Field({}, description="their first and last seed, by environment")
+    studied: dict[str, tuple[NonNegativeInt, NonNegativeInt]] = Field(
+        {}, description="their first and last seed, by environment"
+    )
     functions: tuple[FunctionPlan, ...] = ()
 
     @model_validator(mode="after")
-    def _distinct(self) -> "Plan":
+    def _consistent(self) -> "Plan":
+        for environment, (first, last) in self.studied.items():
+            if last < first:
+                raise ValueError(f"studied.{environment}: {first}, {last}: allowed: ascending")
         seen = set()
         for one in self.functions:
             if (one.function, one.signature) in seen:

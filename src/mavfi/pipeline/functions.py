@@ -36,7 +36,6 @@ class KernelFunctions:
     track: Compiled = pid.track
     respond: Compiled = response.respond
     wait_for_path: Compiled = response.wait_for_path
-    is_free: Compiled = response.is_free
 
     def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":
         """A table in which `make(name, function)` replaces each of the named functions."""

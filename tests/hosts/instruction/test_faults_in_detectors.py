@@ -73,7 +73,7 @@ def test_a_detector_can_be_hit_where_it_watches_alone():
     check_kernel("acceptance", "rrt_connect", Chain(detector("acceptance")))
     for other in (None, detector("gaussian")):
         with pytest.raises(
-            BadInputError, match="'acceptance': this detector does not watch.*with acceptance, recommended"
+            BadInputError, match="'acceptance': is not part of this mission.*with acceptance, recommended"
         ):
             check_kernel("acceptance", "rrt_connect", other)
 
@@ -106,7 +106,7 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
 
 def test_recovery_can_be_hit_with_any_detector():
     check_kernel(RECOVERY, "rrt_connect", detector("gaussian"))
-    with pytest.raises(BadInputError, match="'recovery': this detector does not watch.*allowed: with a detector"):
+    with pytest.raises(BadInputError, match="'recovery': is not part of this mission.*allowed: with a detector"):
         check_kernel(RECOVERY, "rrt_connect", None)
 
 

@@ -51,6 +51,12 @@ def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
     assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
 
 
+def test_recovery_is_compiled_with_the_detector_of_its_arm(compiled):
+    warm_up.compile_ahead([load_campaign("recovery_instructions")], Inline())
+    own = [task.campaign for task in compiled if isinstance(task, warm_up._Mission)]
+    assert [(one.sampling.kernels, list(one.arms)) for one in own] == [(("recovery",), ["recommended"]), ((), [])]
+
+
 def test_nothing_is_compiled_twice(compiled):
     campaigns = list(load_study("paper").campaigns_at("quick").values())
     warm_up.compile_ahead(campaigns, Inline())

@@ -42,13 +42,15 @@ def test_an_alarm_has_the_first_response_that_applies():
 
 
 def test_a_wait_begins_with_an_alarm_and_ends_with_an_answer_or_its_deadline():
-    for over, raised, away, waiting, late in itertools.product(*[BOTH] * 5):
+    for answered, raised, same, free, away, waiting, late in itertools.product(*[BOTH] * 7):
         since, now = (1_000_000 if waiting else NOT_WAITING), 1_600_000 + late
         applies = {
-            BEGIN: raised and not waiting, KEEP: not waiting, END: over, POSTPONE: away, OVERDUE: late,
+            BEGIN: raised and not waiting, KEEP: not waiting, END: answered or (same and free), POSTPONE: away,
+            OVERDUE: late,
         }  # fmt: skip
         expected = next((code for code in applies if applies[code]), KEEP)
-        assert wait_for_path(over, raised, away, since, now, 6e5) == expected
+        status = (NO_COLLISION if free else 2.0, math.inf, 0)
+        assert wait_for_path(answered, raised, same, *status, away, since, now, 6e5) == expected
 
 
 @pytest.mark.parametrize("time", [NO_COLLISION, 2.0, math.nan])

@@ -12,7 +12,7 @@ from mavfi.errors import BadInputError
 class Evidence:
     """Result of testing a claim."""
 
-    here: str  # measured values, with n
+    here: str  # measured values, with intervals and n
     p_value: float | None  # two-sided; None = not testable with these runs
     supports: bool  # whether the measured difference has the claimed sign
 

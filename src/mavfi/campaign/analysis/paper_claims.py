@@ -29,16 +29,17 @@ _BETWEEN = "worlds shuffled between the groups"
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """How means are written: value x factor, with decimals, before the name."""
+    """How means are written: value x factor before the name."""
 
     name: str
     factor: float = 1.0
-    decimals: int = 1
+    form: str = ".1f"
 
     def text(self, mean: Mean, own: str = "") -> str:
         """E.g. "97.0 s [95.1, 99.2] (n = 100)"; `own`: of what."""
-        value, low, high = (f"{self.factor * one:.{self.decimals}f}" for one in (mean.value, mean.low, mean.high))
-        return f"{own} {value} {self.name} [{low}, {high}] (n = {mean.n})".lstrip()
+        value, *bounds = (f"{self.factor * one:{self.form}}" for one in (mean.value, *(mean.bounds or ())))
+        interval = f" [{', '.join(bounds)}]" if bounds else ""
+        return f"{own} {value} {self.name}{interval} (n = {mean.n})".lstrip()
 
 
 PERCENT = Unit("%", 100.0)
@@ -127,7 +128,7 @@ def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
         found = within_worlds(known, known.adding(value=pl.lit(bound)), pl.col("value"))
         if found is None:
             return Evidence("no runs", None, supports=False)
-        here = f"{Unit('%', 100.0, 5).text(found.first)} of compute time, {found.worlds} worlds"
+        here = f"{Unit('%', 100.0, '.3g').text(found.first)} of compute time, {found.worlds} worlds"
         return Evidence(here, found.p_value, supports=found.difference < 0)
 
     return test

@@ -20,12 +20,11 @@ _SEED = 20
 
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """A mean over runs, with its 95 % interval: Wilson's of a rate, else a bootstrap of worlds."""
+    """A mean over runs, with its 95 % interval: Wilson's of a rate, else a bootstrap of worlds; None in one world."""
 
     value: float
-    low: float
-    high: float
     n: int  # runs
+    bounds: tuple[float, float] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,7 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | Non
         return None
     differences = np.array([np.mean(one[world]) - np.mean(other[world]) for world in shared])
     p_value = _p_value((differences,), np.mean, "samples")
-    return _found(one, other, len(shared), float(differences.mean()), p_value)
+    return Difference(_mean(first, value), _mean(second, value), len(shared), float(differences.mean()), p_value)
 
 
 def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
@@ -60,7 +59,8 @@ def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | No
         return None
     means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
     difference = float(means[0].mean() - means[1].mean())
-    return _found(one, other, len(one) + len(other), difference, _p_value(means, _difference, "independent"))
+    p_value = _p_value(means, _difference, "independent")
+    return Difference(_mean(first, value), _mean(second, value), len(one) + len(other), difference, p_value)
 
 
 def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -74,24 +74,17 @@ def _by_world(runs: Runs, value: pl.Expr) -> dict[str, list[float]]:
     return {str(world): part["value"].to_list() for (world,), part in parts.items()}
 
 
-def _found(
-    one: dict[str, list[float]], other: dict[str, list[float]], worlds: int, difference: float, p_value: float | None
-) -> Difference:  # fmt: skip
-    return Difference(_mean(one), _mean(other), worlds, difference, p_value)
-
-
-def _mean(by_world: dict[str, list[float]]) -> Mean:
-    values = [value for own in by_world.values() for value in own]
-    worlds = [world for world, own in by_world.items() for _ in own]
-    mean = float(np.mean(values))
-    if set(values) <= {0.0, 1.0}:
-        rate = clustered_rate([value == 1.0 for value in values], worlds)
-        low, high = rate.low, rate.high
-        assert low is not None and high is not None  # there are runs
-    else:
+def _mean(runs: Runs, value: pl.Expr) -> Mean:
+    rows = runs.frame.select("world", value=value).drop_nulls()
+    worlds, values = rows["world"].to_list(), rows["value"].cast(pl.Float64).to_numpy()
+    bounds = None
+    if rows["world"].n_unique() > 1 and rows["value"].dtype == pl.Boolean:
+        rate = clustered_rate(rows["value"].to_list(), worlds)
+        bounds = (rate.low or 0.0, rate.high or 0.0)
+    elif rows["world"].n_unique() > 1:
         totals = resample(cluster_sums(worlds, values, np.ones(len(values))))
-        low, high = percentiles(totals[:, 0] / totals[:, 1])
-    return Mean(mean, low, high, len(values))
+        bounds = percentiles(totals[:, 0] / totals[:, 1])
+    return Mean(float(values.mean()), len(values), bounds)
 
 
 def _p_value(data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str) -> float | None:

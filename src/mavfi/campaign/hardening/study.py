@@ -110,13 +110,25 @@ class Study:
         scenario: Scenario = host_of(self.campaign).resolve(self.campaign.spec(environment, seed, {"planner": planner}))
         return scenario
 
-    def fresh(self, planner: str) -> list[Scenario]:
-        """Missions that the ledger does not contain: the seeds after its own."""
+    @property
+    def worlds(self) -> list[str]:
+        """Names of the environments of its campaign, whose own names may be paths or parts."""
+        own, seed = host_of(self.campaign), self.campaign.first_seed
+        specs = (self.campaign.spec(environment, seed) for environment in self.campaign.environments)
+        return list(dict.fromkeys(own.resolve(spec).environment.name for spec in specs))
+
+    @property
+    def next_seeds(self) -> range:
+        """The seeds after its own."""
         first = self.campaign.seeds.stop
+        return range(first, first + FRESH)
+
+    def fresh(self, planner: str) -> list[Scenario]:
+        """Missions that the ledger does not contain."""
         return [
             self.scenario(environment, seed, planner)
             for environment in self.campaign.environments
-            for seed in range(first, first + FRESH)
+            for seed in self.next_seeds
         ]
 
 
@@ -170,7 +182,7 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
         if len(curve.steps) > 1  # of the kernels to protect
     ]
     seeds = study.campaign.seeds
-    studied = dict.fromkeys(study.campaign.environments, (seeds.start, seeds.stop - 1))
+    studied = dict.fromkeys(study.worlds, (seeds.start, seeds.stop - 1))
     return Plan(cpu=processor(), ledger=study.digest, studied=studied, functions=tuple(functions))
 
 
@@ -303,12 +315,13 @@ def check_fresh(study: Study, plan: Plan) -> None:
             f"{study.directory}: ledger {study.digest[:12]}, the plan was made from {plan.ledger[:12] or 'none'}: its "
             "seeds are not known to be fresh; allowed: the ledger of the plan"
         )
-    for one in study.fresh(next(iter(study.by_planner()))):
-        if plan.has_studied(one.environment.name, one.seed):
-            raise BadInputError(
-                f"{study.directory}: mission {one.environment.name} {one.seed}, the next after its own: the plan was "
-                "made from it; allowed: a ledger whose next missions are fresh"
-            )
+    for world in study.worlds:
+        for seed in study.next_seeds:
+            if plan.has_studied(world, seed):
+                raise BadInputError(
+                    f"{study.directory}: mission {world} {seed}, the next after its own: the plan was made from it; "
+                    "allowed: a ledger whose next missions are fresh"
+                )
 
 
 def merged(seen: Sequence[Seen]) -> list[Seen]:

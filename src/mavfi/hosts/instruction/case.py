@@ -121,7 +121,7 @@ def check_watched(target: str, detector: Detector | None) -> None:
         found = {name: [one for one in PROFILES if contains(name, one, target)] for name in detector_names()}
         named = [name if PROFILES[0] in own else f"{name} (profile {own[0]})" for name, own in found.items() if own]
         raise BadInputError(
-            f"kernel {target!r}: this detector does not watch the mission; allowed: with "
+            f"kernel {target!r}: is not part of this mission; allowed: with "
             f"{', '.join(named) if target in DETECTORS else 'a detector'}"
         )
 

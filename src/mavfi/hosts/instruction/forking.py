@@ -179,14 +179,14 @@ class Forks(ABC):
             if ended is None:
                 assert self.child is not None  # this is one
                 self.child.in_time = repetition == "vote"
-                return True, NOTHING if self._recovery_dies(case) else function(*args)
+                return True, NOTHING if self._ends_recovery(case) else function(*args)
             case.report = _report_of(ended)
         if case.kernel:
             self._awaited.setdefault(case.kernel, []).append(case)
         return False, None
 
-    def _recovery_dies(self, case: Case) -> bool:
-        """End the detector, if the call was of it or of recovery, in a child; returns whether recovery ends with it."""
+    def _ends_recovery(self, case: Case) -> bool:
+        """End the detector of a child whose call was of it or of recovery; returns whether recovery ends with it."""
         if case.kernel or self._detector is None:
             return False
         down_us, recovery = round(1e6 * case.fault.restart_s), case.fault.kernel == RECOVERY

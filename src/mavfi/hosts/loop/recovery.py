@@ -24,7 +24,7 @@ from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
 from mavfi.kernels.recovery import response as responses
 from mavfi.mission import RECOVERY, MissionSpec
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.numerics.jit import entry
 from mavfi.pipeline.memory import Memory
 from mavfi.states import KERNELS, STAGE_KERNELS, STATES, Stage, State, StateSpec
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 Coupling = Literal["inline", "observer"]
 Grain = Literal["stage", "kernel", "message"]
 SameTwice = Literal["accept", "escalate"]
+After = Literal["", "resend", "recompute"]
 COMMAND = "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
 """Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
@@ -135,12 +136,12 @@ _AFTER = {"": responses.FIRST, "resend": responses.RESENT, "recompute": response
 
 
 def decide(
-    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: Literal["", "resend", "recompute"] = "",
-    uncured: bool = False, functions: KernelFunctions = PLAIN,
+    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: After = "", uncured: bool = False,
+    respond: Callable[..., int] = responses.respond,
 ) -> Action | None:  # fmt: skip
-    """Select the response to an alarm on a value of state `spec`; None = none, after a fault in this selection.
+    """Select the response to an alarm on a value of state `spec`.
 
-    Only a gate (coupling `inline`) withholds values.
+    Only a gate (coupling `inline`) withholds values.  None = no response, after a fault in `respond`.
 
     Args:
         alarm: The alarm, checked by `detector.checked_alarm`.
@@ -148,12 +149,12 @@ def decide(
         recovery: The recovery policy.
         after: Action that produced the value.
         uncured: Whether the degraded mode applies: no restart is left or hard alarms persist, and a mode is configured.
-        functions: Functions that it calls: compiled or instrumented.
+        respond: `kernels.recovery.response.respond`, compiled or instrumented.
     """
     stage, gated, own = Stage(alarm.stage), recovery.coupling == "inline", Stage(alarm.stage) is spec.stage
     stop, abandon, resends = bool(alarm.stop), bool(alarm.abandon_waypoint), recovery.grain == "message"
     action: Action | None = None
-    match functions.respond(_AFTER[after], uncured, stop, abandon, own, resends):
+    match respond(_AFTER[after], uncured, stop, abandon, own, resends):
         case responses.DEGRADE if recovery.degraded != "none":
             action = Action(recovery.degraded, Stage.CONTROL)
         case responses.RESTART if recovery.restarts and spec.writer in KERNELS:
@@ -180,11 +181,6 @@ def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRe
     return AlarmRecord(
         1e-6 * time_us, alarm.source, state, alarm.stage, alarm.score, tuple(alarm.fields), action.kind, outcome
     )
-
-
-def _never(kernel: str, now: int, after_us: int) -> None:
-    del kernel, now, after_us
-    raise AssertionError("no node is restarted under this policy")
 
 
 @dataclass(slots=True)
@@ -236,14 +232,13 @@ class Watch:
 
     def __init__(
         self, loop: "Loop", detector: Detector, recovery: Recovery = INLINE,
-        restart: Callable[[str, int, int], None] = _never,
+        restart: Callable[[str, int, int], None] = lambda *_: None,
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self._at_once, self._otherwise = admission(detector)
-        self.memory = Remembered()
-        self.alarm: Alarm | None = None
-        self.action: Action | None = None
+        self._respond = entry(loop.functions.respond, responses.FIRST, *[False] * 5)
+        self.forget()
         states = getattr(detector, "states", None)
         always = {WAYPOINT}.union(Answer.states if recovery.answer_s else ())  # required even without a model
         self._setpoints = None
@@ -251,13 +246,19 @@ class Watch:
             self._setpoints = Setpoints(recovery.degraded, loop.scenario.v_max)
             always |= {COMMAND} | self._setpoints.states
         self.states = None if states is None else always.union(states)
-        self._sent: State | None = None
         self._seal = getattr(detector, "seal", None)
         self.seals = self._seal is not None or recovery.grain == "message"
         self._answer = None
         if recovery.answer_s:
             repeated = repeats(loop.scenario.autopilot)
             self._answer = Answer(recovery.answer_s, repeated=repeated, functions=loop.functions)
+
+    def forget(self) -> None:
+        """Reset what it remembers, as at the start of a flight."""
+        self.memory = Remembered()
+        self.alarm: Alarm | None = None
+        self.action: Action | None = None
+        self._sent: State | None = None
 
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
@@ -285,30 +286,34 @@ class Watch:
         given_up = after == "recompute" and not self._may_restart
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
             alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error
+        action = None if alarm is None else self._select(alarm, state.spec, after, uncured=uncured)
+        alarm = alarm if action is not None else None
         if not admitted and (alarm is None or recovery.coupling == "observer"):
             detector.accept(state, now)
         if awaited is not None:
             self._settle(awaited, state, alarm)
-        self.alarm = alarm
-        if alarm is None:
+        self.alarm, self.action = alarm, action
+        if alarm is None or action is None:
             self._keep_waiting(state, now)
             return state
         if alarm.hard and recovery.restarts:
             self._count(now)
-        action = decide(alarm, state.spec, recovery, after=after, uncured=uncured, functions=loop.functions)
-        if action is None:
-            return state
-        self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._execute(action, state, now)
         withheld = action.withholds or (action.kind in MODES and state.spec.name == COMMAND)
         return None if withheld else state
 
+    def _select(self, alarm: Alarm, spec: StateSpec, after: After, *, uncured: bool) -> Action | None:
+        """The response to an alarm on a value; None = a faulty one that the policy does not contain."""
+        action = decide(alarm, spec, self._recovery, after=after, uncured=uncured, respond=self._respond)
+        may_restart = self._may_restart and self._recovery.same_twice == "escalate"
+        return None if action is not None and action.kind == "restart" and not may_restart else action
+
     @property
     def _may_restart(self) -> bool:
         return self.memory.restarts_left > 0
 
-    def _after(self, awaited: Awaited | None) -> Literal["", "resend", "recompute"]:
+    def _after(self, awaited: Awaited | None) -> After:
         """The action that produced a value; any action other than a retransmission counts as a recomputation."""
         if awaited is None:
             return ""
@@ -386,10 +391,8 @@ class Watch:
         if waited is not None and (self._may_restart or recovery.degraded != "none"):
             alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
             uncured = not self._may_restart
-            action = decide(
-                alarm, STATES[PATH], recovery, after="recompute", uncured=uncured, functions=self._loop.functions
-            )
-            if action is None:
-                return
+            action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=uncured, respond=self._respond)
+            if action is None or action.kind not in ("restart", *MODES):
+                return  # a faulty one: it is about a value
             self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
             self._execute(action, state, now)

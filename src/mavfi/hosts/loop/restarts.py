@@ -18,7 +18,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import INJECTED, Replicated
 from mavfi.faults.state import ActedOn
-from mavfi.hosts.loop.recovery import Remembered, Watch
+from mavfi.hosts.loop.recovery import Watch
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Tap
 from mavfi.hosts.loop.waiting import WAYPOINT
@@ -94,7 +94,7 @@ class Restarts:
             recovery: Whether it dies in recovery, which is in its node: all copies, and what recovery remembers.
 
         Returns:
-            Whether it dies, or only its copy.
+            False if its call is repeated.
         """
         if self._policy in ("recompute", "standby"):
             return False
@@ -104,7 +104,7 @@ class Restarts:
         else:
             taps = self._loop.taps
             if recovery and isinstance(taps.detector, Watch):
-                taps.detector.memory = Remembered()
+                taps.detector.forget()
             back, taps.detector = partial(self._watch_again, detector, taps.detector), None
         if self._policy != "end":
             self._loop.actions["detector back"] = back

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 from mavfi.config import AutopilotConfig
 from mavfi.kernels.recovery.response import BEGIN, END, NOT_WAITING, OVERDUE, POSTPONE
+from mavfi.numerics.jit import entry
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Memory
 from mavfi.states import State
 
+NO_INDEX = -1
 COLLISION, PATH, WAYPOINT = "perception.collision_status", "planning.path", "planning.waypoint"
 
 
@@ -52,7 +54,10 @@ class Answer:
     states = frozenset((COLLISION, PATH, WAYPOINT))
 
     def __init__(self, limit_s: float, *, repeated: bool = False, functions: KernelFunctions = PLAIN) -> None:
-        self._limit_us, self._repeated, self._functions = 1e6 * limit_s, repeated, functions
+        self._limit_us, self._repeated = 1e6 * limit_s, repeated
+        self._judge = entry(
+            functions.wait_for_path, False, False, False, 0.0, 0.0, NO_INDEX, False, NOT_WAITING, 0, self._limit_us
+        )
 
     def overdue(self, memory: Waiting, state: State, now: int, *, away: bool = False) -> float | None:
         """Take note of an accepted publication; returns the duration of a wait beyond the deadline (s), and ends it.
@@ -66,28 +71,24 @@ class Answer:
         if state.spec.name == WAYPOINT:
             memory.waypoint = state
             return None
-        number, path = int(state.header["future_collision_seq"][0]), state.spec.name == PATH
-        raised = not path and bool(state.header["collision"][0])
-        if raised:
-            memory.raised = number
-        waiting = memory.since is not None
+        header, path, waiting = state.header[0], state.spec.name == PATH, memory.since is not None
+        number = int(header["future_collision_seq"])
         if path and not (waiting and number >= memory.asked):
             return None
-        withdrawn = waiting and not path and not raised and self._withdrawn(memory, state, number)
+        raised, time, distance = False, 0.0, 0.0
+        if not path:
+            raised = bool(header["collision"])
+            time, distance = float(header["time_to_collision"]), float(header["distance_to_blocked"])
+        if raised:
+            memory.raised = number
+        index = NO_INDEX if memory.waypoint is None else int(memory.waypoint.header["index"][0])
+        same = self._repeated and not path and not raised and number == memory.raised
         since = NOT_WAITING if memory.since is None else memory.since
-        becomes = self._functions.wait_for_path(path or withdrawn, raised, away, since, now, self._limit_us)
+        becomes = self._judge(path, raised, same, time, distance, index, away, since, now, self._limit_us)
         if becomes == BEGIN:
             memory.since, memory.asked = now, number
         elif becomes in (END, OVERDUE):
             memory.since = None
         elif becomes == POSTPONE:
             memory.since = now
-        return 1e-6 * (now - since) if becomes == OVERDUE else None
-
-    def _withdrawn(self, memory: Waiting, status: State, number: int) -> bool:
-        """Whether a status says that the trajectory in force is free, under the number of the last alarm."""
-        header, waypoint = status.header[0], memory.waypoint
-        if not self._repeated or number != memory.raised or waypoint is None:
-            return False
-        time, distance = float(header["time_to_collision"]), float(header["distance_to_blocked"])
-        return bool(self._functions.is_free(time, distance, int(waypoint.header["index"][0])))
+        return 1e-6 * (now - since) if becomes == OVERDUE and waiting else None

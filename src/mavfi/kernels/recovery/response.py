@@ -1,12 +1,12 @@
 """Decisions of recovery: the response to an alarm, and the wait for the path that answers a collision alarm.
 
-Both return codes; 0 is no response, also that of a node that died while it decided.
+Both are codes; 0 is no response, also that of a node that died while it decided.
 """
 
 import math
 
 from mavfi.kernels.perception.collision_check import NO_COLLISION
-from mavfi.numerics.jit import short_jit
+from mavfi.numerics.jit import kernel_jit, short_jit
 
 NOTHING, RECOMPUTE, RESEND, ABANDON, STOP, RESTART, DEGRADE, CHARGE = range(8)
 """Responses; `CHARGE`: the latency of another stage than the writer's is charged, and the value passes."""
@@ -45,7 +45,7 @@ def respond(after: int, uncured: bool, stop: bool, abandon: bool, own_stage: boo
     return RESEND if resends and after == FIRST else RECOMPUTE
 
 
-@short_jit
+@kernel_jit
 def is_free(time_to_collision: float, distance_to_blocked: float, index: int) -> bool:
     """Whether a collision status without a flag says that the trajectory in force is free.
 
@@ -58,12 +58,19 @@ def is_free(time_to_collision: float, distance_to_blocked: float, index: int) ->
 
 
 @short_jit
-def wait_for_path(over: bool, raised: bool, away: bool, since: int, now: int, limit_us: float) -> int:
+def wait_for_path(
+    answered: bool, raised: bool, same_alarm: bool, time_to_collision: float, distance_to_blocked: float, index: int,
+    away: bool, since: int, now: int, limit_us: float,
+) -> int:  # fmt: skip
     """What becomes of the wait for a path that answers a collision alarm, at a publication, as a code.
 
     Args:
-        over: Whether it is a path that answers the alarm, or a collision status that withdraws it.
+        answered: Whether it is a path that answers the alarm.
         raised: Whether it is a collision status with the flag.
+        same_alarm: Whether it is one without, under the number of the last alarm, that may withdraw it.
+        time_to_collision: As of `is_free`.
+        distance_to_blocked: As of `is_free`.
+        index: As of `is_free`.
         away: Whether the planner is restarting; the deadline restarts when it is back.
         since: Instant of the unanswered alarm (us); `NOT_WAITING` = none.
         now: Instant of the publication (us).
@@ -71,7 +78,7 @@ def wait_for_path(over: bool, raised: bool, away: bool, since: int, now: int, li
     """
     if since == NOT_WAITING:
         return BEGIN if raised else KEEP
-    if over:
+    if answered or (same_alarm and is_free(time_to_collision, distance_to_blocked, index)):
         return END
     if away:
         return POSTPONE

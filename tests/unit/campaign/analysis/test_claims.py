@@ -131,8 +131,8 @@ def on_platforms(slow, faulty, detected):
             "cortex-a57 100.0 % [72.2, 100.0] (n = 10), i9-9940x 0.0 % [0.0, 27.8]",
         ),
         ("platforms_alike", (100, 100, 100), "undecided", "cortex-a57 0.0 % [0.0, 27.8] (n = 10), i9-9940x"),
-        ("gaussian_recovers_slow_platform", (100, 150, 100), "confirmed", "fault with GAD 0.0 % ["),
-        ("gaussian_recovers_slow_platform", (100, 110, 150), "contradicted", "fault 10.0 % ["),
+        ("gaussian_recovers_slow_platform", (100, 150, 100), "confirmed", "fault with GAD 0.0 % [0.0, 0.0] (n = 10)"),
+        ("gaussian_recovers_slow_platform", (100, 110, 150), "contradicted", "fault 10.0 % [10.0, 10.0] (n = 10)"),
         ("redundancy_airsim", (100, 100, 100), "undecided", "calibrated to this value after the fact"),
     ],
 )

@@ -53,11 +53,14 @@ def test_the_level_is_kept_where_nothing_differs():
 
 def test_a_rate_has_wilsons_interval_and_another_mean_that_of_a_bootstrap():
     worlds = list("abcdefghij")
-    found = within_worlds(runs(worlds, [1.0] * 10), runs(worlds, [float(place) for place in range(10)]), VALUE)
+    one, other = runs(worlds, [1.0] * 10), runs(worlds, [float(place) for place in range(10)])
     rate = wilson(10, 10)
-    assert (found.first.low, found.first.high) == (rate.low, rate.high)
+    assert within_worlds(one, other, VALUE > 0).first.bounds == (rate.low, rate.high)
+    assert within_worlds(one, other, VALUE).first.bounds == (1.0, 1.0), "no rate, whatever its values"
+    low, high = within_worlds(one, other, VALUE).second.bounds
     half = 1.96 * np.std(range(10)) / 10**0.5
-    assert found.second.low == pytest.approx(4.5 - half, abs=0.2)
-    assert found.second.high == pytest.approx(4.5 + half, abs=0.2)
-    alike = within_worlds(runs(["a"] * 5 + ["b"] * 5, range(10)), runs(list("ab"), [0.0] * 2), VALUE).first
-    assert alike.low < found.second.low and alike.high > found.second.high, "two worlds say less than ten"
+    assert (low, high) == (pytest.approx(4.5 - half, abs=0.2), pytest.approx(4.5 + half, abs=0.2))
+    alike = within_worlds(runs(["a"] * 5 + ["b"] * 5, range(10)), runs(list("ab"), [0.0] * 2), VALUE).first.bounds
+    assert alike[0] < low and alike[1] > high, "two worlds say less than ten"
+    single = within_worlds(runs(["a"] * 3, [1.0, 2.0, 3.0]), runs(["a"], [0.0]), VALUE)
+    assert single.first.bounds is None and single.p_value is None

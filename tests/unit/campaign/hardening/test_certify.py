@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.analysis.pairs import mcnemar
-from mavfi.campaign.config import load_campaign
+from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.hardening.battery import SDC
 from mavfi.campaign.hardening.certify import (
     Certificate,
@@ -155,6 +155,21 @@ def test_a_plan_is_certified_with_missions_that_its_choice_has_not_seen(tmp_path
         return
     with pytest.raises(BadInputError, match=re.escape(f"{tmp_path}: {refusal}")):
         check_fresh(study, plan)
+
+
+def test_studied_seeds_are_those_of_an_environments_own_name(tmp_path):
+    parts = {"fast": {"environment": "dense"}, "slow": {"environment": "dense", "platform": "cortex-a57"}}
+    own = load_campaign("hardening").model_dump() | {"parts": parts, "environments": ("fast", "slow")}
+    study = Study(tmp_path, Campaign.model_validate(own), "other", ("pid",))
+    assert study.worlds == ["dense"]
+    with pytest.raises(BadInputError, match="mission dense 10008"):
+        check_fresh(study, Plan(ledger="made", studied={"dense": (10_000, 10_008)}))
+
+
+@pytest.mark.parametrize("seeds", [(2, 1), (-1, 5)])
+def test_studied_seeds_ascend(seeds):
+    with pytest.raises(ValueError, match="studied"):
+        Plan(studied={"dense": seeds})
 
 
 def test_the_seeds_that_a_choice_has_seen_do_not_identify_a_plan(tmp_path):

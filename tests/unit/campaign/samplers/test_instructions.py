@@ -225,7 +225,7 @@ def test_arms_that_differ_in_copies_alone_share_the_faults_of_their_detector(mon
 def test_arms_that_differ_in_more_than_copies_do_not_share_faults():
     for other in ({"profile": "tuned"}, {"coupling": "observer"}):
         arms = {"a": {"detector": "gaussian"}, "b": {"detector": "gaussian", "copies": 2, **other}}
-        with pytest.raises(ValueError, match="2 arms; allowed: .*, or of arms that differ in copies alone"):
+        with pytest.raises(ValueError, match="2 arms; allowed: .*, or in arms that differ in copies alone"):
             campaign("kernel", ("pid", "gaussian"), arms=arms)
 
 
@@ -234,9 +234,7 @@ def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
         ({}, 0),
         ({"a": {"detector": "gaussian"}, "b": {"detector": "gaussian", "profile": "tuned"}}, 2),
     ):
-        with pytest.raises(
-            ValueError, match=f"'gaussian': is the detector of {number} arms; allowed: detectors of one arm"
-        ):
+        with pytest.raises(ValueError, match=f"'gaussian': is in {number} arms; allowed: what is in one arm"):
             campaign("kernel", ("pid", "gaussian"), arms=arms)
 
 
@@ -252,5 +250,5 @@ def test_a_named_configuration_is_injected_as_the_detector_that_it_configures(mo
 
 def test_a_detector_and_its_named_configuration_are_two_arms_of_one():
     arms = {"plain": {"detector": "acceptance"}, "recommended": {"detector": "recommended"}}
-    with pytest.raises(ValueError, match="'acceptance': is the detector of 2 arms"):
+    with pytest.raises(ValueError, match="'acceptance': is in 2 arms"):
         campaign("kernel", ("pid", "acceptance"), arms=arms)

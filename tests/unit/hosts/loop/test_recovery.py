@@ -11,6 +11,8 @@ from mavfi.detectors.detector import checked_alarm
 from mavfi.detectors.replicas import replicated
 from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import (
     ALARMS_WITHIN_US,
     INLINE,
@@ -23,9 +25,11 @@ from mavfi.hosts.loop.recovery import (
     decide,
     record_of,
 )
-from mavfi.mission import MissionSpec
+from mavfi.hosts.watching import with_keys_of
+from mavfi.kernels.recovery.response import DEGRADE, RESTART
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.pipeline.functions import PLAIN
-from mavfi.states import KERNELS, STAGE_KERNELS, STATES, Stage, new_state
+from mavfi.states import PPC_STAGES, STAGE_KERNELS, STATES, Stage, new_state
 
 OBSERVER = Recovery("observer")
 PERCEPTION = STAGE_KERNELS[Stage.PERCEPTION]
@@ -412,27 +416,77 @@ def test_each_restart_of_a_flight_takes_longer():
 
 # ---- a fault in the selection itself -------------------------------------------------------------------------------
 POLICIES = [
-    INLINE, OBSERVER, ESCALATES, Recovery(grain="message"),
+    INLINE, OBSERVER, ESCALATES, Recovery(grain="message"), Recovery(grain="kernel", answer_s=0.6),
     Recovery(grain="kernel", same_twice="escalate", degraded="hold"), Recovery(degraded="back"),
 ]  # fmt: skip
+CODES = [-1, *range(9), 2**40]
+
+
+class Control(Always):
+    def check(self, state, now):
+        return Alarm("d", "control", hard=self.hard)
 
 
 @pytest.mark.parametrize("recovery", POLICIES, ids=str)
-@pytest.mark.parametrize("code", [-1, *range(9), 2**40])
-@pytest.mark.parametrize("stage", [Stage.PERCEPTION, Stage.CONTROL])
-@pytest.mark.parametrize("state", [STATUS, "sensor.odometry"])
-def test_whatever_response_is_selected_it_is_one_of_the_policy_or_none(recovery, code, stage, state):
-    flight = Flight()
-    flight.functions = replace(PLAIN, respond=lambda *arguments: code, wait_for_path=lambda *arguments: code)
-    watching = Watch(flight, Always(hard=True), recovery, flight.restart)
-    value = new_state(state)
+@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("detector", [Always, Control])
+@pytest.mark.parametrize("left", [0, MOST_RESTARTS])
+def test_whatever_response_is_selected_it_is_one_of_the_policy_or_none(recovery, code, detector, left):
+    flight, asked = Flight(), detector(hard=True)
+    flight.functions = replace(PLAIN, respond=lambda *arguments: code)
+    watching, value = Watch(flight, asked, recovery, flight.restart), status(0)
+    watching.memory.restarts_left = left
     watching.seal(value, 0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Always, "check", lambda self, state, now: Alarm("d", stage.value, hard=True))
-        passed = watching(value, 0)
-    kinds = {"recompute", "stop", "abandon"} | ({"restart"} if recovery.restarts else set())
-    kinds |= {recovery.grain.replace("message", "resend"), recovery.degraded}
+    passed = watching(value, 0)
+    kinds = {"recompute", "stop", "abandon", recovery.grain.replace("message", "resend"), recovery.degraded}
+    kinds |= {"restart"} if left and recovery.same_twice == "escalate" else set()
     assert {alarm.action for alarm in flight.record.alarms} <= kinds
-    assert {kernel for kernel, *_ in flight.restarted} <= set(KERNELS)
+    assert bool(flight.restarted) == (code == RESTART and "restart" in kinds)
     if not flight.record.alarms:
-        assert passed is not None, "a value passes whose alarm has no response"
+        assert passed is value and asked.accepted[-1:] == [0], "a value passes whose alarm has no response"
+
+
+@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("degraded", ["none", "hold"])
+def test_a_deadline_restarts_the_planner_or_degrades_whatever_is_selected(code, degraded):
+    flight = Flight()
+    flight.functions = replace(PLAIN, respond=lambda *arguments: code)
+    watching = Watch(flight, Never(hard=True), replace(ESCALATES, degraded=degraded), flight.restart)
+    for now in (0, 600_001):
+        watching(status(5, flag=True), now)
+    expected = ["restart"] if code == RESTART else [degraded] if code == DEGRADE and degraded != "none" else []
+    assert [alarm.action for alarm in flight.record.alarms] == expected
+    assert [kernel for kernel, *_ in flight.restarted] == (["planner"] if code == RESTART else [])
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_whatever_becomes_of_a_wait_only_one_that_has_begun_is_overdue(code):
+    flight = Flight()
+    flight.functions = replace(PLAIN, wait_for_path=lambda *arguments: code)
+    watching = Watch(flight, Never(hard=True), ESCALATES, flight.restart)
+    watching(status(5), 700_000)
+    assert flight.restarted == []
+
+
+class Nervous(Never):
+    """Alarms at every twentieth value of the mission computer."""
+
+    states, asked = None, 0
+
+    def start(self): ...
+
+    def check(self, state, now):
+        self.asked += state.spec.stage in PPC_STAGES
+        alarms = state.spec.stage in PPC_STAGES and self.asked % 20 == 0
+        return Alarm("d", state.spec.stage.value, hard=True) if alarms else None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("name", ["gaussian", "recommended"])
+def test_a_flight_ends_whatever_response_is_selected(name, code):
+    bare = MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+    mission = with_keys_of(bare, name)
+    faulty, asked = replace(PLAIN, respond=lambda *arguments: code), Nervous(hard=True)
+    flown = fly(resolve(mission), None, asked, recovery=Recovery.of(mission), functions=faulty)
+    assert isinstance(flown.log.status, MissionStatus) and asked.asked > 100
