@@ -84,9 +84,8 @@ def headline(bench: Path, page: str = "leaderboard") -> str:
             continue
         own = {entry["arm"]: entry for entry in found.entries()}
         if all(arm in own for arm in (PAPERS, PAPERS_OTHER, OURS)):
-            back = (own[arm]["back"] for arm in (PAPERS, PAPERS_OTHER, OURS))
-            cells = (f"{one.successes} ({100 * one.rate:.0f} %)" for one in back)
-            lines.append(f"| {where} | {own[OURS]['lost']} | {' | '.join(cells)} |")
+            lost, back = own[OURS]["lost"], (own[arm]["back"] for arm in (PAPERS, PAPERS_OTHER, OURS))
+            lines.append(f"| {where} | {lost} | {' | '.join(_share(one, lost) for one in back)} |")
     if len(lines) == 2:
         raise BadInputError(f"{bench}: no part was flown with {PAPERS}, {PAPERS_OTHER} and {OURS}; needed: one")
     return "\n".join([
@@ -96,6 +95,12 @@ def headline(bench: Path, page: str = "leaderboard") -> str:
         f"that lose most missions. [Leaderboard](docs/generated/{page}.md), with intervals; "
         "[five rules](docs/engineers.md) for a stack of your own.",
     ])  # fmt: skip
+
+
+def _share(back: Rate, lost: int) -> str:
+    """E.g. "3 (50 %)"; with the number of which, if not all lost missions can be compared."""
+    share = "—" if back.rate is None else f"{100 * back.rate:.0f} %"
+    return f"{back.successes}{'' if back.n == lost else f' of {back.n}'} ({share})"
 
 
 def _row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:

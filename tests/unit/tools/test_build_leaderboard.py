@@ -1,5 +1,6 @@
 """The worth of each rule is that of the ledgers; bad input is one line."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,6 +56,25 @@ def test_the_headline_counts_what_comes_back(bench):
         "| an instruction of the planner | 1 | 0 (0 %) | 0 (0 %) | 1 (100 %) |",
     ]
     assert not any("remembers" in line for line in lines), "not flown"
+
+
+def test_the_headline_says_of_how_many_where_a_scheme_moves_the_faults(monkeypatch):
+    arms = ("gaussian", "recommended", "autoencoder")
+    kernel = replace(INSTRUCTION, kernel="rrt_connect")
+    own = [golden(seed, arm=arm) for seed in (1, 2) for arm in ("", *arms)]
+    own += [injected(seed, died(success=False), kernel, target="rrt_connect") for seed in (1, 2)]
+    for seed, arm in itertools.product((1, 2), arms):
+        end = flown(time_s=0.4) if (seed, arm) == (1, "gaussian") else died(success=arm == "recommended")
+        own.append(injected(seed, end, kernel, arm=arm, target="rrt_connect"))
+
+    def stored(folder):
+        if folder.name != "instruction":
+            raise BadInputError("no ledger")
+        return runs(*own)
+
+    monkeypatch.setattr(build_leaderboard, "load", stored)
+    line = "| an instruction of the planner | 2 | 0 of 1 (0 %) | 0 (0 %) | 2 (100 %) |"
+    assert line in headline(Path("bench")).splitlines()
 
 
 def test_a_bench_without_any_level_has_no_headline(monkeypatch):

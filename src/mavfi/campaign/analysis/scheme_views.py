@@ -117,7 +117,14 @@ _COUNTED = (
     m.count("pairs", "faults", kind=PAIR), m.count("lost", "lost", LOST),
     _lost_by("dr_success", "back", "brought back"),
 )  # fmt: skip
-_TESTED = (*_COUNTED, Measure("p", "p", "number .2g", lambda own: _mcnemar(own).p_value))
+_P = Measure("p", "p", "number .2g", lambda own: _mcnemar(own).p_value)
+_TESTED = (*_COUNTED, _P)
+_TESTED_CALLS = (
+    *_COUNTED[:2], _lost_by("dr_success", "back", "brought back", _SAME_VALUE),
+    replace(_P, of=lambda own: _mcnemar(own.where(_SAME_VALUE)).p_value),
+    _lost_by("dr_success", "died_back", "died, back", _SAME_VALUE, DIED),
+    _lost_by("dr_success", "sdc_back", "sdc, back", _SAME_VALUE, ~DIED),
+)  # fmt: skip
 _LOST_UNDER = Measure(
     "lost_under", "lost under it", NUMBER,
     lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
@@ -177,17 +184,14 @@ register(
     ),
     View(
         "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
-        (
-            *_TESTED, _lost_by("dr_success", "died_back", "died, back", DIED),
-            _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM_OF_CALLS, *_ALARMS,
-        ),
+        (*_TESTED_CALLS, *_HARM_OF_CALLS, *_ALARMS),
         where=against_base, headings=("scheme",),
         notes=lambda runs: (
             *_NOTES, *_ranking(runs), "died / sdc: the kernel died of the fault, or continued with a wrong value",
             "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
-            "latencies (duplicate), that call computes something else. Same value injected: faults that meet the same "
-            "value at the same instant; only it lost counts these and golden flights. Else compare lost with lost "
-            "under it", ONE_FAULT,
+            "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
+            "faults that meet the same value at the same instant; brought back, p and only it lost count these alone, "
+            "and golden flights. Lost under it counts all", ONE_FAULT,
         ),
         applies=lambda runs: _schemes_on(runs, INSTRUCTION), by_name=True,
     ),

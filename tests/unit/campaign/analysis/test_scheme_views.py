@@ -83,14 +83,15 @@ def test_at_instruction_level_what_died_stands_apart():
 
 
 def test_at_instruction_level_a_fault_that_meets_another_value_is_not_the_schemes_harm():
-    own = [golden(seed, arm=arm) for seed in (1, 2, 3) for arm in ("", "one")]
+    own = [golden(seed, arm=arm) for seed in (1, 2, 3, 4) for arm in ("", "one")]
     elsewhere = flown(success=False, time_s=0.4)
     own += [
         *pair(1, flown(), LOST, fault=INSTRUCTION), *pair(2, flown(), elsewhere, fault=INSTRUCTION),
-        *pair(3, LOST, elsewhere, fault=INSTRUCTION),
+        *pair(3, LOST, elsewhere, fault=INSTRUCTION), *pair(4, LOST, flown(time_s=0.4), fault=INSTRUCTION),
     ]  # fmt: skip
     entry = row(runs(*own), "schemes_instructions")
-    assert (entry["pairs"], entry["same_value"], entry["newly_lost"], entry["lost_under"]) == (3, 1, 1, 3)
+    assert (entry["pairs"], entry["same_value"], entry["newly_lost"], entry["lost_under"]) == (4, 1, 1, 3)
+    assert (entry["lost"], entry["back"].n, entry["sdc_back"].n, entry["p"]) == (2, 0, 0, 1.0), "nor its merit"
     assert row(runs(*own), "schemes")["newly_lost"] == 2
 
 
