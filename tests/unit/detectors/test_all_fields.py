@@ -7,12 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.detectors import load_detector, training
-from mavfi.detectors.conformal import conformal_limit
+from mavfi.detectors.conformal import conformal_limit, fit_conformal
 from mavfi.detectors.cusum import add
 from mavfi.detectors.everything import CodeRecorder, Codes, Everything, codes_are_whole
+from mavfi.detectors.features import REGIMES
 from mavfi.detectors.parts import NOT_FINITE
 from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import of_all_fields
+from mavfi.detectors.samples import Sample
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly as fly_mission
 from mavfi.mission import MissionStatus
@@ -279,7 +281,7 @@ def test_a_small_deviation_that_lasts_is_found_where_a_limit_does_not_see_it(fol
         (_drifted(state, 0.012) if number > at and state.spec.name == "planning.waypoint" else state, time_us)
         for number, (state, time_us) in enumerate(events)
     ]
-    assert len(fly(load("cusum", folder), drifting)) >= len(fly(load("limits", folder), drifting))
+    assert len(fly(load("cusum", folder), drifting)) > 0 == len(fly(load("limits", folder), drifting))
 
 
 def _drifted(state, step):
@@ -304,3 +306,28 @@ def test_coverage_of_every_exchangeable_set_is_at_least_one_minus_alpha(scores, 
         for left, score in enumerate(scores)
     ]
     assert sum(exceeded) <= alpha * len(scores) + 1e-9
+
+
+def exchangeable(seed, everything, flights=300, each=12):
+    """Publications of one state whose codes have another spread in each regime, in flights of equal length."""
+    random, slot = np.random.default_rng(seed), everything.slots["planning.waypoint"]
+    count = flights * each
+    regimes = random.integers(0, REGIMES, count)
+    vectors = np.zeros((count, len(everything.fields)), np.int16)
+    own = slice(*everything.range_of(slot))
+    vectors[:, own] = random.normal(0.0, 50.0 * (1 + regimes[:, None]), (count, own.stop - own.start))
+    return Sample(vectors, np.full(count, slot), regimes, np.arange(count) % each == 0), own, slot
+
+
+def test_each_regime_has_the_coverage_that_was_asked_for():
+    everything, alpha = Everything("published"), 0.05
+    sample, own, slot = exchangeable(1, everything)
+    found = {name: np.array(value) for name, value in fit_conformal(sample, everything, alpha).items()}
+    fresh, *_ = exchangeable(2, everything, flights=2000)
+    for regime in range(REGIMES):
+        codes = fresh.vectors[fresh.regimes == regime, own].astype(float)
+        scores = (np.abs(codes - found["centre"][own, regime]) / found["scale"][own, regime]).max(axis=1)
+        share = (scores > found["limit"][slot, regime]).mean()
+        assert 0.5 * alpha < share < 1.5 * alpha, (regime, share)
+    others = {found["limit"][slot, regime] * found["scale"][own, regime].mean() for regime in range(REGIMES)}
+    assert max(others) > 2 * min(others), "a limit of its own for each regime"
