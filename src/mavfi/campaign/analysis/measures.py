@@ -206,8 +206,8 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 def against_fi(runs: Runs) -> Runs:
     """Join runs in `fi` with the runs of the same faults in every other setting; unpaired runs are excluded.
 
-    Columns of the other setting have the prefix `dr_`: success, status, inflation, detected, time_s, before.  The
-    success in `fi` is `fi_success`.
+    Columns of the other setting have the prefix `dr_`: success, status, inflation, detected, alarm_after_s, time_s,
+    before.  The success in `fi` is `fi_success`.
     """
     judged, pair = runs.injected.where("judged"), ["environment", "target", "index"]
     alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
@@ -221,6 +221,7 @@ def against_fi(runs: Runs) -> Runs:
         dr_status="status",
         dr_inflation="inflation",
         dr_detected="detected_at_site",
+        dr_alarm_after_s="alarm_after_s",
         dr_time_s="time_s",
         dr_before="before",
     )

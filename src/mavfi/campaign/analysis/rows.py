@@ -40,7 +40,7 @@ SCHEMA: dict[str, Any] = {
     "tilt": _REAL, "attitude_error": _REAL, "velocity_error": _REAL, "yaw_rate_error": _REAL,
     "flight_time_s": _REAL, "energy_j": _REAL, "distance_m": _REAL, "replans": _INT, "time_limit_s": _REAL,
     "course_m": _REAL, "golden_flight_time_s": _REAL, "inflation": _REAL, "energy_inflation": _REAL,
-    "detected_at_site": _FLAG, "detected_downstream": _FLAG, "alarms_total": _INT,
+    "detected_at_site": _FLAG, "detected_downstream": _FLAG, "alarm_after_s": _REAL, "alarms_total": _INT,
     "digest": _TEXT, "wall_s": _REAL, "note": _TEXT, "reason": _TEXT,
 }  # fmt: skip
 """Columns of the frame and their types."""
@@ -205,17 +205,21 @@ def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
 
 
 def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
-    """Whether an alarm is on the corrupted publication, and whether an alarm absent in the golden run follows it."""
+    """Whether an alarm is on the corrupted publication, and when an alarm absent in the golden run follows it."""
     instants = [injection.time_s for injection in record.injections if injection.activated]
     known = set() if own is None else _instants_of(own.alarms)
     at_site = any(
         alarm.state == state and abs(alarm.time_s - time_s) < INSTANT for alarm in record.alarms for time_s in instants
     )
-    downstream = any(
-        -INSTANT < alarm.time_s - time_s <= AFTERMATH and not _instants_of([alarm]) <= known
-        for alarm in record.alarms for time_s in instants
-    )  # fmt: skip
-    return {"detected_at_site": at_site, "detected_downstream": downstream}
+    after = [
+        max(0.0, alarm.time_s - time_s) for alarm in record.alarms for time_s in instants
+        if alarm.time_s - time_s > -INSTANT and not _instants_of([alarm]) <= known
+    ]  # fmt: skip
+    first = min(after, default=None)
+    return {
+        "detected_at_site": at_site, "detected_downstream": first is not None and first <= AFTERMATH,
+        "alarm_after_s": first,
+    }  # fmt: skip
 
 
 def _instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:

@@ -75,23 +75,24 @@ def test_a_death_is_a_lost_mission_only_where_missions_end_with_it():
 
 
 @pytest.mark.parametrize(
-    ("alarms", "twins", "at_site", "downstream"),
+    ("alarms", "twins", "at_site", "downstream", "after"),
     [
-        ([alarm(0.3)], [], True, True),
-        ([alarm(0.1 + 0.2)], [], True, True),  # 0.30000000000000004: the same microsecond
-        ([alarm(0.3 - 1e-9)], [], True, True),
-        ([alarm(0.3, "control.command")], [], False, True),
-        ([alarm(0.4, "control.command")], [alarm(0.4, "control.command")], False, False),
-        ([alarm(0.4)], [], False, True),
-        ([alarm(1.4), alarm(0.2)], [], False, False),
-        ([], [], False, False),
+        ([alarm(0.3)], [], True, True, 0.0),
+        ([alarm(0.1 + 0.2)], [], True, True, 0.0),  # 0.30000000000000004: the same microsecond
+        ([alarm(0.3 - 1e-9)], [], True, True, 0.0),
+        ([alarm(0.3, "control.command")], [], False, True, 0.0),
+        ([alarm(0.4, "control.command")], [alarm(0.4, "control.command")], False, False, None),
+        ([alarm(0.4)], [], False, True, 0.1),
+        ([alarm(1.4), alarm(0.2)], [], False, False, 1.1),
+        ([], [], False, False, None),
     ],
 )
-def test_only_alarms_on_the_corrupted_publication_detect_the_fault(alarms, twins, at_site, downstream):
+def test_only_alarms_on_the_corrupted_publication_detect_the_fault(alarms, twins, at_site, downstream, after):
     own = runs(golden(1), golden(1, replace(GOLDEN, alarms=tuple(twins)), arm="g"),
                injected(1, flown(alarms=alarms), arm="g"))  # fmt: skip
     [found] = own.injected
     assert (found["detected_at_site"], found["detected_downstream"]) == (at_site, downstream)
+    assert found["alarm_after_s"] == (None if after is None else pytest.approx(after))
 
 
 def test_sites_of_every_level():
