@@ -12,6 +12,8 @@ import sys
 
 from mavfi.campaign.overheads import ALL, Cost, cost
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import MissionSpec
 from tools.markers import DOCS, between
 from tools.processors import with_others
@@ -19,9 +21,10 @@ from tools.processors import with_others
 PAGE = DOCS / "models.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
 DETECTORS = (
-    ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0), ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0),
-    ("autoencoder", "tuned", 5.0), ("limits", "paper", 5.0), ("autoencoder_all", "paper", 5.0), ("cusum", "paper", 5.0),
-    ("conformal", "paper", 5.0), ("checksum", "paper", None),
+    ("recommended", "paper", 1.0), ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0),
+    ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0), ("autoencoder", "tuned", 5.0), ("limits", "paper", 5.0),
+    ("autoencoder_all", "paper", 5.0), ("cusum", "paper", 5.0), ("conformal", "paper", 5.0),
+    ("checksum", "paper", None),
 )  # fmt: skip
 """Detector, profile, and the largest share of the kernels' time that is wanted (%); None = none is."""
 
@@ -32,10 +35,11 @@ def row(autopilot: str, name: str, profile: str, bar: float | None, costs: list[
     shares = sorted(100 * one.detection[ALL] / one.kernels for one in costs)
     middle = statistics.median(shares)
     redone = 100 * statistics.mean(one.recomputed for one in costs)
+    kept = 100 * statistics.median(one.recovery[ALL] / one.kernels for one in costs)
     verdict = "–" if bar is None else f"{bar:g}: {'met' if middle <= bar else 'not met'}"
     return (
         f"| `{name}`, `{profile}` | `{autopilot}` | {each:.2f} | {middle:.2f} ({shares[0]:.2f} – {shares[-1]:.2f}) | "
-        f"{verdict} | {redone:.2f} |"
+        f"{verdict} | {kept:.2f} | {redone:.2f} |"
     )
 
 
@@ -52,11 +56,13 @@ def table(costs: dict[tuple[str, str, str], list[Cost]], flights: int, repeats: 
     lines = [
         f"{flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), {repeats} repeats, detectors in turn; "
         f"load {os.getloadavg()[0]:.1f}. Golden flights, one process; the kernels take {times} of a flight, their "
-        "Python included. Medians of flights, in brackets smallest and largest.",
+        "Python included. Medians of flights, in brackets smallest and largest. Detection is what is wanted below the "
+        "bar; recovery is, apart from repeated steps, the memory of kernels that is saved before each step, whatever "
+        "the detector, each with the time of two clock readings.",
         "",
         "| detector | autopilot profile | µs per publication | share of the kernels' time (%) "
-        "| wanted (%) | recomputed, modelled (%) |",
-        "|---|---|---|---|---|---|",
+        "| wanted (%) | recovery (%) | recomputed, modelled (%) |",
+        "|---|---|---|---|---|---|---|",
     ]
     return "\n".join([*lines, *(row(*key, bars[key[1:]], own) for key, own in costs.items())])
 
@@ -71,8 +77,8 @@ def main() -> None:
     for repeat in range(-1, repeats):  # repeat -1 compiles, or loads the cache
         for environment, seed in missions if repeat >= 0 else missions[:1]:
             for autopilot, name, profile in costs:
-                scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=autopilot))
-                found = cost(scenario, name, profile)
+                mission = with_keys_of(MissionSpec(environment=environment, seed=seed, autopilot=autopilot), name)
+                found = cost(resolve(mission), name, profile, recovery=Recovery.of(mission))
                 if repeat >= 0:
                     costs[autopilot, name, profile].append(found)
         sys.stderr.write(f"\r{repeat + 1} of {repeats} repeats")

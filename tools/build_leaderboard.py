@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 from mavfi.api import load, table
+from mavfi.campaign.analysis.flight_views import TOTAL
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.bench import FOLDER, ROWS, load_bench
 from mavfi.errors import BadInputError
@@ -28,7 +29,8 @@ RULES = {
 }  # fmt: skip
 """Rule of the page that protects each site of the part `sites`."""
 LEVELS = {
-    "sites": "a value that one kernel hands to another",
+    "state": "a value that one kernel hands to another, any field",
+    "sites": "the same, the fields and bits that lose most",
     "instruction": "an instruction of the planner",
     "memory": "what a node remembers",
 }
@@ -91,10 +93,22 @@ def headline(bench: Path, page: str = "leaderboard") -> str:
     return "\n".join([
         "**And what brings them back?** Missions lost to one flipped bit, and how many of them a detector saves:",
         "", *lines, "",
-        "`recommended` consists of rules of physics and protocol; nothing is trained. Fields and kernels are those "
-        f"that lose most missions. [Leaderboard](docs/generated/{page}.md), with intervals; "
-        "[five rules](docs/engineers.md) for a stack of your own.",
+        f"{_alarms(bench)}`recommended` consists of rules of physics and protocol; nothing is trained. "
+        f"[Leaderboard](docs/generated/{page}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
+        "own.",
     ])  # fmt: skip
+
+
+def _alarms(bench: Path) -> str:
+    """A sentence with the false alarms of the same schemes on golden flights; "" if these were not flown."""
+    try:
+        every = table(load(bench / "golden"), "false_alarms").entries()
+    except BadInputError:
+        return ""
+    rates = {entry["setting"]: entry["per_hour"] for entry in every if entry["environment"] == TOTAL[1]}
+    known = [(arm, rates[f"golden_{arm}"]) for arm in (PAPERS, PAPERS_OTHER, OURS) if f"golden_{arm}" in rates]
+    told = ", ".join(f"{one.per_hour:.1f} [{one.low:.1f}, {one.high:.1f}] (`{arm}`)" for arm, one in known)
+    return f"False alarms per hour of flight without a fault: {told}. "
 
 
 def _share(back: Rate, lost: int) -> str:

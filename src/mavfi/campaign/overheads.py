@@ -19,7 +19,7 @@ from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import SCANNING, Action
+from mavfi.hosts.loop.recovery import INLINE, SCANNING, Action, Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 from mavfi.pipeline.ppc import build_pipeline
@@ -78,7 +78,9 @@ class _Clock:
         return self.seconds[key] / self.calls[key] if self.calls[key] else 0.0
 
 
-def cost(scenario: Scenario, name: str, profile: str, models_dir: Path | None = None) -> Cost:
+def cost(
+    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, recovery: Recovery = INLINE
+) -> Cost:  # fmt: skip
     """Fly a golden mission with a detector, then replay its publications to the detector.
 
     Raises:
@@ -95,7 +97,7 @@ def cost(scenario: Scenario, name: str, profile: str, models_dir: Path | None = 
 
     detector = detector_for(scenario, name, profile, models_dir)[0]
     loop = new_loop(scenario, make_kernels=build)
-    watch(loop, detector)
+    watch(loop, detector, recovery)
     repeated: Counter[tuple[str, str]] = Counter()
     recompute = loop.recompute
 
