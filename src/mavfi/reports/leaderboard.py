@@ -25,8 +25,8 @@ def leaderboard(tables: Mapping[str, Table], bench: str, scale: str, command: st
     flown = " · ".join(f"{name} {version}" for name, version in versions().items())
     parts = [
         f"# Leaderboard of {bench}",
-        "Detectors and recovery schemes, each flown on the same missions and the same faults.  The same table for a "
-        "detector of your own:",
+        "Detectors and recovery schemes, each flown on the same missions and the same faults.  The same tables for a "
+        "detector of your own (`--part sites` flies one part alone; all of them take hours at scale paper):",
         f"    {command}",
         f"Flown on {date.today().isoformat()} at scale {scale}: {flown}.",
         *map(markdown_table, tables.values()),
