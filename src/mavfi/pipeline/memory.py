@@ -106,8 +106,13 @@ class Remembers:
         return total.digest()
 
 
+_IMMUTABLE = frozenset((int, float, bool, str, bytes, type(None), State))
+
+
 def copied(value: Any) -> Any:  # noqa: ANN401
     """A deep copy of a plain value."""
+    if type(value) in _IMMUTABLE:
+        return value
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, list):
