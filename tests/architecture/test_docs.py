@@ -7,6 +7,7 @@ import pytest
 import typer
 
 from mavfi.cli.commands import app
+from mavfi.detectors.registry import detector_names
 from tests.architecture.source import ROOT
 from tools import build_pages
 
@@ -28,6 +29,11 @@ def test_written_pages_say_what_the_code_says():
 def test_generated_pages_name_the_command_that_writes_them(page):
     banner, target = re.match(r"(<!-- Written by `make ([a-z-]+)`; do not edit\. -->)\n\n# ", text(page)).groups()
     assert f"\n{target}: " in text(ROOT / "Makefile"), banner
+
+
+def test_every_detector_is_listed():
+    listed = [line.split("|")[1] for line in text(DOCS / "detectors.md").splitlines() if line.startswith("| `")][1:]
+    assert sorted(name for cell in listed for name in re.findall(r"`([^`]+)`", cell)) == sorted(detector_names())
 
 
 def test_every_page_is_listed():
