@@ -29,6 +29,10 @@ _HEALS_WITH_MEMORY = (
     "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
     "a map or a path that an earlier one did, nor a kernel that died"
 )
+_SHIFTED = (
+    "a fault names its call by number: after a false alarm, which repeats calls, it hits another value with the detector "
+    "than without; such pairs are in brought back and in newly lost alike"
+)
 STATE, MEMORY, INSTRUCTION, SENSOR = "state", "memory", "instruction", "sensor"
 TOTAL = ("environment", ALL)
 SETTING = ("environment", "setting")
@@ -183,6 +187,7 @@ register(
             f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
             "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
+            *((_SHIFTED,) if has(runs.injected, level=INSTRUCTION) else ()),
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
         ), applies=_compared,
     ),
