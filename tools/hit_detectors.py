@@ -36,7 +36,7 @@ def content(memory: Path, instructions: Path, recovery: Path) -> str:
     """The page."""
     first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
     second = section(instructions, "## Instructions of detectors", INSTRUCTIONS, ("failures_per_hour",))
-    third = section(recovery, "## Instructions of recovery", RECOVERY, ("failures_per_hour", "outcomes"))
+    third = section(recovery, "## Instructions of recovery", RECOVERY, ("failures_per_hour",))
     return f"{first}\n{second}\n{third}"
 
 
