@@ -29,8 +29,8 @@ RULES = {
 }  # fmt: skip
 """Rule of the page that protects each site of the part `sites`."""
 LEVELS = {
-    "state": "a value that one kernel hands to another, any field",
-    "sites": "the same, the fields and bits that lose most",
+    "state": "a value between kernels, all fields alike",
+    "sites": "a value between kernels, fields and bits that lose most",
     "instruction": "an instruction of the planner",
     "memory": "what a node remembers",
 }

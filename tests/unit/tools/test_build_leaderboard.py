@@ -53,9 +53,9 @@ def test_each_rule_has_its_faults(bench):
 def test_the_headline_counts_what_comes_back(bench):
     lines = headline(bench).splitlines()
     assert [line for line in lines if line.startswith("| a")] == [
+        "| a value between kernels, fields and bits that lose most | 6 | 1 (17 %) | 1 (17 %) | 6 (100 %) |",
         "| an instruction of the planner | 1 | 0 (0 %) | 0 (0 %) | 1 (100 %) |",
     ]
-    assert "| the same, the fields and bits that lose most | 6 | 1 (17 %) | 1 (17 %) | 6 (100 %) |" in lines
     assert not any("False alarms" in line for line in lines), "no golden flights"
     assert not any("remembers" in line for line in lines), "not flown"
 
