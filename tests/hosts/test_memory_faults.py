@@ -277,5 +277,5 @@ def test_faults_in_detectors_are_drawn_from_flights_with_them():
         draw_memory(mission(), MemoryRequest("acceptance", "nothing"), 3, watching)
     gated = r"autoencoder \(profile tuned\), gaussian \(profile tuned\)"
     for target, allowed in (("gaussian", "gaussian"), ("physics_gate", gated), ("recovery", "a det")):
-        with pytest.raises(BadInputError, match=f"{target}.*does not watch the mission; allowed: with {allowed}"):
+        with pytest.raises(BadInputError, match=f"{target}.*is not part of this mission; allowed: with {allowed}"):
             draw_memory(mission(), MemoryRequest(target), 3, None if target == "recovery" else watching)

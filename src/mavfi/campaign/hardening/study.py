@@ -118,6 +118,12 @@ class Study:
         return list(dict.fromkeys(own.resolve(spec).environment.name for spec in specs))
 
     @property
+    def studied(self) -> dict[str, tuple[int, int]]:
+        """First and last seed of its missions, by environment."""
+        seeds = self.campaign.seeds
+        return dict.fromkeys(self.worlds, (seeds.start, seeds.stop - 1))
+
+    @property
     def next_seeds(self) -> range:
         """The seeds after its own."""
         first = self.campaign.seeds.stop
@@ -181,9 +187,7 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
         for curve, step in advice.steps
         if len(curve.steps) > 1  # of the kernels to protect
     ]
-    seeds = study.campaign.seeds
-    studied = dict.fromkeys(study.worlds, (seeds.start, seeds.stop - 1))
-    return Plan(cpu=processor(), ledger=study.digest, studied=studied, functions=tuple(functions))
+    return Plan(cpu=processor(), ledger=study.digest, studied=study.studied, functions=tuple(functions))
 
 
 def planned_of(target: Target, step: Step, share: float | None = None) -> FunctionPlan:

@@ -1,6 +1,6 @@
 """A function as target of the choice: rates from injections, cross-validation, and what a summary says of it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -97,6 +97,7 @@ class Study:
     kernels: tuple[str, ...] = ("pid",)
     complete: bool = False
     selected: tuple[str, ...] = ("pid",)
+    studied: dict[str, tuple[int, int]] = field(default_factory=lambda: {"dense": (1, 2)})
 
 
 def test_a_summary_adds_up(target):
@@ -122,7 +123,9 @@ def test_a_plan_states_the_share_of_its_kernels_time(target):
     (other,) = targets_of({"pid": [see(smooth, [(np.ones(9, np.float32), np.zeros(9))])]})
     curves = Curve(target, 300.0, 0.2, steps), Curve(other, 100.0, 0.1, steps)  # two functions of a kernel
     advice = Advice(0.5, curves, (len(steps) - 1, 0))
-    planned, none = plan_of(Study(Study.Named()), [advice]).functions
+    plan = plan_of(Study(Study.Named()), [advice])
+    assert plan.studied == {"dense": (1, 2)}
+    planned, none = plan.functions
     assert planned.kind == "duplicate" and planned.share == 0.75 and planned.time == 1.4
     assert none.kind == "none" and not none.sites and none.predicted is None
 
