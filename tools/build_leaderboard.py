@@ -39,6 +39,10 @@ PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 SCORED = {"Detection at fixed rates of false alarms", "False alarms by regime"}
 """Sections that combine parts: a scheme that was not flown again keeps its rows."""
+_OF = re.compile(r"\d of \d")
+_MOVED = (
+    'Where a cell says "of", only faults count that hit the same value: the scheme\'s false alarms move the others. '
+)
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _PARTS = re.compile(r"(?: --part \S+)+")
@@ -90,10 +94,11 @@ def headline(bench: Path, page: str = "leaderboard") -> str:
             lines.append(f"| {where} | {lost} | {' | '.join(_share(one, lost) for one in back)} |")
     if len(lines) == 2:
         raise BadInputError(f"{bench}: no part was flown with {PAPERS}, {PAPERS_OTHER} and {OURS}; needed: one")
+    moved = _MOVED if any(map(_OF.search, lines)) else ""
     return "\n".join([
         "**And what brings them back?** Missions lost to one flipped bit, and how many of them a detector saves:",
         "", *lines, "",
-        f"{_alarms(bench)}`recommended` consists of rules of physics and protocol; nothing is trained. "
+        f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
         f"[Leaderboard](docs/generated/{page}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
         "own.",
     ])  # fmt: skip
