@@ -11,8 +11,6 @@ import statistics
 import sys
 
 from mavfi.campaign.overheads import ALL, Cost, cost
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import MissionSpec
 from tools.markers import DOCS, between
@@ -78,7 +76,7 @@ def main() -> None:
         for environment, seed in missions if repeat >= 0 else missions[:1]:
             for autopilot, name, profile in costs:
                 mission = with_keys_of(MissionSpec(environment=environment, seed=seed, autopilot=autopilot), name)
-                found = cost(resolve(mission), name, profile, recovery=Recovery.of(mission))
+                found = cost(mission, name, profile)
                 if repeat >= 0:
                     costs[autopilot, name, profile].append(found)
         sys.stderr.write(f"\r{repeat + 1} of {repeats} repeats")

@@ -64,7 +64,7 @@ def fly(
     asked = _spec(mission, options)
     spec = with_keys_of(asked, detector) if isinstance(detector, str) else asked
     scenario = resolve(spec)
-    watching, label = _watching(scenario, detector, profile, models)
+    watching, label = _watching(scenario, detector, profile, models, spec.trained_for)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
     if not isinstance(fault, str):
         return _fly_fault(own, fault, label, resolve(asked))
@@ -226,10 +226,10 @@ def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
 
 
 def _watching(
-    scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None
+    scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None, trained_for: str
 ) -> tuple[Detector | None, str]:
     allow_typed([detector])
     if not isinstance(detector, str):
         return detector, "" if detector is None else type(detector).__name__
-    loaded, model = detector_for(scenario, detector, profile, None if models is None else Path(models))
+    loaded, model = detector_for(scenario, detector, profile, None if models is None else Path(models), trained_for)
     return loaded, f"{detector} ({profile})" if model else detector

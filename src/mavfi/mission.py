@@ -131,6 +131,12 @@ class MissionSpec(Config):
         description="Copies of the detector, each with its own memory: of two, the alarm of either counts; of three, "
         "that of two.",
     )  # fmt: skip
+    trained_for: str = Field(
+        "",
+        pattern=r"^([^/\s]+/[^/\s]+)?$",
+        description="AUTOPILOT/PLATFORM whose model a trained detector uses, on whatever mission; by default the "
+        "mission's own, which must fit its planner and speed limit, too.",
+    )
     dead_node: DeadNode = Field(
         "fresh",
         description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
@@ -157,6 +163,8 @@ class MissionSpec(Config):
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "copies")
 """Mission keys that define the recovery from a detector's alarms, and how many copies vote on these."""
+OF_A_DETECTOR = (*RECOVERY, "trained_for")
+"""Mission keys without effect on a flight without a detector."""
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")
 _AUTOPILOT_OPTIONS = ("alarm",)
 

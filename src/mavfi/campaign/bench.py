@@ -172,8 +172,9 @@ def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None)
     for arm in arms_of(campaign):
         if arm.detector:
             scenario = next(iter(scenarios_of(campaign, [arm]).values()))
+            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
             try:
-                detector_for(scenario, arm.detector, arm.profile, models_dir)
+                detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for)
             except (NotInstalledError, SpecMismatchError) as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}

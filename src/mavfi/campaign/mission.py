@@ -95,10 +95,11 @@ def model_hashes(
     """
     found = {}
     for arm in (arm for arm in arms_of(campaign) if arm.detector):
-        copies = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides).copies
+        spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
         for environment in campaign.environments:
-            detector, model = detector_for(scenarios[environment, arm.name], arm.detector, arm.profile, models_dir)
-            replicated(detector, copies)  # refuses what it cannot copy
+            scenario = scenarios[environment, arm.name]
+            detector, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for)
+            replicated(detector, spec.copies)  # refuses what it cannot copy
             found[f"{environment}/{arm.name}" if campaign.parts else arm.name] = model
     return found
 
@@ -124,7 +125,7 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
     scenario = scenario or host.resolve(spec)
 
     def make() -> Detector:
-        detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir)
+        detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for)
         planned = model_of(plan.models, plan.environment, arm.name)
         if model != planned:
             raise SpecMismatchError(

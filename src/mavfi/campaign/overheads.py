@@ -19,9 +19,9 @@ from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import INLINE, SCANNING, Action, Recovery
+from mavfi.hosts.loop.recovery import SCANNING, Action, Recovery
 from mavfi.hosts.watching import detector_for
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State
 
@@ -78,13 +78,11 @@ class _Clock:
         return self.seconds[key] / self.calls[key] if self.calls[key] else 0.0
 
 
-def cost(
-    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, recovery: Recovery = INLINE
-) -> Cost:  # fmt: skip
+def cost(mission: MissionSpec, name: str, profile: str, models_dir: Path | None = None) -> Cost:
     """Fly a golden mission with a detector, then replay its publications to the detector.
 
     Raises:
-        BadInputError: The scenario cannot be flown, or the detector or its model does not exist.
+        BadInputError: The mission cannot be flown, or the detector or its model does not exist.
     """
     clock = _Clock()
 
@@ -95,9 +93,10 @@ def cost(
                 clock.timed(kernel, method)
         return built
 
-    detector = detector_for(scenario, name, profile, models_dir)[0]
+    scenario = resolve(mission)
+    detector = detector_for(scenario, name, profile, models_dir, mission.trained_for)[0]
     loop = new_loop(scenario, make_kernels=build)
-    watch(loop, detector, recovery)
+    watch(loop, detector, Recovery.of(mission))
     repeated: Counter[tuple[str, str]] = Counter()
     recompute = loop.recompute
 
@@ -205,12 +204,12 @@ def measure(
     rows: list[dict[str, Any]] = []
     for environment in campaign.environments:
         for name, arm in arms.items():
-            scenarios = [resolve(campaign.spec(environment, seed, arm.mission)) for seed in seeds]
+            flown = [campaign.spec(environment, seed, arm.mission) for seed in seeds]
             if not rows:  # warm-up: compiles, or reads the cache
-                cost(scenarios[0], arm.detector, arm.profile, models_dir)
+                cost(flown[0], arm.detector, arm.profile, models_dir)
             costs = []
-            for scenario in scenarios:
-                costs.append(cost(scenario, arm.detector, arm.profile, models_dir))
+            for mission in flown:
+                costs.append(cost(mission, arm.detector, arm.profile, models_dir))
                 done += 1
                 progress(done, total)
             rows += [{"environment": environment, "arm": name, "stage": stage, **_shares(costs, stage)}

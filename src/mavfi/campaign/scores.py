@@ -187,8 +187,9 @@ def _score(task: _Task) -> dict[str, _Kept]:
     """Fly a golden flight; returns the scores by arm."""
     scenario = resolve(task.mission)
     loaded = {
-        arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir)[0] for arm in task.arms
-    }  # fmt: skip
+        arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir, task.mission.trained_for)[0]
+        for arm in task.arms
+    }
     judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}
     scorer = _Scorer(judging, task.faults, scenario.autopilot.name)
     log = fly(scenario, recorders=[scorer]).log

@@ -15,7 +15,7 @@ from mavfi.cli import options
 from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, writing
-from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 OF_THE_PIPELINE = (
     "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
-    "epoch_liveness", "protection", *RECOVERY,
+    "epoch_liveness", "protection", *OF_A_DETECTOR,
 )  # fmt: skip
 _CLOCKS = ("real", "steps")
 

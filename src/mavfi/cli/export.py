@@ -156,7 +156,7 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
         return ArmSetup(scenario)
     spec = with_keys_of(request.mission, request.detector)
     resolved = resolve(spec)
-    watcher, _ = load_watcher(request.detector, request.profile, request.models, resolved)
+    watcher, _ = load_watcher(request.detector, request.profile, request.models, resolved, spec)
     return ArmSetup(resolved, None if watcher is None else lambda: watcher, Recovery.of(spec))
 
 

@@ -12,7 +12,7 @@ import typer
 from mavfi.cli import firmware, observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
@@ -74,7 +74,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         scenario = resolve(mission)
         if cold:
             _compile(scenario)
-        watching, label = load_watcher(detector, profile, models, scenario, mission.copies)
+        watching, label = load_watcher(detector, profile, models, scenario, mission)
         make = None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
@@ -173,7 +173,7 @@ def check_company(
         check_seed("--fault-seed", fault_seed)
         if fault is None:
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
-    given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in RECOVERY if _is_chosen(mission, key)}
+    given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in OF_A_DETECTOR if _is_chosen(mission, key)}
     for name, value in {"--profile": profile, "--models": models, **given}.items():
         if value is not None and detector == "none":
             raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
@@ -184,15 +184,18 @@ def _is_chosen(mission: MissionSpec, key: str) -> bool:
 
 
 def load_watcher(
-    name: str, profile: str | None, models: Path | None, scenario: Scenario, copies: int = 1
+    name: str, profile: str | None, models: Path | None, scenario: Scenario, mission: MissionSpec
 ) -> tuple[Detector | None, str]:
     """Load a detector; return it with its label (name, profile if it has one, and number of copies that vote)."""
     if name == "none":
         return None, ""
     from mavfi.hosts.watching import detector_for
 
-    detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models)
+    detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models, mission.trained_for)
+    if mission.trained_for and not model:
+        text = f"detector {name!r} is not trained; allowed: none given"
+        raise BadInputError(f"--trained-for: {mission.trained_for}: {text}")
     if profile is not None and not model:
         raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
     label = f"{name} ({profile or DEFAULT_PROFILE})" if model else name
-    return detector, f"{label}, {copies} copies" if copies > 1 else label
+    return detector, f"{label}, {mission.copies} copies" if mission.copies > 1 else label

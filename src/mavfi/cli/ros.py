@@ -84,7 +84,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.hosts.ros1.session import configure
 
     scenario = resolve(mission)
-    watching, label = load_watcher(detector, profile, models, scenario)
+    watching, label = load_watcher(detector, profile, models, scenario, mission)
     plan = Plan(
         scenario, configure(scenario), ros_nodes.drawn(scenario, request, fault_seed), watching, Recovery.of(mission),
         free_running, kills, cloud_node=cloud, register_faults=faults, forked=not new_interpreters,

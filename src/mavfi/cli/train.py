@@ -13,7 +13,7 @@ from rich.table import Table
 from mavfi.cli import options
 from mavfi.cli.console import check_folder, check_number, console, titled_table, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.statistics import EventRate
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 @partial(
-    options.with_mission_options, without=("environment", "seed", "start", "goal", "dead_node", "protection", *RECOVERY)
+    options.with_mission_options,
+    without=("environment", "seed", "start", "goal", "dead_node", "protection", *OF_A_DETECTOR),
 )
 def train(  # noqa: PLR0913 - one for each option
     mission: MissionSpec,

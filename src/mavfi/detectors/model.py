@@ -146,7 +146,8 @@ def check_fits(model: Model, stack: str, platform: str, v_max: float, planner: s
         if not _same(trained, wanted):
             raise SpecMismatchError(
                 f"model {model.name}: trained for {key} {trained!r}, used with {key} {wanted!r}; "
-                f"use {trained!r}, or train a model with `mavfi train`"
+                f"use {trained!r}, train a model with `mavfi train`, or fly with this one, --trained-for "
+                f"{model.provenance['stack']}/{model.provenance['platform']}"
             )
 
 

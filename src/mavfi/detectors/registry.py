@@ -164,7 +164,7 @@ def _config_of(name: str) -> DetectorConfig:
 
 def load_detector(
     name: str, profile: str, models_dir: Path | None, fits: Mapping[str, Any], *, policy: str | None = None,
-    gate: bool | None = None, sigmas: float | None = None,
+    gate: bool | None = None, sigmas: float | None = None, trained_for: str = "",
 ) -> tuple[Detector, str]:  # fmt: skip
     """A detector, ready to fly.
 
@@ -178,6 +178,7 @@ def load_detector(
         policy: Recovery policy, overrides the profile's.
         gate: Whether the physics gate checks first; None = as the profile says.
         sigmas: Overrides the paper's n of the model.
+        trained_for: "autopilot/platform" whose model is used, whether or not it fits; "" = that of `fits`.
 
     Returns:
         The detector, and the sha256 of its trained model ("" if it has none).
@@ -199,8 +200,11 @@ def load_detector(
     limits: MissionLimits | None = fits.get("limits")
     if kind is None:
         return _build(name, factory, *_needed(name, factory, fits), **_config_of(name).options), ""
-    path = (models_dir or SHIPPED_MODELS) / f"{model_name(fits['stack'], fits['platform'], str(kind), profile)}.json"
-    model = _load_model(path, str(kind), profile, fits, "--baselines " if getattr(factory, "extra", "") else "")
+    stack, _, platform = (trained_for or f"{fits['stack']}/{fits['platform']}").partition("/")
+    path = (models_dir or SHIPPED_MODELS) / f"{model_name(stack, platform, str(kind), profile)}.json"
+    model = _load_model(path, str(kind), profile, "--baselines " if getattr(factory, "extra", "") else "")
+    if not trained_for:
+        check_fits(model, *(fits[key] for key in FITTED_TO))
     try:
         detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
     except BadInputError as error:
@@ -210,17 +214,17 @@ def load_detector(
     return detector, model.sha256
 
 
-def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any], option: str) -> Model:
+def _load_model(path: Path, kind: str, profile: str, option: str) -> Model:
     if not is_file(path):
         shown = path.name if path.parent == SHIPPED_MODELS else path
         raise SpecMismatchError(
             f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
-            "--autopilot ... --platform ... --out FOLDER), then name the folder with --models"
+            "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
+            "or take another one with --trained-for"
         )
     model = Model.load(path)
     if (model.kind, model.profile) != (kind, profile):
         raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {kind}-{profile}")
-    check_fits(model, *(fits[key] for key in FITTED_TO))
     return model
 
 

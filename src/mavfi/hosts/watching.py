@@ -18,7 +18,7 @@ _ERROR_STEP = 0.6
 
 
 def detector_for(
-    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None
+    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, trained_for: str = ""
 ) -> tuple[Detector, str]:  # fmt: skip
     """Load a detector for a mission.
 
@@ -27,6 +27,8 @@ def detector_for(
         name: Entry point of the group mavfi.detectors, or "package:Class".
         profile: "paper" or "tuned".
         models_dir: Folder of trained models; None = the shipped models.
+        trained_for: "autopilot/platform" whose model is used though it was not trained for this mission; "" = the
+            mission's own, which must fit.
 
     Returns:
         The detector, and the SHA-256 of its trained model ("" for a detector without one).
@@ -44,7 +46,7 @@ def detector_for(
         "limits": limits_of(scenario, world),
         "seed": scenario.seed,
     }
-    return load_detector(name, profile, models_dir, fits)
+    return load_detector(name, profile, models_dir, fits, trained_for=trained_for)
 
 
 def with_keys_of(spec: MissionSpec, name: str) -> MissionSpec:

@@ -5,6 +5,8 @@ import pytest
 from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.bench import COLUMNS, Bench, checksum, entries, faults_of, frozen_faults, load_bench, with_only
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.mission import model_hashes, scenarios_of
+from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import run_campaign
 from mavfi.config import names, parse
 from mavfi.detectors.baselines import library
@@ -15,6 +17,10 @@ from mavfi.states import STATES
 from tests.unit.campaign.fakes import DETECTOR, small
 
 BENCH = load_bench("mavfi-bench-1")
+SLOW = BENCH.model_copy(
+    update={"parts": {"slow": BENCH.parts["sites"].model_copy(update={"mission": {"platform": "cortex-a57"}})}}
+)
+"""A bench on a computer that no detector was trained for."""
 LIBRARIES = set(of_all_fields(["bench"])) - set(of_all_fields())
 
 
@@ -27,9 +33,19 @@ def test_every_part_of_a_shipped_bench_can_be_flown():
 
 
 def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
-    found = entries(BENCH, "quick", parts=["cortex-a57"])["cortex-a57"]
+    found = entries(SLOW, "quick")["slow"]
     assert "no model is trained" in found.left_out["gaussian"]
     assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
+
+
+@pytest.mark.parametrize("part", ["cortex-a57", "rrt", "rrt-star", "other-profile"])
+def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_there_are(part):
+    found = entries(BENCH, "quick", parts=[part])[part]
+    arms = arms_of(found.campaign)
+    used = model_hashes(found.campaign, scenarios_of(found.campaign, arms), None)
+    trained = entries(BENCH, "quick", parts=["sites"])["sites"].campaign
+    assert used == model_hashes(trained, scenarios_of(trained, arms_of(trained)), None)
+    assert {"gaussian", "limits", "recommended"} <= set(used)
 
 
 def test_schemes_of_libraries_that_are_not_installed_are_left_out_with_the_reason(monkeypatch):
@@ -83,7 +99,7 @@ def test_what_there_is_not_is_refused(ask, message):
 
 def test_a_bench_that_nobody_can_fly_is_refused():
     with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
-        entries(with_only(BENCH, ["gaussian"]), "quick", parts=["cortex-a57"])
+        entries(with_only(SLOW, ["gaussian"]), "quick")
 
 
 def test_a_detector_that_watches_nothing_is_no_scheme():

@@ -104,10 +104,9 @@ def test_timed_methods_do_what_they_did():
 
 @pytest.mark.slow
 def test_a_flight_is_measured_by_stage():
-    from mavfi.hosts.loop.compose import resolve
     from mavfi.mission import MissionSpec
 
-    found = overheads.cost(resolve(MissionSpec(environment="sparse", seed=10_000)), "gaussian", "paper")
+    found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
     assert found.kernels > 0 and found.shown > 1000
     assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
     assert found.detection["control"] > found.detection["planning"], "it publishes most"

@@ -158,6 +158,12 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--profile", "tuned"], "--profile: tuned: nothing watches"),
         (["--models", "absent"], "--models: absent: nothing watches"),
         (["--detector", "mavfi.detectors.registry:NoDetector", "--profile", "tuned"], "has no profiles"),
+        (["--trained-for", "published/i9-9940x"], "--trained-for: published/i9-9940x: nothing watches"),
+        (["--trained-for", "published"], "--trained-for"),
+        (
+            ["--detector", "recommended", "--trained-for", "published/i9-9940x"],
+            "--trained-for: published/i9-9940x: detector 'recommended' is not trained",
+        ),
         (["--start", "5", "0", "3", "--goal", "5", "0", "3"], "goal (5, 0, 3): 0.00 m from the start"),
         (["--start", "5", "0", "3", "--goal", "6.9", "0", "3"], "1.90 m from the start"),
         (["--save", "flight.csv"], "--save: flight.csv: allowed ending: .npz"),

@@ -97,6 +97,16 @@ def test_profiles_and_models_that_are_not_there_are_named(model_folder, tmp_path
         load_detector("gaussian", "paper", model_folder, {**FITS, "v_max": 5.0})
 
 
+def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_path):
+    other = {**FITS, "platform": "slow", "planner": "rrt", "v_max": 5.0}
+    own = load_detector("gaussian", "paper", model_folder, FITS)[1]
+    assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == own
+    with pytest.raises(SpecMismatchError, match=r"hardened-none-gaussian-paper\.json: no model is trained"):
+        load_detector("gaussian", "paper", model_folder, FITS, trained_for="hardened/none")
+    with pytest.raises(SpecMismatchError, match="or fly with this one, --trained-for published/i9-9940x"):
+        load_detector("gaussian", "paper", model_folder, {**FITS, "planner": "rrt"})
+
+
 def test_a_model_of_another_kind_under_this_name_is_refused(model_folder, tmp_path):
     other = model_folder / "published-i9-9940x-gaussian-tuned.json"
     (tmp_path / "published-i9-9940x-gaussian-paper.json").write_bytes(other.read_bytes())
