@@ -153,8 +153,9 @@ sensors: setup  ## fly missions with failing sensors and motors, write docs/gene
 hit-detectors: setup  ## inject faults in detectors, copies and recovery, write docs/generated/hit-detectors.md
 	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
 	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
+	@$(BIN)/mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
-	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/recovery-instructions
+	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

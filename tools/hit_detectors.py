@@ -2,8 +2,9 @@
 
 mavfi campaign run detector_memory --scale paper --out out/detector-memory
 mavfi campaign run replicas --scale paper --out out/replicas
+mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
-python -m tools.hit_detectors out/detector-memory out/replicas out/recovery-instructions
+python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions
 """
 
 import sys
@@ -23,6 +24,10 @@ INSTRUCTIONS = (
     "Failures per flight hour count the instructions that copies add, which a share of harmful faults does not: "
     "[failures per flight hour](../models.md#failures-per-flight-hour)."
 )
+EVERY = (
+    "The same number of faults in each detector whose code is compiled, in the flight that it watches; "
+    "`gaussian_tuned` has the physics gate in front."
+)
 RECOVERY = (
     "One bit of the result of one instruction of recovery flips, drawn over all that it executes in a flight: it "
     "checks at every collision status whether the path that answers an alarm is overdue, and selects the response "
@@ -32,13 +37,16 @@ RECOVERY = (
 VIEWS = ("by_target", "outcomes")
 
 
-def content(memory: Path, instructions: Path, recovery: Path) -> str:
-    """The page."""
+def content(memory: Path, copies: Path, every: Path, recovery: Path) -> str:
+    """The page, from the ledgers of its four campaigns."""
     first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
-    second = section(instructions, "## Instructions of detectors", INSTRUCTIONS, ("failures_per_hour",))
-    third = section(recovery, "## Instructions of recovery", RECOVERY, ("failures_per_hour",))
-    return f"{first}\n{second}\n{third}"
+    rest = (
+        (copies, "## Instructions of detectors, alone and in copies", INSTRUCTIONS),
+        (every, "## Instructions of every detector", EVERY),
+        (recovery, "## Instructions of recovery", RECOVERY),
+    )
+    return "\n".join([first, *(section(ledger, title, text, ("failures_per_hour",)) for ledger, title, text in rest)])
 
 
 if __name__ == "__main__":
-    (GENERATED / "hit-detectors.md").write_text(content(*map(Path, sys.argv[1:4])), encoding="utf-8")
+    (GENERATED / "hit-detectors.md").write_text(content(*map(Path, sys.argv[1:5])), encoding="utf-8")

@@ -34,6 +34,8 @@ _SCAN_MARGIN = 5.0
 _WIDTH = 11.0
 _HANDLE, _LETTER, _ROW = 0.62, 0.066, 0.22
 """Approximate sizes of a legend entry: handle, letter, row (in)."""
+_TITLE_SIZE, _TITLE_LENGTH = 12.0, 100
+"""Size of the title (pt), and its length from which it is set smaller, to fit."""
 _SIDE_STRETCH = 1.6
 """Vertical exaggeration of the side view."""
 _SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
@@ -85,7 +87,7 @@ def draw_flight(
             for course in courses:
                 axes.plot(course.points[:, 0], course.points[:, index], **course.look)
         handles = [*map(_line, courses), *_draw_marks(figure, views, marks)]
-        _label(figure, views, flight, golden, recovered)
+        _label(figure, views, flight, _endings(courses, [golden, flight, recovered]))
         _legend(figure, handles, rows, known, flight.world)
         for axes, index in views:
             axes.set_xlim(lower[0], upper[0])
@@ -280,22 +282,17 @@ def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2
     return handles
 
 
-def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None, recovered: Flight | None) -> None:
+def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
     (above, _), (side, _) = views
     scenario = flight.log.meta["scenario"]
-    height = figure.get_figheight()
-    title = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
-    figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=12.5, fontweight="bold", va="center")
-    below = _ending(flight)
-    if recovered is not None:
-        below += f", with the detector {_ending(recovered)}"
-    if golden is not None:
-        below += f" (golden run {_ending(golden)})"
+    height, size = figure.get_figheight(), min(_TITLE_SIZE, _TITLE_SIZE * _TITLE_LENGTH / len(title))
+    figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=size, fontweight="bold", va="center")
+    below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     for injection in flight.log.injections:
         if injection.activated and injection.bit is not None:
             before, after = change(injection.before, injection.after, digits=4)
             what = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
-            below = f"{what}   ·   {below}"
+            below = f"{below}   ·   {what}"
     figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
     above.set_ylabel("y (m)")
     side.set_ylabel("z (m)")
@@ -306,11 +303,16 @@ def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None, 
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
 
 
+def _endings(courses: list[_Drawn], flights: list[Flight | None]) -> str:
+    """How each flight ended, by its label in the legend."""
+    shown = zip(courses, (flight for flight in flights if flight is not None), strict=True)
+    return " · ".join(f"{course.label}: {_ending(flight)}" for course, flight in shown)
+
+
 def _ending(flight: Flight) -> str:
-    """End time of a flight, with the status unless it succeeded."""
-    time = f"{flight.log.column('time')[-1]:.1f} s"
+    """How and when a flight ended."""
     success = flight.log.status is MissionStatus.SUCCESS
-    return time if success else f"{flight.log.status.words} at {time}"
+    return f"{'goal' if success else flight.log.status.words} at {flight.log.column('time')[-1]:.1f} s"
 
 
 def _line(course: _Drawn) -> Line2D:

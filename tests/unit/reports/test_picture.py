@@ -8,7 +8,7 @@ from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight_log import AlarmRecord
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.mission import MissionSpec
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.reports.picture import draw_flight
 
 SCAN = Path(__file__).parents[4] / "shared" / "data" / "geb079.bt"
@@ -41,6 +41,20 @@ def test_a_flight_with_a_fault_shows_more(flights, tmp_path):
     for label in ("golden run", "with the fault", "with the fault and detector gaussian", "injection"):
         assert f"<!-- {label} -->" in both
     assert "<!-- injection -->" not in alone
+
+
+def test_the_title_says_how_each_flight_ended(flights, tmp_path):
+    golden, injected = flights
+    end = f"{golden.log.column('time')[-1]:.1f} s"
+    title = "<!-- golden run: goal at {0} · with the fault: {1} · with the fault and detector gaussian: goal at {0} -->"
+    words_of = injected.log.status.words
+    injected.log.status = MissionStatus.COLLISION
+    try:
+        text = words(draw_flight(tmp_path / "title.svg", injected, golden, golden, detector="gaussian"))
+    finally:
+        injected.log.status = next(one for one in MissionStatus if one.words == words_of)
+    assert title.format(end, f"collision at {injected.log.column('time')[-1]:.1f} s") in text
+    assert f"<!-- flight: goal at {end} -->" in words(draw_flight(tmp_path / "one.svg", golden))
 
 
 def test_a_watched_flight_is_labelled_and_its_alarms_are_marked(flights, tmp_path):

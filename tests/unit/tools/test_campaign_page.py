@@ -1,11 +1,14 @@
 """Pages of campaigns: the header, findings and tables of a ledger, under a command that there is."""
 
+from pathlib import Path
+
 import pytest
 
 from mavfi.campaign.config import load_campaign
 from mavfi.hosts.loop.recovery import BACK_OFF, MOST_RESTARTS, RESTART_US
+from tests.unit.campaign.analysis.test_failure_views import campaign as failures
 from tests.unit.campaign.analysis.test_scheme_views import lasting_scenario
-from tools import campaign_page, lasting_faults, sensor_faults
+from tools import campaign_page, hit_detectors, lasting_faults, sensor_faults
 from tools.markers import ROOT
 
 
@@ -24,6 +27,31 @@ def test_each_page_has_a_target_and_a_link(tool, target):
     lines = (ROOT / "Makefile").read_text(encoding="utf-8").split(f"\n{target}: setup")[1].split("\n\n")[0]
     assert f"python -m {tool.__name__} out/{target}" in lines and f"campaign run {target} --scale paper" in lines
     assert f"](generated/{target}.md)" in (ROOT / "docs" / "fault-model.md").read_text(encoding="utf-8")
+
+
+def test_the_page_of_faults_in_detectors_has_a_section_for_each_of_its_campaigns(monkeypatch):
+    memory, copies, every, recovery = (Path(name) for name in ("memory", "copies", "every", "recovery"))
+    flown = {memory: lasting_scenario(), **dict.fromkeys((copies, every, recovery), failures())}
+    monkeypatch.setattr(campaign_page, "load", flown.__getitem__)
+    monkeypatch.setattr(hit_detectors, "VIEWS", ("schemes_by_duration",))
+    page = hit_detectors.content(memory, copies, every, recovery)
+    titles = [line for line in page.splitlines() if line.startswith("#")]
+    tables = ["## Failures per flight hour by setting and kernel"]
+    assert titles[0] == "# Faults in detectors"
+    assert titles[2:] == [
+        "## Instructions of detectors, alone and in copies", *tables, "## Instructions of every detector", *tables,
+        "## Instructions of recovery", *tables,
+    ]  # fmt: skip
+    assert page.count("| sparse | fi | pid |") == 3
+
+
+def test_the_campaigns_of_faults_in_detectors_are_those_of_its_target():
+    lines = (ROOT / "Makefile").read_text(encoding="utf-8").split("\nhit-detectors: setup")[1].split("\n\n")[0]
+    flown = [line.split()[3] for line in lines.splitlines() if "campaign run" in line]
+    assert flown == ["detector_memory", "replicas", "detector_instructions", "recovery_instructions"]
+    outs = [line.split("--out ")[1] for line in lines.splitlines() if "campaign run" in line]
+    assert f"python -m tools.hit_detectors {' '.join(outs)}" in lines
+    assert load_campaign("detector_instructions").sampling.level == "instruction"
 
 
 def test_every_duration_is_flown_with_every_group_of_fields():

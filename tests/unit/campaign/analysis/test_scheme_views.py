@@ -4,6 +4,7 @@ import pytest
 from scipy.stats import binomtest
 
 from mavfi.campaign.analysis import VIEWS
+from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.sensor.fault import SensorFault
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, alarm, died, flown, golden, injected, runs
 
@@ -35,10 +36,17 @@ def test_what_is_lost_and_what_comes_back():
     assert (found["back"].successes, found["back"].n) == (1, 2)
     assert (found["late_in_time"].successes, found["late_in_time"].n) == (1, 1)
     assert (found["detected"].successes, found["detected"].n) == (1, 2)
-    notes = VIEWS["schemes"].table(runs(*scenario())).notes
-    assert any(note.startswith("in 2 of 2 lost missions the fault is in a field") for note in notes)  # way-points
     assert found["newly_lost"] == 1
     assert found["p"] == 1.0, "one mission only with the scheme, one only without"
+
+
+def test_what_comes_back_of_faults_in_monitored_fields():
+    epoch = StateFault(FaultSite("planning.path", "future_collision_seq"), 1, 3)
+    faults = [*pair(1, LOST, flown()), *pair(2, LOST, LOST), *pair(3, LOST, flown(), fault=epoch)]
+    own = [golden(seed, arm=arm) for seed in range(1, 4) for arm in ("", "one")]
+    found = row(runs(*own, *faults))
+    assert (found["back"].successes, found["back"].n) == (2, 3)
+    assert (found["back_monitored"].successes, found["back_monitored"].n) == (1, 2), "only way-points are monitored"
 
 
 def test_the_p_value_is_that_of_the_binomial_test_of_discordant_pairs():
