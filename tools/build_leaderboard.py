@@ -11,6 +11,7 @@ import csv
 import re
 import shutil
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 from mavfi.api import load, table
@@ -154,11 +155,15 @@ def publish(page: str, scale: str) -> None:
                 csv.writer(file, lineterminator="\n").writerows(rows)
 
 
-def with_earlier(page: str, earlier: str) -> str:
-    """The page in the order of an earlier one, whose sections remain where it lacks them, each with its date."""
+def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
+    """The page in the order of an earlier one, whose sections remain where it lacks them, each with its date.
+
+    Sections of neither the page nor `titles` are dropped: their part has gone, or has another title.
+    """
     top, new = _divided(page)
     head, old = _divided(earlier.partition("\n![")[0].partition(FOOTER)[0])
     flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
+    old = {title: rest for title, rest in old.items() if title in titles or title in new}
     for title, rest in old.items():
         old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
     for title in SCORED & old.keys() & new.keys():
@@ -213,7 +218,8 @@ def main(arguments: list[str]) -> int:
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = _PARTS.sub("", page)  # of the command for a detector of one's own: the page has all parts
-        page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "")
+        titles = {part.title for part in load_bench(NAME).parts.values()} | SCORED
+        page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "", titles)
         freeze(bench, scale)
         publish(page, scale)
     except (BadInputError, OSError) as error:

@@ -120,12 +120,14 @@ def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
 
 def test_sections_that_were_not_flown_again_remain_with_their_date():
     earlier = "top\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n- n\n\n## b\n\n| 2 |\n\n![picture](p.png)\n"
-    page = with_earlier("top\n\nFlown on 2.\n\n## c\n\n| 5 |\n\n## b\n\n| 3 |\n", earlier)
+    page = with_earlier("top\n\nFlown on 2.\n\n## c\n\n| 5 |\n\n## b\n\n| 3 |\n", earlier, "abc")
     assert page == "top\n\nFlown on 2.\n\n## a\n\nFlown on 1.\n\n| 1 |\n\n- n\n\n## b\n\n| 3 |\n\n## c\n\n| 5 |\n"
-    assert with_earlier(page, "") == page
-    again = with_earlier("top\n\nFlown on 3.\n\n## b\n\n| 4 |\n", page)
+    assert with_earlier(page, "", "abc") == page
+    again = with_earlier("top\n\nFlown on 3.\n\n## b\n\n| 4 |\n", page, "abc")
     assert "## a\n\nFlown on 1.\n\n| 1 |" in again and "## c\n\nFlown on 2." in again and "| 3 |" not in again
     assert again.count("Flown on") == 3
+    renamed = with_earlier("top\n\nFlown on 3.\n\n## d\n\n| 4 |\n", page, "bc")
+    assert "## a" not in renamed and all(f"## {title}" in renamed for title in "bcd"), "no part has the title a"
 
 
 def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
@@ -134,12 +136,12 @@ def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
         return f"top\n\nFlown on {day} at scale paper.\n\n## False alarms by regime\n\n{table}\n\n- note\n"
 
     first = page(1, "| a | x |", "|  | y |", "| b | x |", "|  | y |")
-    second = with_earlier(page(2, "| b | X |", "|  | Y |", "| c | X |"), first)
+    second = with_earlier(page(2, "| b | X |", "|  | Y |", "| c | X |"), first, ())
     assert second.endswith("| b | X |\n|  | Y |\n| c | X |\n| a | x |\n|  | y |\n\n- note\n- a: flown on 1\n")
-    third = with_earlier(page(3, "| c | 3 |"), second)
+    third = with_earlier(page(3, "| c | 3 |"), second, ())
     assert "| c | 3 |\n| b | X |\n|  | Y |\n| a | x |\n|  | y |\n" in third
     assert third.endswith("- note\n- b: flown on 2\n- a: flown on 1\n")
-    assert with_earlier(page(4, "| a | 4 |", "| b | 4 |", "| c | 4 |"), third).count("flown on") == 0
+    assert with_earlier(page(4, "| a | 4 |", "| b | 4 |", "| c | 4 |"), third, ()).count("flown on") == 0
 
 
 def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch):
