@@ -1,4 +1,4 @@
-"""Comparison of instruction faults at machine level and at IR level, on small kernels; writes docs/fault-model.md.
+"""Instruction faults at machine level and at IR level on small kernels; writes docs/fault-model.md, hardening.md.
 
     N=400 python -m benchmarks.machine_level
 
@@ -42,8 +42,12 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tools.markers import between
+from tools.processors import with_others
 
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
+HARDENING = PAGE.parent / "generated" / "hardening.md"
+MOST_SILENT = 0.04
+"""Share of faults that may stay silent in protected code."""
 ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
 KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
 OUTCOMES = ("masked", "sdc", "crash", "hang", "exception", DETECTED)
@@ -195,6 +199,25 @@ def table(studies: list[Study]) -> str:
     return "\n".join(lines)
 
 
+def judged(studies: list[Study]) -> str:
+    """The table written to the page of hardening: silent corruptions and crashes in plain and in protected code."""
+    lines = [
+        f"{date.today()}", "", "| kernel | function | n | sdc | sdc, protected | ≤ 4 % | crash | crash, protected |",
+        "|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for made in studies:
+        plain, after = (made.outcomes[level] for level in ("machine", PROTECTED))
+        cells = [
+            rate_text(wilson(found[how], found.total())) for how in ("sdc", "crash") for found in (plain, after)
+        ]  # fmt: skip
+        met = "yes" if after["sdc"] <= MOST_SILENT * after.total() else "no"
+        lines.append(
+            f"| {made.kernel} | `{made.function}` | {after.total()} | {cells[0]} | {cells[1]} | {met} | {cells[2]} | "
+            f"{cells[3]} |"
+        )
+    return "\n".join(lines)
+
+
 def wanted_faults(text: str) -> int:
     """Parse the number of faults per kernel and level.
 
@@ -217,6 +240,10 @@ def main() -> None:
         sys.exit(2)
     block = table(studies)
     PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "machine-level", block), encoding="utf-8")
+    page = HARDENING.read_text(encoding="utf-8")
+    HARDENING.write_text(
+        between(page, "machine-level", with_others(judged(studies), page, "machine-level")), encoding="utf-8"
+    )
     sys.stdout.write(f"\n{block}\n")
 
 

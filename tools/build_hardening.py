@@ -53,6 +53,7 @@ MORE = {"plan_rrt_connect": 24, "time_to_collision": 40}
 """Times more faults in the largest step within the time, where a lower bound is required."""
 LONG = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
+_MACHINE = "<!-- machine-level:begin -->", "<!-- machine-level:end -->"
 Row = dict[str, Any]
 
 
@@ -193,7 +194,7 @@ def page(
     certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], measured: Row,
 ) -> str:  # fmt: skip
     """The complete page; `required` are the rows of `requirements`."""
-    c = study.campaign
+    c, earlier = study.campaign, PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
     by_step = {(*curve.target.key, step.fraction): row for curve, step, row in certified}
     columns, plan = shown(advice_table(advice))
     return (
@@ -206,7 +207,8 @@ def page(
         + markdown_grid(HEADINGS, [*required, *rows(measured)])
         + "\n\nThe exhaustive injection of small kernels is also a test (`tests/unit/hardening/test_duplicate.py`). "
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
-        + by_processor(required, PAGE.read_text(encoding="utf-8") if PAGE.exists() else "")
+        + by_processor(required, earlier)
+        + at_machine_level(earlier)
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
         + f"\n\n{rerun_line(advice)}"
@@ -237,6 +239,18 @@ def by_processor(required: Sequence[Sequence[str]], earlier: str) -> str:
         "## By processor\n\nThe largest step within a time differs by processor, as the time of a step does. Each was "
         "measured by `make hardening`.\n\n<!-- processors:begin -->\n"
         f"{with_others(table, earlier, 'processors')}\n<!-- processors:end -->\n\n"
+    )
+
+
+def at_machine_level(earlier: str) -> str:
+    """Section of register faults in protected code, with the table that `make machine-level` wrote on the page."""
+    table = earlier.partition(f"{_MACHINE[0]}\n")[2].partition(f"\n{_MACHINE[1]}")[0]
+    return (
+        "## At machine level\n\nBits of destination registers flipped in single-stepped calls of plain code, and of "
+        "code in which all instructions are duplicated and addresses compared; percent, with intervals. Measured by "
+        "`make machine-level`, as the [reference](../fault-model.md#machine-level-reference), which has the other "
+        "outcomes.\n\n"
+        f"{_MACHINE[0]}\n{table}\n{_MACHINE[1]}\n\n"
     )
 
 
@@ -277,7 +291,7 @@ def main() -> None:
     compared = [row for curve in curves if (row := alternatives(curve)) is not None]
     check = golden(study, plan, given.flights, records)
     key = f"measured {code()}"
-    measured = records.get(key) or records.put(key, measure(study, plan, given.faults))
+    measured = records.get(key) or records.put(key, measure(study, plan))
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))
     required = requirements(curves, certified, compared, advice, all_but_map(advices[0]), check)

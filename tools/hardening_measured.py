@@ -1,4 +1,4 @@
-"""Rows of docs/generated/hardening.md for whole commands: time of the advice and of builds, machine level, all faults.
+"""Rows of docs/generated/hardening.md for whole commands: time of the advice and of builds, all faults.
 
 Each of these measures a few minutes of work; `tools.build_hardening` keeps the results by the digest of the source.
 """
@@ -13,31 +13,26 @@ from time import perf_counter
 from typing import Any
 
 from mavfi.campaign.hardening.certify import Pair, pairs_of
-from mavfi.campaign.hardening.machine import machine_levels
 from mavfi.campaign.hardening.observed import observe
 from mavfi.campaign.hardening.study import Study
 from mavfi.faults.instruction.build import cached_build
 from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import Protection
-from mavfi.reports.hardening.plain import interval
 
 ADVICE_S, BUILD_S = 60.0, 1.0
 """Allowed time of `mavfi harden`, and of the protected code of a kernel from the cache (s)."""
-MACHINE = "pid"
-"""Kernel of the row on machine level."""
 EXHAUSTIVE = ("mean_square", "walk")
 """Kernels of tests/unit/hardening/kernels.py that are injected exhaustively."""
 Row = dict[str, Any]
 
 
-def measure(study: Study, plan: Plan, faults: int) -> Row:
-    """What `rows` needs, as plain data; `faults` are injected at machine level."""
+def measure(study: Study, plan: Plan) -> Row:
+    """What `rows` needs, as plain data."""
     planner, kernels = next(iter(study.by_planner().items()))
     seen = observe(study.fresh(planner)[0], kernels)
     pairs = pairs_of([one for own in seen.values() for one in own], plan)  # builds what is not in the cache
-    levels = machine_levels(pairs, MACHINE, faults, print, plan.digest)
     return {
-        "advice_s": advice_s(study.directory), "build_s": build_s(pairs), "machine": [one.to_json() for one in levels],
+        "advice_s": advice_s(study.directory), "build_s": build_s(pairs),
         "exhaustive": {name: exhaustive(name) for name in EXHAUSTIVE},
     }  # fmt: skip
 
@@ -83,8 +78,6 @@ def rows(measured: Row) -> list[list[str]]:
              measured["advice_s"] <= ADVICE_S),
         _row("protected code of a kernel, from the cache", f"≤ {BUILD_S:g} s",
              f"{measured['build_s'][slowest]:.2f} s ({slowest}, the slowest)", measured["build_s"][slowest] <= BUILD_S),
-        *(_row(f"machine level, `{one['function'].rpartition('.')[2]}`", "SDCs before and after, with n and interval",
-               _machine(one), one["sdc_after"]["n"] > 0) for one in measured["machine"]),
         _row(f"every fault in {' and '.join(measured['exhaustive'])}, addresses compared", "detected or masked", told,
              outcomes.keys() <= {"detected", "masked"}),
     ]  # fmt: skip
@@ -92,8 +85,3 @@ def rows(measured: Row) -> list[list[str]]:
 
 def _row(what: str, required: str, found: str, met: bool) -> list[str]:
     return [what, required, found, "yes" if met else "no", ""]
-
-
-def _machine(one: Row) -> str:
-    before, after = interval(one["sdc_before"]), interval(one["sdc_after"])
-    return f"{before} before, {after} after, n = {one['sdc_after']['n']} each; {interval(one['coverage'])} removed"

@@ -64,7 +64,10 @@ class Hardened:
         return found
 
 
-def harden(function: Any, calls: Calls, budget: float, faults: int = 1000, seed: int = 0) -> Hardened:
+def harden(
+    function: Any, calls: Calls, budget: float, faults: int = 1000, seed: int = 0, *, addresses: bool = False,
+    libm: bool = False,
+) -> Hardened:  # fmt: skip
     """Choose what to duplicate in a function, from faults injected into some calls.
 
     Args:
@@ -73,13 +76,15 @@ def harden(function: Any, calls: Calls, budget: float, faults: int = 1000, seed:
         budget: Largest increase of its time, e.g. 0.2.
         faults: Number of faults.
         seed: Seed of their draw.
+        addresses: Whether addresses are compared before loads, too: fewer crashes, more time.
+        libm: Whether calls of mathematical functions (sin, exp, ...) can be duplicated, too.
 
     Raises:
         BadInputError: There are no calls, or their arguments have different types.
         RefusedError: The function cannot be instrumented exactly.
     """
     seen = see(function, calls)
-    target = Target((seen.entry,), seen, injections_in(seen, faults, seed))
+    target = Target((seen.entry,), seen, injections_in(seen, faults, seed), addresses=addresses, libm=libm)
     _, steps = timed_steps(target, prepare(target))
     affordable = [step for step in steps if step.time <= 1 + budget]
     best = max(affordable, key=lambda step: (step.choice.benefit, -step.time))

@@ -5,8 +5,12 @@ import pytest
 from examples import harden_kernel as example
 
 from mavfi.campaign.hardening.advise import FRACTIONS
-from mavfi.campaign.hardening.kernel import see
+from mavfi.campaign.hardening.kernel import harden, see
+from mavfi.campaign.hardening.target import Target
 from mavfi.errors import BadInputError
+from mavfi.faults.instruction.api import digest
+from mavfi.hardening.recorded import copied
+from tests.unit.hardening.kernels import CASES
 
 
 @pytest.mark.slow  # builds many variants of the kernel
@@ -24,3 +28,21 @@ def test_calls_of_several_types_or_none_are_refused():
         see(example.follow, [])
     with pytest.raises(BadInputError, match="calls of 2 types"):
         see(example.follow, [own, (*own[:3], np.zeros(3, np.float32))])
+
+
+def test_calls_of_libm_are_protected_only_if_asked_for():
+    kernel, args = CASES["blend"]
+    seen = see(kernel, [args])
+    plain, more = (Target(("own",), seen, libm=libm).values for libm in (False, True))
+    added = {value.site for value in more} - {value.site for value in plain}
+    assert len(added) == len(more) - len(plain) > 0
+    assert {value.opcode for value in more if value.site in added} == {"call"}
+
+
+@pytest.mark.slow
+def test_a_protection_with_libm_and_addresses_finds_its_code_again():
+    kernel, args = CASES["blend"]
+    found = harden(kernel, [args], budget=99.0, faults=40, addresses=True, libm=True)
+    assert found.planned.libm and found.planned.addresses and found.planned.sites
+    own, plain = copied(args), copied(args)
+    assert digest((found.code(own)(*own), own)) == digest((kernel(*plain), plain))
