@@ -25,7 +25,8 @@ of that kind and profile.  `mavfi train` fits those with `fit(sample, preprocess
 parameters of the model; a class with a true `watches_all` is fitted to all fields, with an `Everything` instead of the
 preprocessor, and in one profile only.  One with an `extra` needs packages of that extra; `check_installed` checks for
 them.  The figures are those of configs/detectors/<name>.yaml.  A class with a true `needs_limits` is constructed with
-the `MissionLimits` of the mission, one with a true `needs_seed` with its seed."""
+the `MissionLimits` of the mission, one with a true `needs_seed` with its seed.  `recovery` contains
+the mission keys that go with a detector, where these are not chosen."""
 ONLY_PROFILE = "tuned"
 """The profile of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
@@ -148,8 +149,18 @@ def settings_of(name: str, profile: str) -> ProfileSettings:
 
 
 def mission_keys(name: str) -> Mapping[str, Any]:
-    """Mission keys that a detector sets by default: recovery from its alarms, and the restart policy of nodes."""
-    return _config_of(name).mission
+    """Mission keys that a detector sets by default: recovery from its alarms, and the restart policy of nodes.
+
+    Those of its file in configs/detectors; of a detector without one, its class attribute `recovery`.
+    """
+    if not name or name in _SHIPPED or name in names("detectors"):
+        return _config_of(name).mission
+    try:
+        found = load_object("detector", name, GROUP, _SHIPPED)
+    except BadInputError:  # reported where the detector is constructed
+        return {}
+    keys: Mapping[str, Any] = getattr(found, "recovery", {})
+    return keys
 
 
 def detector_options(name: str) -> Mapping[str, Any]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mavfi.config import parse
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import load_detector, mission_keys
@@ -50,10 +51,14 @@ def detector_for(
 
 
 def with_keys_of(spec: MissionSpec, name: str) -> MissionSpec:
-    """The mission with the detector's recommended keys, where the user left the defaults."""
+    """The mission with the detector's recommended keys, where the user left the defaults.
+
+    Raises:
+        BadInputError: These are no keys of a mission.
+    """
     fields = MissionSpec.model_fields
-    keys = {key: value for key, value in mission_keys(name).items() if getattr(spec, key) == fields[key].default}
-    return spec.model_copy(update=keys)
+    given = {key: getattr(spec, key) for key in fields if getattr(spec, key) != fields[key].default}
+    return parse(MissionSpec, {**mission_keys(name), **given}, f"detector {name!r}: recovery")
 
 
 def limits_of(scenario: Scenario, world: World) -> MissionLimits:

@@ -18,7 +18,7 @@ VALUES = {
     "v_max": 2.0, "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
     "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel", "same_twice": "escalate",
     "answer_s": 0.6, "degraded": "hover", "flight_controller": "package.module:Class", "protection": "full",
-    "copies": 3,
+    "copies": 3, "trained_for": "published/i9-9940x",
 }  # fmt: skip
 
 

@@ -4,13 +4,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mavfi.campaign.plan import arms_of
 from mavfi.detectors import detector_names, load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.chain import Chain
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import NoDetector
+from mavfi.detectors.registry import NoDetector, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.hosts.watching import with_keys_of
+from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
+from tests.unit.campaign.fakes import small
 from tests.unit.detectors.streams import LIMITS, command, flight, fly, waypoint
 
 FITS = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
@@ -105,6 +109,32 @@ def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_pa
         load_detector("gaussian", "paper", model_folder, FITS, trained_for="hardened/none")
     with pytest.raises(SpecMismatchError, match="or fly with this one, --trained-for published/i9-9940x"):
         load_detector("gaussian", "paper", model_folder, {**FITS, "planner": "rrt"})
+
+
+class Mine(NoDetector):
+    """A detector of one's own, with the recovery that goes with it."""
+
+    recovery = {"grain": "message", "answer_s": 0.5}  # noqa: RUF012 - as in the documentation
+
+
+class Wrong(NoDetector):
+    """Its recovery is none."""
+
+    recovery = {"grain": "house"}  # noqa: RUF012
+
+
+def test_a_detector_of_ones_own_brings_its_recovery():
+    name = f"{__name__}:Mine"
+    assert mission_keys(name) == Mine.recovery and mission_keys("nowhere:Mine") == mission_keys("gaussian") == {}
+    chosen = with_keys_of(MissionSpec(answer_s=2.0), name)
+    assert (chosen.grain, chosen.answer_s) == ("message", 2.0), "what is chosen stays"
+    with pytest.raises(
+        BadInputError,
+        match=r"Wrong': recovery: key 'grain': 'house': not known; allowed: 'stage', 'kernel' or 'message'",
+    ):
+        with_keys_of(MissionSpec(), f"{__name__}:Wrong")
+    campaign = small(arms={"mine": {"detector": name, "answer_s": 1.0}}, host="local")
+    assert arms_of(campaign)[-1].overrides == {"grain": "message", "answer_s": 1.0}
 
 
 def test_a_model_of_another_kind_under_this_name_is_refused(model_folder, tmp_path):
