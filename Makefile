@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting hit-detectors firmware hardening pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting hit-detectors protected firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -160,6 +160,10 @@ hit-detectors: setup  ## inject faults in detectors, copies and recovery, write 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting
 	@$(BIN)/python -m tools.lasting_faults out/lasting
+
+protected: setup  ## fly protected kernels with a detector and restarts, write docs/generated/protected.md
+	@$(BIN)/mavfi campaign run protected --scale paper --out out/protected
+	@$(BIN)/python -m tools.protected_kernels out/protected
 
 firmware: setup  ## fly register faults in a flight controller's firmware, write docs/generated/firmware.md (N=400)
 	@for pattern in hover square; do $(BIN)/python -m tools.firmware_faults fly $$pattern --count $(or $(N),400) && $(BIN)/python -m tools.firmware_faults check $$pattern || exit 1; done

@@ -2,8 +2,12 @@
 
 import pytest
 
+from mavfi.campaign.analysis import Runs
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.config import names
+from mavfi.config import names, parse
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
 from mavfi.hardening.plan import load_plan, save_plan, signature_text
@@ -70,3 +74,17 @@ def test_each_shipped_plan_is_that_of_the_code(golden, name):
         function = functions[one.function]
         (signature,) = (own for own in function.overloads if signature_text(own) == one.signature)
         assert cached_shape(function, signature)[0] == one.ir_sha256, one.function
+
+
+def test_protection_flies_with_a_detector_and_its_restarts_in_a_campaign(tmp_path):
+    shipped = load_campaign("protected").to_json()
+    arms = {name: shipped["arms"][name] for name in ("ten_percent", "ten_percent_recommended")}
+    sampling = {**shipped["sampling"], "kernels": ["pid"]}
+    changes = {"environments": ["sparse"], "missions": 1, "faults": 6, "sampling": sampling, "arms": arms}
+    run_campaign(parse(Campaign, {**shipped, **changes}, "protected"), tmp_path, executor=LocalExecutor(1))
+    runs = Runs.read(tmp_path)
+    both = runs.injected.where(arm="ten_percent_recommended")
+    assert len(both) == len(runs.injected.where(arm="ten_percent")) == 6
+    assert len(both.where(kernel_effect="detected")) > 0 and all(both["success"])
+    assert both["kernel_effect"] == runs.injected.where(arm="ten_percent")["kernel_effect"], "the detector changes none"
+    assert runs.golden.where(arm="ten_percent_recommended")["alarms_total"] == [0]

@@ -8,7 +8,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.hosts.loop.recovery import BACK_OFF, MOST_RESTARTS, RESTART_US
 from tests.unit.campaign.analysis.test_failure_views import campaign as failures
 from tests.unit.campaign.analysis.test_scheme_views import lasting_scenario
-from tools import campaign_page, hit_detectors, lasting_faults, sensor_faults
+from tools import campaign_page, hit_detectors, lasting_faults, protected_kernels, sensor_faults
 from tools.markers import ROOT
 
 
@@ -22,7 +22,9 @@ def test_the_page_of_lasting_faults_has_a_row_for_each_duration_and_scheme(monke
     assert page.endswith("\n") and not page.endswith("\n\n")
 
 
-@pytest.mark.parametrize(("tool", "target"), [(lasting_faults, "lasting"), (sensor_faults, "sensors")])
+@pytest.mark.parametrize(
+    ("tool", "target"), [(lasting_faults, "lasting"), (sensor_faults, "sensors"), (protected_kernels, "protected")]
+)
 def test_each_page_has_a_target_and_a_link(tool, target):
     lines = (ROOT / "Makefile").read_text(encoding="utf-8").split(f"\n{target}: setup")[1].split("\n\n")[0]
     assert f"python -m {tool.__name__} out/{target}" in lines and f"campaign run {target} --scale paper" in lines

@@ -128,8 +128,13 @@ register(
 # ---- effects on kernels ------------------------------------------------------------------------------------------
 def kernel_runs(runs: Runs) -> Runs:
     """Runs in setting `fi` with an instruction fault, of which the effects on kernel and flight are known."""
+    return _all_settings(runs).where(setting=FI)
+
+
+def _all_settings(runs: Runs) -> Runs:
+    """As `kernel_runs`, of all settings."""
     judged = (pl.col("kernel_effect") != "") & (pl.col("effect") != "unknown")
-    return runs.injected.where(judged, level=INSTRUCTION, setting=FI)
+    return runs.injected.where(judged, level=INSTRUCTION)
 
 
 def _effect(*effects: str) -> pl.Expr:
@@ -141,6 +146,7 @@ _THREE = (
     m.rate("sdc", "sdc", _effect("sdc"), weighted=True),
     m.rate("due", "due", _effect(*KERNEL_DUE), weighted=True),
 )
+_FOUND = _effect("detected")
 _GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"), weighted=True)
 
 
@@ -211,6 +217,21 @@ register(
         ),
         where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
         applies=_of_instructions,
+    ),
+    View(
+        "kernel_effects_by_setting", "One fault in one instruction of any kernel, plain and protected",
+        ("environment", "setting"),
+        (
+            m.count("n", "n"), *_THREE, m.rate("found", "detected", _FOUND, weighted=True),
+            m.rate("success", "success", "success", weighted=True),
+            m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE), weighted=True),
+        ),
+        where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
+        notes=lambda _: (
+            _EFFECTS, "detected: by protected code, whose call is computed again; due: crash, hang or exception",
+            "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
+            "values, or none: settings are compared as samples, not in pairs", _LEVEL,
+        ), applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
     ),
     View(
         "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),

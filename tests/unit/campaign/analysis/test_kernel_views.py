@@ -21,6 +21,7 @@ from tests.unit.campaign.analysis.handmade import (
     runs,
 )
 
+PROTECTED = KernelEffect("detected")
 PLANNING = replace(INSTRUCTION, kernel="rrt_connect", entry="plan_rrt_connect", value_class="address", stratum="other")
 FIRST = {"state": "control.command", "field": "vx", "element": None, "elements": 1, "largest": 2.0}
 ABOUT = {"each": "stage", "kernels": ["pid", "rrt_connect"], "which": "all"}
@@ -148,3 +149,18 @@ def test_functions_and_corruptions(trials):
     assert table(trials, "register_functions").rows == [("f", 3, 1, 1, 1, 0)]
     [row] = table(trials, "register_corruptions").rows
     assert row[1:] == ("rax bit 3", "add", "data", "1.0", "2.0", "1 of 10")
+
+
+def test_protected_and_plain_code_are_compared_as_samples():
+    plain = [injected(0, silent(), INSTRUCTION), injected(1, died(success=False), INSTRUCTION)]
+    assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"
+    found = [
+        injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"), injected(1, died(), INSTRUCTION, arm="full"),
+        injected(2, UNKNOWN, INSTRUCTION, arm="full"),
+    ]  # fmt: skip
+    base = [golden(seed, arm=arm) for seed in (0, 1, 2) for arm in ("", "full")]
+    rows = table(runs(*base, *plain, *found), "kernel_effects_by_setting").entries()
+    own = {row["setting"]: row for row in rows}
+    assert own["fi"]["sdc"].successes == own["fi"]["due"].successes == own["dr_full"]["found"].successes == 1
+    assert own["fi"]["n"] == own["dr_full"]["n"] == 2 and own["dr_full"]["sdc"].successes == 0
+    assert (own["fi"]["success_due"].successes, own["dr_full"]["success_due"].successes) == (0, 1)
