@@ -28,6 +28,7 @@ import numpy as np
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.hardening.battery import DETECTED
 from mavfi.campaign.hardening.machine import POINTS, RAYS, inject_all, reduced
+from mavfi.campaign.hardening.ratio import coverage
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
@@ -47,7 +48,7 @@ from tools.processors import with_others
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
 HARDENING = PAGE.parent / "generated" / "hardening.md"
 MOST_SILENT = 0.04
-"""Share of faults that may stay silent in protected code."""
+"""Share of faults that may stay silent in protected code, its upper bound included."""
 ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
 KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
 OUTCOMES = ("masked", "sdc", "crash", "hang", "exception", DETECTED)
@@ -202,19 +203,19 @@ def table(studies: list[Study]) -> str:
 def judged(studies: list[Study]) -> str:
     """The table written to the page of hardening: silent corruptions and crashes in plain and in protected code."""
     lines = [
-        f"{date.today()}", "", "| kernel | function | n | sdc | sdc, protected | ≤ 4 % | crash | crash, protected |",
-        "|---|---|---|---|---|---|---|---|",
+        f"{date.today()}", "",
+        "| kernel | function | n | sdc | sdc, protected | ≤ 4 % | removed per call | crash | crash, protected |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for made in studies:
-        plain, after = (made.outcomes[level] for level in ("machine", PROTECTED))
-        cells = [
-            rate_text(wilson(found[how], found.total())) for how in ("sdc", "crash") for found in (plain, after)
+        rates = [
+            wilson(made.outcomes[level][how], made.outcomes[level].total())
+            for how in ("sdc", "crash") for level in ("machine", PROTECTED)
         ]  # fmt: skip
-        met = "yes" if after["sdc"] <= MOST_SILENT * after.total() else "no"
-        lines.append(
-            f"| {made.kernel} | `{made.function}` | {after.total()} | {cells[0]} | {cells[1]} | {met} | {cells[2]} | "
-            f"{cells[3]} |"
-        )
+        removed = coverage(rates[0], rates[1], made.protected / made.injectable)
+        met = "yes" if (rates[1].high or 0.0) <= MOST_SILENT else "no"
+        cells = [*map(rate_text, rates[:2]), met, rate_text(removed), *map(rate_text, rates[2:])]
+        lines.append(f"| {made.kernel} | `{made.function}` | {rates[1].n} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

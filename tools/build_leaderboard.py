@@ -163,7 +163,9 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
     top, new = _divided(page)
     head, old = _divided(earlier.partition("\n![")[0].partition(FOOTER)[0])
     flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
-    old = {title: rest for title, rest in old.items() if title in titles or title in new}
+    for title in [title for title in old if title not in titles and title not in new]:
+        print(f"dropped the section {title!r}: no part has this title", file=sys.stderr)
+        del old[title]
     for title, rest in old.items():
         old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
     for title in SCORED & old.keys() & new.keys():

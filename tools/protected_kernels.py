@@ -13,8 +13,7 @@ TEXT = (
     "Faults in instructions of the flown kernels, in plain and in protected code, without and with a detector and the "
     "restart policy that goes with it. `ten_percent` is the plan for 10 % of a flight's kernel time, `full` protects "
     "some kernels in full ([hardening](../hardening.md)); `recommended` is the acceptance test with its recovery "
-    "([models](../models.md#recommended)). Protection removes silent corruptions, restarts save the missions of "
-    "kernels that die: neither does the other's work."
+    "([models](../models.md#recommended))."
 )
 VIEWS = ("kernel_effects_by_setting", "schemes_instructions", "failures_per_hour")
 

@@ -62,7 +62,7 @@ def fly(
         BadInputError: Unknown or inconsistent arguments.
     """
     asked = _spec(mission, options)
-    spec = with_keys_of(asked, detector) if isinstance(detector, str) else asked
+    spec = asked if detector is None else with_keys_of(asked, detector)
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models, spec.trained_for)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
@@ -232,4 +232,5 @@ def _watching(
     if not isinstance(detector, str):
         return detector, "" if detector is None else type(detector).__name__
     loaded, model = detector_for(scenario, detector, profile, None if models is None else Path(models), trained_for)
-    return loaded, f"{detector} ({profile})" if model else detector
+    label = f"{detector} ({profile})" if model else detector
+    return loaded, f"{label}, trained for {trained_for}" if model and trained_for else label

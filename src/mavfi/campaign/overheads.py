@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.plan import arms_of
 from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
@@ -196,15 +197,15 @@ def measure(
     Raises:
         BadInputError: No arm has a detector, or a mission cannot be flown.
     """
-    arms = {name: arm for name, arm in campaign.arms.items() if arm.detector}
+    arms = [arm for arm in arms_of(campaign) if arm.detector]
     if not arms:
         raise BadInputError(f"campaign {campaign.name}: arms: none has a detector; needed: one at least")
     seeds = range(campaign.first_seed, campaign.first_seed + missions)
     total, done = len(campaign.environments) * len(arms) * missions, 0
     rows: list[dict[str, Any]] = []
     for environment in campaign.environments:
-        for name, arm in arms.items():
-            flown = [campaign.spec(environment, seed, arm.mission) for seed in seeds]
+        for arm in arms:
+            flown = [campaign.spec(environment, seed, arm.overrides) for seed in seeds]
             if not rows:  # warm-up: compiles, or reads the cache
                 cost(flown[0], arm.detector, arm.profile, models_dir)
             costs = []
@@ -212,7 +213,7 @@ def measure(
                 costs.append(cost(mission, arm.detector, arm.profile, models_dir))
                 done += 1
                 progress(done, total)
-            rows += [{"environment": environment, "arm": name, "stage": stage, **_shares(costs, stage)}
+            rows += [{"environment": environment, "arm": arm.name, "stage": stage, **_shares(costs, stage)}
                      for stage in STAGES]  # fmt: skip
     return {"processor": processor(), "missions": missions, "rows": rows}
 

@@ -29,7 +29,7 @@ from mavfi.faults.state import StateInjector
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for
-from mavfi.mission import RECOVERY, MissionSpec
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.qof import quality_of_flight
 from mavfi.states import State
 
@@ -168,7 +168,7 @@ class _Scorer:
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
     """Arms with a detector on the campaign's own mission, independent of their recovery options."""
-    return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(RECOVERY)]
+    return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)]
 
 
 def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict[str, str]:
@@ -177,7 +177,7 @@ def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict
     for campaign in campaigns:
         for arm in arms_of(campaign):
             if arm.detector and arm.name not in found:
-                other = sorted(set(arm.overrides) - set(RECOVERY))
+                other = sorted(set(arm.overrides) - set(OF_A_DETECTOR))
                 flown = f"its mission differs ({', '.join(other)})"
                 reasons[arm.name] = flown if other else "it compares with a seal, or has no scores"
     return reasons
@@ -187,7 +187,13 @@ def _score(task: _Task) -> dict[str, _Kept]:
     """Fly a golden flight; returns the scores by arm."""
     scenario = resolve(task.mission)
     loaded = {
-        arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir, task.mission.trained_for)[0]
+        arm.name: detector_for(
+            scenario,
+            arm.detector,
+            arm.profile,
+            task.models_dir,
+            arm.overrides.get("trained_for", task.mission.trained_for),
+        )[0]
         for arm in task.arms
     }
     judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}

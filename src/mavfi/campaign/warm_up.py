@@ -45,10 +45,11 @@ class _Detector:
     scenario: Scenario
     name: str
     profile: str
+    trained_for: str
 
     def compile(self) -> None:
         with suppress(BadInputError):
-            detector_for(self.scenario, self.name, self.profile)
+            detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +142,13 @@ def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
 
 def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
     """Detectors of all arms, without duplicates."""
-    found = {
-        (arm.detector, arm.profile, scenario.autopilot.name): _Detector(scenario, arm.detector, arm.profile)
-        for campaign in campaigns
-        for arm, scenario in _scenarios(campaign)
-        if arm.detector
-    }
+    found: dict[tuple[str, ...], _Detector] = {}
+    for campaign in campaigns:
+        for arm, scenario in _scenarios(campaign):
+            if arm.detector:
+                spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
+                task = _Detector(scenario, arm.detector, arm.profile, spec.trained_for)
+                found[arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for] = task
     return list(found.values())
 
 

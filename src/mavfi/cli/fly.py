@@ -198,4 +198,5 @@ def load_watcher(
     if profile is not None and not model:
         raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
     label = f"{name} ({profile or DEFAULT_PROFILE})" if model else name
+    label += f", trained for {mission.trained_for}" if mission.trained_for else ""
     return detector, f"{label}, {mission.copies} copies" if mission.copies > 1 else label

@@ -171,10 +171,14 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
 
 
 def _missions(campaign: "Campaign") -> list["MissionSpec"]:
-    """Training missions of a campaign's detectors: one per platform."""
+    """Training missions of a campaign's detectors: one per platform, or that which `trained_for` names."""
     found: dict[str, MissionSpec] = {}
     for environment in campaign.environments:
         mission = campaign.spec(environment, campaign.first_seed)
+        if mission.trained_for:
+            autopilot, platform = mission.trained_for.split("/")
+            planner = type(mission).model_fields["planner"].default
+            mission = mission.model_copy(update={"autopilot": autopilot, "platform": platform, "planner": planner})
         found.setdefault(mission.platform, mission)
     return list(found.values())
 

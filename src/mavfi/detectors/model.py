@@ -134,19 +134,18 @@ def model_name(autopilot: str, platform: str, kind: str, profile: str) -> str:
     return f"{autopilot}-{platform}-{kind}-{profile}"
 
 
-def check_fits(model: Model, stack: str, platform: str, v_max: float, planner: str) -> None:
-    """Reject a model that was trained for another autopilot profile (`stack`), platform, speed limit (m/s) or planner.
+def check_fits(model: Model, **here: object) -> None:
+    """Reject a model that was trained for another mission: `here` has keys of `FITTED_TO`, v_max in m/s.
 
     Raises:
         SpecMismatchError: One line that names what differs.
     """
-    here = {"stack": stack, "platform": platform, "v_max": v_max, "planner": planner}
     for key, wanted in here.items():
         trained = model.provenance.get(key)
         if not _same(trained, wanted):
             raise SpecMismatchError(
                 f"model {model.name}: trained for {key} {trained!r}, used with {key} {wanted!r}; "
-                f"use {trained!r}, train a model with `mavfi train`, or fly with this one, --trained-for "
+                f"use {trained!r}, train a model with `mavfi train`, or fly with this one, key trained_for: "
                 f"{model.provenance['stack']}/{model.provenance['platform']}"
             )
 

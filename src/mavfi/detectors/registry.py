@@ -26,7 +26,11 @@ parameters of the model; a class with a true `watches_all` is fitted to all fiel
 preprocessor, and in one profile only.  One with an `extra` needs packages of that extra; `check_installed` checks for
 them.  The figures are those of configs/detectors/<name>.yaml.  A class with a true `needs_limits` is constructed with
 the `MissionLimits` of the mission, one with a true `needs_seed` with its seed.  `recovery` contains
-the mission keys that go with a detector, where these are not chosen."""
+the mission keys, of `OF_RECOVERY`, that go with a detector; they give way to those of a command or an arm."""
+OF_RECOVERY = (
+    "coupling", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node", "alarm", "epoch_liveness",
+)  # fmt: skip
+"""Mission keys that a detector may set."""
 ONLY_PROFILE = "tuned"
 """The profile of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
@@ -148,18 +152,26 @@ def settings_of(name: str, profile: str) -> ProfileSettings:
     return found
 
 
-def mission_keys(name: str) -> Mapping[str, Any]:
+def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
     """Mission keys that a detector sets by default: recovery from its alarms, and the restart policy of nodes.
 
     Those of its file in configs/detectors; of a detector without one, its class attribute `recovery`.
+
+    Raises:
+        BadInputError: The attribute has other keys than `OF_RECOVERY`.
     """
-    if not name or name in _SHIPPED or name in names("detectors"):
-        return _config_of(name).mission
-    try:
-        found = load_object("detector", name, GROUP, _SHIPPED)
-    except BadInputError:  # reported where the detector is constructed
-        return {}
-    keys: Mapping[str, Any] = getattr(found, "recovery", {})
+    found: Any = detector
+    if isinstance(detector, str):
+        if not detector or detector in _SHIPPED or detector in names("detectors"):
+            return _config_of(detector).mission
+        try:
+            found = load_object("detector", detector, GROUP, _SHIPPED)
+        except BadInputError:  # reported where the detector is constructed
+            return {}
+    keys = getattr(found, "recovery", {})
+    if not isinstance(keys, Mapping) or not set(keys) <= set(OF_RECOVERY):
+        name = detector if isinstance(detector, str) else type(detector).__name__
+        raise BadInputError(f"detector {name!r}: recovery: {keys!r}: allowed: values of {', '.join(OF_RECOVERY)}")
     return keys
 
 
@@ -195,7 +207,7 @@ def load_detector(
         The detector, and the sha256 of its trained model ("" if it has none).
 
     Raises:
-        BadInputError: Unknown detector, profile or model, or limits are needed but absent.
+        BadInputError: Unknown detector, profile or model, no model for `trained_for`, or limits are needed but absent.
         SpecMismatchError: The model was trained for another configuration.
         NotInstalledError: A package that the detector needs is absent.
     """
@@ -211,11 +223,17 @@ def load_detector(
     limits: MissionLimits | None = fits.get("limits")
     if kind is None:
         return _build(name, factory, *_needed(name, factory, fits), **_config_of(name).options), ""
-    stack, _, platform = (trained_for or f"{fits['stack']}/{fits['platform']}").partition("/")
-    path = (models_dir or SHIPPED_MODELS) / f"{model_name(stack, platform, str(kind), profile)}.json"
+    if trained_for:
+        own = dict(zip(("stack", "platform"), trained_for.split("/"), strict=True))
+    else:
+        own = {key: fits[key] for key in FITTED_TO}
+    path = (models_dir or SHIPPED_MODELS) / f"{model_name(own['stack'], own['platform'], str(kind), profile)}.json"
+    if trained_for and not is_file(path):
+        raise BadInputError(
+            f"trained_for: {trained_for!r}: there is no model {_shown(path)}; allowed: those of a model"
+        )
     model = _load_model(path, str(kind), profile, "--baselines " if getattr(factory, "extra", "") else "")
-    if not trained_for:
-        check_fits(model, *(fits[key] for key in FITTED_TO))
+    check_fits(model, **own)
     try:
         detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
     except BadInputError as error:
@@ -227,16 +245,19 @@ def load_detector(
 
 def _load_model(path: Path, kind: str, profile: str, option: str) -> Model:
     if not is_file(path):
-        shown = path.name if path.parent == SHIPPED_MODELS else path
         raise SpecMismatchError(
-            f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
+            f"{_shown(path)}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
             "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
-            "or take another one with --trained-for"
+            "or take that of another mission, key trained_for"
         )
     model = Model.load(path)
     if (model.kind, model.profile) != (kind, profile):
         raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {kind}-{profile}")
     return model
+
+
+def _shown(path: Path) -> str:
+    return path.name if path.parent == SHIPPED_MODELS else str(path)
 
 
 def _needed(name: str, factory: Any, fits: Mapping[str, Any]) -> list[Any]:  # noqa: ANN401

@@ -50,15 +50,16 @@ def detector_for(
     return load_detector(name, profile, models_dir, fits, trained_for=trained_for)
 
 
-def with_keys_of(spec: MissionSpec, name: str) -> MissionSpec:
+def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:
     """The mission with the detector's recommended keys, where the user left the defaults.
 
     Raises:
-        BadInputError: These are no keys of a mission.
+        BadInputError: A value of these is not allowed.
     """
     fields = MissionSpec.model_fields
     given = {key: getattr(spec, key) for key in fields if getattr(spec, key) != fields[key].default}
-    return parse(MissionSpec, {**mission_keys(name), **given}, f"detector {name!r}: recovery")
+    name = detector if isinstance(detector, str) else type(detector).__name__
+    return parse(MissionSpec, {**mission_keys(detector), **given}, f"detector {name!r}: recovery")
 
 
 def limits_of(scenario: Scenario, world: World) -> MissionLimits:

@@ -45,9 +45,12 @@ def test_the_table_has_both_levels_protected_code_and_their_differences():
 
 def test_protected_code_is_judged_by_its_silent_corruptions():
     row = judged([STUDY]).splitlines()[-1]
-    assert row.startswith("| pid | `track` | 100 | 56.0 [46.2, 65.3] | 2.0 [0.6, 7.0] | yes | 14.0 [")
-    more = replace(STUDY, outcomes={**STUDY.outcomes, PROTECTED: Counter(sdc=5, detected=95)})
-    assert "| 5.0 [2.2, 11.2] | no |" in judged([more])
+    assert row.startswith("| pid | `track` | 100 | 56.0 [46.2, 65.3] | 2.0 [0.6, 7.0] | no | 91.5 ["), (
+        "its bound is 7 %"
+    )
+    assert row.count(" | ") == 8 and " | 14.0 [8.5, 22.1] | 0.0 [" in row
+    more = replace(STUDY, outcomes={**STUDY.outcomes, PROTECTED: Counter(sdc=5, detected=995)})
+    assert "| 0.5 [0.2, 1.2] | yes |" in judged([more])
 
 
 @pytest.mark.parametrize("text", ["0", "-3", "many", "2.5"])

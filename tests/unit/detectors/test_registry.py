@@ -9,10 +9,10 @@ from mavfi.detectors import detector_names, load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.chain import Chain
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import NoDetector, mission_keys
+from mavfi.detectors.registry import OF_RECOVERY, NoDetector, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.hosts.watching import with_keys_of
-from mavfi.mission import MissionSpec
+from mavfi.mission import RECOVERY, MissionSpec
 from tests.architecture.source import ROOT
 from tests.unit.campaign.fakes import small
 from tests.unit.detectors.streams import LIMITS, command, flight, fly, waypoint
@@ -105,10 +105,14 @@ def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_pa
     other = {**FITS, "platform": "slow", "planner": "rrt", "v_max": 5.0}
     own = load_detector("gaussian", "paper", model_folder, FITS)[1]
     assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == own
-    with pytest.raises(SpecMismatchError, match=r"hardened-none-gaussian-paper\.json: no model is trained"):
-        load_detector("gaussian", "paper", model_folder, FITS, trained_for="hardened/none")
-    with pytest.raises(SpecMismatchError, match="or fly with this one, --trained-for published/i9-9940x"):
+    with pytest.raises(BadInputError, match="'hardened/none': there is no model hardened-none-gaussian-paper.json"):
+        load_detector("gaussian", "paper", None, FITS, trained_for="hardened/none")
+    with pytest.raises(SpecMismatchError, match="or fly with this one, key trained_for: published/i9-9940x"):
         load_detector("gaussian", "paper", model_folder, {**FITS, "planner": "rrt"})
+    renamed = model_folder / "published-i9-9940x-gaussian-paper.json"
+    (tmp_path / "hardened-slow-gaussian-paper.json").write_bytes(renamed.read_bytes())
+    with pytest.raises(SpecMismatchError, match="trained for stack 'published', used with stack 'hardened'"):
+        load_detector("gaussian", "paper", tmp_path, FITS, trained_for="hardened/slow")
 
 
 class Mine(NoDetector):
@@ -118,9 +122,22 @@ class Mine(NoDetector):
 
 
 class Wrong(NoDetector):
-    """Its recovery is none."""
+    """A value of its recovery is none."""
 
     recovery = {"grain": "house"}  # noqa: RUF012
+
+
+class Other(NoDetector):
+    """It would fly elsewhere."""
+
+    recovery = {"environment": "dense"}  # noqa: RUF012
+
+
+class Method(NoDetector):
+    """It has a method of this name."""
+
+    def recovery(self):
+        """What happens then."""
 
 
 def test_a_detector_of_ones_own_brings_its_recovery():
@@ -133,8 +150,17 @@ def test_a_detector_of_ones_own_brings_its_recovery():
         match=r"Wrong': recovery: key 'grain': 'house': not known; allowed: 'stage', 'kernel' or 'message'",
     ):
         with_keys_of(MissionSpec(), f"{__name__}:Wrong")
+    assert with_keys_of(MissionSpec(), Mine()).grain == "message", "an object, too"
+    for own in (Other, Method):
+        with pytest.raises(BadInputError, match=rf"{own.__name__}': recovery: .*allowed: values of coupling, grain, "):
+            mission_keys(f"{__name__}:{own.__name__}")
     campaign = small(arms={"mine": {"detector": name, "answer_s": 1.0}}, host="local")
     assert arms_of(campaign)[-1].overrides == {"grain": "message", "answer_s": 1.0}
+
+
+def test_a_detector_may_set_what_becomes_of_its_alarms_and_of_nodes():
+    assert set(OF_RECOVERY) == {*RECOVERY, "dead_node", "alarm", "epoch_liveness"} < set(MissionSpec.model_fields)
+    assert mission_keys("recommended").keys() <= set(OF_RECOVERY)
 
 
 def test_a_model_of_another_kind_under_this_name_is_refused(model_folder, tmp_path):

@@ -219,15 +219,15 @@ register(
         applies=_of_instructions,
     ),
     View(
-        "kernel_effects_by_setting", "One fault in one instruction of any kernel, plain and protected",
-        ("environment", "setting"),
+        "kernel_effects_by_setting", "One fault in one instruction of a kernel, plain and protected",
+        ("environment", "kernel", "setting"),
         (
             m.count("n", "n"), *_THREE, m.rate("found", "detected", _FOUND, weighted=True),
             m.rate("success", "success", "success", weighted=True),
             m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE), weighted=True),
         ),
         where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
-        notes=lambda _: (
+        notes=_kernel_notes(
             _EFFECTS, "detected: by protected code, whose call is computed again; due: crash, hang or exception",
             "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
             "values, or none: settings are compared as samples, not in pairs", _LEVEL,

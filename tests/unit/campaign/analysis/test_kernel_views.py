@@ -156,11 +156,12 @@ def test_protected_and_plain_code_are_compared_as_samples():
     assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"
     found = [
         injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"), injected(1, died(), INSTRUCTION, arm="full"),
-        injected(2, UNKNOWN, INSTRUCTION, arm="full"),
+        injected(2, UNKNOWN, INSTRUCTION, arm="full"), injected(3, flown(activated=False), INSTRUCTION, arm="full"),
+        injected(0, silent(), PLANNING, arm="full"),
     ]  # fmt: skip
-    base = [golden(seed, arm=arm) for seed in (0, 1, 2) for arm in ("", "full")]
+    base = [golden(seed, arm=arm) for seed in range(4) for arm in ("", "full")]
     rows = table(runs(*base, *plain, *found), "kernel_effects_by_setting").entries()
-    own = {row["setting"]: row for row in rows}
+    own = {row["setting"]: row for row in rows if row["kernel"] == "pid"}
     assert own["fi"]["sdc"].successes == own["fi"]["due"].successes == own["dr_full"]["found"].successes == 1
     assert own["fi"]["n"] == own["dr_full"]["n"] == 2 and own["dr_full"]["sdc"].successes == 0
     assert (own["fi"]["success_due"].successes, own["dr_full"]["success_due"].successes) == (0, 1)
