@@ -16,6 +16,7 @@ from mavfi.detectors.autoencoder import (
     network_of,
     no_recent,
     recall,
+    row_of,
 )
 from mavfi.detectors.book import Book
 from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
@@ -159,6 +160,8 @@ def _reconstruction_at(address: int) -> float:
     return judge_reconstruction(own, judged, limit, network, holding)
 
 
+_REMEMBERED = 16
+"""Vectors of each state whose errors are remembered."""
 _ADMISSION = kind_with(NETWORK, Holding(*np.zeros((2, 1), np.int16)), no_recent(1, 1))
 
 
@@ -176,9 +179,10 @@ def _judge_again(
     holding.vector[:] = holding.held
     holding.vector[first:last] = own.codes[first:last]
     if own.place[book.REGIME] >= 0:
-        if not recall(holding.vector, recent, slot):
-            residuals_of_part(holding.vector, network, first, last, recent.errors[slot])
-        judged.distance[first:last] = recent.errors[slot, first:last]
+        row = slot * _REMEMBERED + row_of(holding.vector, _REMEMBERED)
+        if not recall(holding.vector, recent, row):
+            residuals_of_part(holding.vector, network, first, last, recent.errors[row])
+        judged.distance[first:last] = recent.errors[row, first:last]
     return conclude(first, last, own, judged, limit)
 
 
@@ -202,7 +206,7 @@ class ReconstructionScorer(CompiledScorer):
 
     def admitted(self) -> Stored:
         """See `CompiledScorer.admitted`."""
-        return Stored(_ADMISSION, *self._tables, no_recent(len(self._slots), len(self.fields)))
+        return Stored(_ADMISSION, *self._tables, no_recent(_REMEMBERED * len(self._slots), len(self.fields)))
 
 
 class AllFieldsDetector(ScoringDetector):

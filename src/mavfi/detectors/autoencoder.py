@@ -26,6 +26,8 @@ INPUT_LIMIT = 10.0
 """Inputs are clamped to this many training peaks: otherwise one huge input would disturb all outputs."""
 WEIGHT_DIGITS = 8
 """Significant digits of the stored weights; further digits depend on the linear algebra library of the machine."""
+REMEMBERED = 64
+"""Vectors whose reconstruction errors are remembered."""
 _TRAINING_STREAM = 4
 _WIDEST = 10_000
 
@@ -63,6 +65,15 @@ class Recent(NamedTuple):
 def no_recent(rows: int, fields: int) -> Recent:
     """Before the first vector."""
     return Recent(np.zeros((rows, fields), np.int16), np.zeros((rows, fields)), np.zeros(rows, np.bool_))
+
+
+@kernel_jit
+def row_of(vector: np.ndarray, rows: int) -> int:
+    """Row for a vector, of a power of two: the same for the same vector."""
+    found = np.int64(0)
+    for index in range(len(vector)):
+        found = found * 31 + vector[index]
+    return int((found ^ (found >> 7)) & (rows - 1))
 
 
 @kernel_jit
@@ -175,16 +186,18 @@ def _judge_again(
 ) -> float:  # fmt: skip
     """`judge_network`, which is not built of this function, since faults are drawn in its instructions.
 
-    Nine of ten publications have the deltas of the one before: then the network does not run.
+    Nine of ten publications have the deltas of the one before, half of the others those of an earlier one: then the
+    network does not run.
     """
     if scratch.place[features.ACCEPTED] != 0:
         settle_network(watch, scratch, limit, network, held)
     features.propose(content, slot, scratch)
     scratch.deltas[:] = held
     regime = features.measure(content, slot, watch, scratch.deltas)
-    if not recall(scratch.deltas, recent, 0):
-        residuals(scratch.deltas, network, recent.errors[0])
-    scratch.distance[:] = recent.errors[0]
+    row = row_of(scratch.deltas, REMEMBERED)
+    if not recall(scratch.deltas, recent, row):
+        residuals(scratch.deltas, network, recent.errors[row])
+    scratch.distance[:] = recent.errors[row]
     return conclude(regime, watch.places[slot], scratch, limit)
 
 
@@ -211,7 +224,7 @@ class AutoencoderScorer(DeltaScorer):
 
     def admitted(self) -> Stored:
         """See `DeltaScorer.admitted`."""
-        return Stored(_ADMISSION, *self._tables, no_recent(1, len(self.fields)))
+        return Stored(_ADMISSION, *self._tables, no_recent(REMEMBERED, len(self.fields)))
 
 
 class AutoencoderDetector(ScoringDetector):
