@@ -225,7 +225,7 @@ def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
         "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
         "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
         "same_twice": "escalate", "answer_s": 0.6, "degraded": "hover", "flight_controller": "betaflight",
-        "protection": "full", "copies": 3,
+        "protection": "full", "copies": 3, "trained_for": "published/i9-9940x",
     }  # fmt: skip
     assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
     for key, value in values.items():
