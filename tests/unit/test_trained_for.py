@@ -13,7 +13,6 @@ from mavfi.mission import MissionSpec
 from tests.unit.campaign.fakes import small
 
 NAME, SPEC = "published/i9-9940x", MissionSpec(environment="sparse", trained_for="published/i9-9940x")
-ARM = Arm("mine", {"trained_for": NAME}, "limits", "tuned")
 
 
 class Asked(Exception):  # noqa: N818 - no error
