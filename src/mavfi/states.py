@@ -196,17 +196,26 @@ class StateSpec:
         """All fields: those of the elements first, if any, then the header's."""
         return self.elements + self.header
 
+    @property
+    def lengths(self) -> tuple[Field, ...]:
+        """Lengths of the lists of a serialized message, one per field of the elements (see `faults.transit`)."""
+        return tuple(Field(f"length_{f.name}", "u4", "-") for f in self.elements)
+
     def in_elements(self, name: str) -> bool:
         """Whether the named field belongs to the elements (which take precedence if a name is in both)."""
         return any(f.name == name for f in self.elements)
 
+    def is_length(self, name: str) -> bool:
+        """Whether this is the length of a list."""
+        return any(f.name == name for f in self.lengths)
+
     def find(self, name: str) -> Field:
-        """The named field.
+        """The named field, or length of a list.
 
         Raises:
             BadInputError: Unknown field.
         """
-        for candidate in self.fields:
+        for candidate in self.fields + self.lengths:
             if candidate.name == name:
                 return candidate
         allowed = ", ".join(f.name for f in self.fields)

@@ -40,9 +40,11 @@ FAULTS = [
     replace(fault("control.command", "vx", 4.0, 61), lasts_s=1.0),
     replace(fault("planning.waypoint", "y", 5.0, 52), times=2),
     replace(fault("control.command", "vy", 6.0, 50), lasts_s=float("inf"), share=0.3, seed=7),
+    fault("perception.point_cloud", "length_x", 4.0, 31),
+    fault("perception.map_update", "length_log_odds", 6.5, 31),
 ]
-"""They break the mission, or are masked at once or late; at the very start, without a site, never striking, null; or
-last."""
+"""They break the mission, or are masked at once or late; at the very start, without a site, never striking, null; they
+last; or they lose a message."""
 
 ARMS = {
     "published": {

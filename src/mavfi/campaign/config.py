@@ -16,7 +16,7 @@ from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
-from mavfi.states import GUARDS, INJECTABLE, MONITORED_SETS, PLANNERS
+from mavfi.states import GUARDS, INJECTABLE, MONITORED_SETS, PLANNERS, STATES
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
@@ -61,11 +61,13 @@ class StateSampling(Config):
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["state"] = "state"
-    scheme: Literal["stage_balanced", "groups"] = Field(
-        "stage_balanced", description="`faults` for each stage (the paper's scheme), or for each of the groups"
+    scheme: Literal["stage_balanced", "groups", "messages"] = Field(
+        "stage_balanced",
+        description="`faults` for each stage (the paper's scheme), each group, or each message, uniform over its bits",
     )
     sites: Literal["all", "monitored"] = Field("all", description="fields that stage_balanced draws from")
     groups: tuple[SiteGroup, ...] = ()
+    messages: tuple[str, ...] = Field((), description="names of states, for scheme messages")
     strata: dict[str, float] = Field(
         default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0}, description="shares of the faults by bit class"
     )
@@ -73,11 +75,14 @@ class StateSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
-        if (self.scheme == "groups") != bool(self.groups):
-            raise ValueError(
-                f"sampling.scheme: {self.scheme!r}: allowed with the key groups: groups" if self.groups
-                else "sampling.groups: is required with scheme 'groups'; allowed: a list of 1 or more"
-            )  # fmt: skip
+        for key, given in (("groups", self.groups), ("messages", self.messages)):
+            if (self.scheme == key) != bool(given):
+                raise ValueError(
+                    f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}" if given
+                    else f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more"
+                )  # fmt: skip
+        check_known("sampling.messages", self.messages, STATES)
+        check_distinct("sampling.messages", self.messages)
         check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             check_strata(strata)
@@ -324,7 +329,7 @@ class Campaign(Config):
         return parse(MissionSpec, given, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; unset parts, lifetimes and half-width are omitted so that older campaigns keep their identity."""
+        """Plain data; unset keys of later versions are omitted, so that older campaigns keep their identity."""
         data = self.model_dump(mode="json")
         if not self.parts:
             del data["parts"]
@@ -335,6 +340,8 @@ class Campaign(Config):
         sampling = data["sampling"]
         if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
             del sampling["lifetime"]
+        if not sampling.get("messages", True):
+            del sampling["messages"]
         for group in sampling.get("groups", ()):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)

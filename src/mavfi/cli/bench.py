@@ -37,7 +37,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     bench: Annotated[str, typer.Argument(metavar="[BENCH.yaml]", help="A YAML file, or a shipped bench.")] = _BENCH,
     level: Annotated[
         list[str] | None,
-        typer.Option(help="Only faults of this level: state, memory, instruction, sensor; may be repeated."),
+        typer.Option(help="Only faults of this level: state, message, memory, instruction, sensor; may be repeated."),
     ] = None,
     part: Annotated[
         list[str] | None, typer.Option(help="Only this part of the bench; may be given several times.")

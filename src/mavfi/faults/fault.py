@@ -91,6 +91,11 @@ class StateFault(Planned):
         return self.times > 1 or self.lasts_s > 0.0
 
     @property
+    def of_length(self) -> bool:
+        """Whether it changes the length of a list in the serialized state, and so may lose it."""
+        return STATES[self.where.state].is_length(self.where.field)
+
+    @property
     def site(self) -> str:
         """State, field and element as text."""
         return str(self.where)

@@ -2,6 +2,8 @@
 
 `stage_balanced` (the paper's equal number of injections per stage): state of the stage, uniform; field, uniform;
 publication, uniform; element, uniform; bit, uniform within a stratum.  The same draw serves any named group of fields.
+
+`messages`: publication, uniform; then a bit of its serialized message, uniform within a stratum.
 """
 
 import zlib
@@ -12,7 +14,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.faults.strata import bits_of, word_share
+from mavfi.faults.strata import WORD_BITS, bits_of, word_share
 from mavfi.flight_log import Profile
 from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, StateSpec, find_state, states_with
 
@@ -117,6 +119,64 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
         weight=word_share(field, stratum) * target.probability(state) / part.probability(state),
         seed=seed,
     )
+
+
+def message_target(state: str) -> Target:
+    """All fields of a message, with the lengths of its lists; raises a BadInputError for an unknown state."""
+    spec = find_state(state)
+    return Target(state, {state: tuple(dict.fromkeys(field.name for field in (*spec.fields, *spec.lengths)))})
+
+
+def message_bits(state: str, stratum: str, count: int) -> tuple[list[tuple[str, int, range]], float]:
+    """The bits of a stratum in a message whose lists have `count` elements.
+
+    Header fields that share their name with a list are left out, as are the standard header and the number of the
+    message (see `faults.transit`).
+
+    Returns:
+        Fields with their number of copies and the bits of each copy, and the stratum's share of the message.
+    """
+    spec = STATES[state]
+    fields = [spec.find(name) for name in message_target(state).fields[state]]
+    copies = [count if spec.in_elements(field.name) else 1 for field in fields]
+    parts = [(field.name, n, bits_of(field, stratum)) for field, n in zip(fields, copies, strict=True)]
+    every = sum(WORD_BITS[field.dtype] * n for field, n in zip(fields, copies, strict=True))
+    return parts, sum(n * len(bits) for _, n, bits in parts) / every
+
+
+def place_in(parts: Sequence[tuple[str, int, range]], place: int) -> tuple[str, int, int]:
+    """Field, copy and bit of the bit number `place` of `message_bits`.
+
+    Raises:
+        IndexError: There are fewer bits.
+    """
+    for name, copies, bits in parts:
+        if place < copies * len(bits):
+            copy, bit = divmod(place, len(bits))
+            return name, copy, bits[bit]
+        place -= copies * len(bits)
+    raise IndexError(place)
+
+
+def draw_in_message(state: str, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
+    """Draw one fault: a publication of the golden run, then a bit of the stratum in its message, each uniformly.
+
+    Its weight is the stratum's share of the message.  Its time is `NO_SITE` if the golden run never published the
+    state, or the drawn publication has no bit of the stratum.
+    """
+    random = stream(seed, f"message {state}", *address)
+    spec, times = STATES[state], profile.times_us.get(state, np.zeros(0, np.int64))
+    parts: list[tuple[str, int, range]] = []
+    share = 0.0
+    if len(times):
+        chosen = int(random.integers(len(times)))
+        parts, share = message_bits(state, stratum, int(profile.counts[state][chosen]))
+    total = sum(copies * len(bits) for _, copies, bits in parts)
+    if total == 0:
+        return StateFault(FaultSite(state, spec.fields[0].name), NO_SITE, 0, stratum, seed=seed)
+    name, copy, bit = place_in(parts, int(random.integers(total)))
+    where = FaultSite(state, name, copy if spec.in_elements(name) else None)
+    return StateFault(where, int(times[chosen]), bit, stratum, share, seed)
 
 
 def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:

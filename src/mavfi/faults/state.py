@@ -1,4 +1,7 @@
-"""State-level faults: one bit of one field of a published inter-kernel state, once or for a limited time."""
+"""State-level faults: one bit of one field of a published inter-kernel state, once or for a limited time.
+
+A field may also be the length of a list in the serialized state: a message with a wrong length can be lost.
+"""
 
 from copy import copy
 from dataclasses import replace
@@ -9,6 +12,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
+from mavfi.faults.transit import with_length
 from mavfi.flight_log import Injection
 from mavfi.states import STATES, State, StateSpec, find_state
 
@@ -44,6 +48,8 @@ def _with_bits(
     state: State, site: FaultSite, mask: int, stuck: int | None = None
 ) -> tuple[State, Number, Number, int]:  # fmt: skip
     """A copy with masked bits of a field flipped, or set as in `stuck`; also value before and after, and new word."""
+    if state.spec.is_length(site.field):
+        raise BadInputError(f"{site}: is the length of a list; allowed: a field of the state")
     changed = state.copy()
     in_elements = state.spec.in_elements(site.field)
     container = changed.elements if in_elements else changed.header
@@ -128,8 +134,9 @@ class StateInjector:
         self._spec = find_state(fault.where.state)
         known = None if watch is None else watch.acted_on.get(self._spec.name)
         self._acted_on = ActedOn(self._spec) if known is None else copy(known)
-        self._in_elements = self._spec.in_elements(fault.where.field)
         self._spec.find(fault.where.field)
+        self._in_elements = self._spec.in_elements(fault.where.field)
+        self._in_length = fault.of_length
         self._armed = fault.has_site
         self._since_us, self._stuck = 0, 0
         self._seen, self._changed = 0, 0  # publications since the fault began, and number of changed ones
@@ -145,8 +152,8 @@ class StateInjector:
         """Whether all further publications will pass unchanged."""
         return not self._armed
 
-    def __call__(self, state: State, time_us: int) -> State:
-        """The publication itself, or a copy with a bit flipped or stuck; `time_us` is the current time."""
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """The publication itself, or a copy with a bit flipped or stuck, at the current time; None = lost."""
         if state.spec is not self._spec or not self._armed:
             return state
         acted_on, empty = self._acted_on(state), self._in_elements and len(state.elements) == 0
@@ -168,25 +175,31 @@ class StateInjector:
         fault = self._fault
         return fault.share == 1.0 or stream(fault.seed, "share", self._seen).random() < fault.share
 
-    def _inject(self, state: State, time_us: int) -> State:
+    def _inject(self, state: State, time_us: int) -> State | None:
         fault, site, first = self._fault, self._fault.where, not self._changed
         if self._in_elements:
             # the list may be shorter than in the golden run; the record names the injected element
             site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
-        mask = mask_of(fault.bit, fault.width)
-        injected, before, after, word = _with_bits(state, site, mask, None if first else self._stuck)
+        mask, stuck = mask_of(fault.bit, fault.width), None if first else self._stuck
+        injected, before, after, word = (
+            with_length(state, site.field, mask, stuck) if self._in_length else _with_bits(state, site, mask, stuck)
+        )
         self._changed += 1
         if first:
             self._since_us, self._stuck = time_us, word
-            activated = injected.same_bits(state) == (fault.bit is None)
-            injection = Injection(fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated)
+            activated = (injected is not None and injected.same_bits(state)) == (fault.bit is None)
+            injection = Injection(
+                fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated,
+                details={"lost": True} if injected is None else {},
+            )  # fmt: skip
             self.injections.append(injection)
         return injected
 
     def finish(self) -> list[Injection]:
         """The injection; a lasting one with its number of publications; not activated if none was changed."""
         if self.injections and self._fault.lasting:
-            return [replace(self.injections[0], details={"publications": self._changed})]
+            first = self.injections[0]
+            return [replace(first, details={**first.details, "publications": self._changed})]
         if not self.injections:
             fault = self._fault
             time_s = fault.time_us / 1e6 if fault.has_site else 0.0

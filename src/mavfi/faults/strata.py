@@ -8,7 +8,7 @@ from typing import Protocol
 
 from mavfi.errors import BadInputError
 
-WORD_BITS = {"f8": 64, "f4": 32, "i8": 64, "i4": 32, "i2": 16, "u8": 64, "u1": 8, "?": 1}
+WORD_BITS = {"f8": 64, "f4": 32, "i8": 64, "i4": 32, "i2": 16, "u8": 64, "u4": 32, "u1": 8, "?": 1}
 """Bits of a word by its type; a flag has one, and flipping it inverts the flag."""
 
 
@@ -27,6 +27,7 @@ _CLASSES: dict[str, dict[str, range]] = {
     "i4": {"sign": range(31, 32), "other": range(31)},
     "i2": {"sign": range(15, 16), "other": range(15)},
     "u8": {"other": range(64)},
+    "u4": {"length": range(32)},
     "u1": {"other": range(8)},
     "?": {"flag": range(1)},
 }
@@ -36,9 +37,11 @@ STRATA: dict[str, tuple[str, ...]] = {
     "mantissa": ("mantissa", "other"),
     "sign": ("sign", "flag"),
     "exponent": ("exponent",),
+    "length": ("length",),
 }
 """Bit classes of each stratum.  The first two partition every word; headline figures use the first.  Integers have sign
-and other bits, unsigned ones other bits only; a flag's single bit counts with the headline."""
+and other bits, unsigned ones other bits only; a flag's single bit counts with the headline.  The length of a list in a
+message is none of these."""
 
 HEADLINE = "sign_exponent"
 

@@ -12,7 +12,7 @@ from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, INSTANT
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
-from mavfi.reports.text import change, signed_percent
+from mavfi.reports.text import change, lost, signed_percent
 
 MOST_ALARMS = 8
 """Maximum number of alarms listed individually."""
@@ -172,7 +172,7 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
         return f"{injection.site}: not activated, {why}"
     bit = injection.details.get("model", "empty mask") if injection.bit is None else _bit(injection.bit, fault)
     before, after = change(injection.before, injection.after)
-    return f"{injection.site}, {bit}, at {injection.time_s:.3f} s: {before} → {after}"
+    return f"{injection.site}, {bit}, at {injection.time_s:.3f} s: {before} → {after}{lost(injection)}"
 
 
 def _bit(bit: int, fault: Fault | None) -> str:

@@ -21,7 +21,7 @@ from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.reports import style
 from mavfi.reports.explain import around
-from mavfi.reports.text import change
+from mavfi.reports.text import change, lost
 
 if TYPE_CHECKING:
     from mavfi.hosts.host import Flight
@@ -292,6 +292,7 @@ def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
         if injection.activated and injection.bit is not None:
             before, after = change(injection.before, injection.after, digits=4)
             what = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
+            what += lost(injection)
             below = f"{below}   ·   {what}"
     figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
     above.set_ylabel("y (m)")

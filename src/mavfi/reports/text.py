@@ -18,6 +18,7 @@ from mavfi.campaign.analysis.table import (
     Column,
     Table,
 )
+from mavfi.flight_log import Injection
 
 ABSENT = "—"
 
@@ -96,6 +97,11 @@ def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
     places = [place for place, column in enumerate(table.columns) if not column.hidden]
     columns = [table.columns[place] for place in places]
     return columns, [[cell(row[place], table.columns[place].form) for place in places] for row in table.rows]
+
+
+def lost(injection: Injection) -> str:
+    """What is added to the values of an injection after which a message cannot be read."""
+    return ", message lost" if injection.details.get("lost") else ""
 
 
 def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:

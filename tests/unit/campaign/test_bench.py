@@ -3,7 +3,17 @@
 import pytest
 
 from mavfi.campaign.analysis import VIEWS
-from mavfi.campaign.bench import COLUMNS, Bench, checksum, entries, faults_of, frozen_faults, load_bench, with_only
+from mavfi.campaign.bench import (
+    COLUMNS,
+    Bench,
+    checksum,
+    entries,
+    faults_of,
+    frozen_faults,
+    level_of,
+    load_bench,
+    with_only,
+)
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of
@@ -63,9 +73,9 @@ def test_schemes_of_libraries_without_a_model_are_left_out_with_the_command_that
 
 
 def test_parts_by_level_and_by_name():
-    for level in ("instruction", "memory", "sensor"):
+    for level in ("instruction", "memory", "sensor", "message"):
         found = entries(BENCH, "quick", levels=[level])
-        assert next(iter(found)) == level and all(one.campaign.sampling.level == level for one in found.values())
+        assert next(iter(found)) == level and all(level_of(one.campaign) == level for one in found.values())
         assert not any(name in found for name in ("state", "sites", "golden"))
     assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
 
@@ -87,8 +97,7 @@ def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
     ("ask", "message"),
     [
         ({"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
-        ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction, memory, sensor, state"),
-        ({"levels": ["message"]}, "level 'message': not known; allowed: instruction, memory, sensor, state"),
+        ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction, memory, message, sensor, state"),
         ({"scale": "huge"}, "scale 'huge': not known"),
     ],
 )

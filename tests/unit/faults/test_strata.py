@@ -30,11 +30,12 @@ def test_bits_of_each_stratum(dtype, stratum, bits):
 
 
 @pytest.mark.parametrize("dtype", WORD_BITS)
-def test_the_two_strata_part_every_word(dtype):
+def test_the_two_strata_part_every_word_and_lengths_have_their_own(dtype):
     field = Field("f", dtype, "-")
-    both = [*bits_of(field, "mantissa"), *bits_of(field, HEADLINE)]
-    assert both == list(range(WORD_BITS[dtype]))
-    assert word_share(field, HEADLINE) + word_share(field, "mantissa") == 1
+    every = [bit for stratum in ("mantissa", HEADLINE, "length") for bit in bits_of(field, stratum)]
+    assert every == list(range(WORD_BITS[dtype]))
+    assert ("length" in {bit_class(field, bit) for bit in every}) == (dtype == "u4")
+    assert sum(word_share(field, stratum) for stratum in ("mantissa", HEADLINE, "length")) == 1
 
 
 def test_class_of_a_bit():

@@ -55,7 +55,7 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
     """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
     match sampling:
         case StateSampling():
-            each = {"stage_balanced": "stage", "groups": "group"}[sampling.scheme]
+            each = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
             shares = sorted(sampling.strata.items(), reverse=True)
             strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
             return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}

@@ -1,4 +1,4 @@
-"""Faults in inter-kernel states: `stage_balanced`, the paper's equal number per stage, or groups of fields.
+"""Faults in inter-kernel states: `stage_balanced`, the paper's equal number per stage, groups of fields, or messages.
 
 The shares of the bit strata are exact, their order is drawn from the seed; each fault has a separate random stream.
 """
@@ -8,9 +8,10 @@ from dataclasses import replace
 
 from mavfi.campaign.config import Campaign, StateSampling
 from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, TargetBlocks
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, StateFault
-from mavfi.faults.sampling import Target, draw, group_target, stage_target
-from mavfi.faults.strata import HEADLINE, WORD_BITS
+from mavfi.faults.sampling import Target, draw, draw_in_message, group_target, message_target, stage_target
+from mavfi.faults.strata import HEADLINE, WORD_BITS, bits_of
 from mavfi.flight_log import Profile
 from mavfi.states import PPC_STAGES, STATES
 
@@ -45,11 +46,24 @@ class StateSampler(OwnMissions):
                 (group_target(g.name, g.sites, self._localization), g.strata or sampling.strata)
                 for g in sampling.groups
             ]  # fmt: skip
+        if sampling.scheme == "messages":
+            return [self._message(state) for state in sampling.messages]
         monitored = self._campaign.monitored_set if sampling.sites == "monitored" else None
         return [
             (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
             for stage in PPC_STAGES
         ]
+
+    def _message(self, state: str) -> tuple[Target, Mapping[str, float]]:
+        """A message, with the shares of those strata that it has."""
+        if not STATES[state].exists_with(self._localization):
+            raise BadInputError(
+                f"sampling.messages: {state}: only flights with localization {STATES[state].only_with} publish it"
+            )
+        own = message_target(state)
+        fields = [STATES[state].find(name) for name in own.fields[state]]
+        shares = self._sampling.strata
+        return own, {one: shares[one] for one in shares if any(bits_of(field, one) for field in fields)} or shares
 
     def _first_alike(self, name: str) -> str:
         """Name of the target whose draws a target with its own lifetime shares: the first one with the same fields."""
@@ -63,16 +77,13 @@ class StateSampler(OwnMissions):
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """Draw from the profile of the golden run; without one, faults have no site."""
         profile = _profile(golden)
-        return [
-            self._lasting(
-                d.target,
-                draw(
-                    self._targets[self._alike[d.target]][0], d.stratum, profile, d.seed, environment,
-                    d.index // self._campaign.missions,
-                ),
-            )
-            for d in draws
-        ]  # fmt: skip
+        return [self._lasting(d.target, self._draw(d, profile, environment)) for d in draws]
+
+    def _draw(self, one: Draw, profile: Profile, environment: str) -> StateFault:
+        address = (one.seed, environment, one.index // self._campaign.missions)
+        if self._sampling.scheme == "messages":
+            return draw_in_message(one.target, one.stratum, profile, *address)
+        return draw(self._targets[self._alike[one.target]][0], one.stratum, profile, *address)
 
     def _lasting(self, target: str, fault: StateFault) -> StateFault:
         """A fault with the lifetime of its target; a burst that exceeds its word starts at a lower bit."""

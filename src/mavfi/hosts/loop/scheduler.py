@@ -254,6 +254,14 @@ class Loop:
         if seen is not None:
             self.publish(seen, now)
 
+    def lost(self, state: State, now: int) -> None:
+        """A message is lost in transit: without this scan, perception is ready for the next image."""
+        if state.spec.name == "sensor.depth" or state.spec.writer in SCANNING:
+            self._next_image(now)
+
+    def _next_image(self, now: int) -> None:
+        self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
+
     def resend(self, now: int, state: State) -> None:
         """Retransmit the producer's copy of a value."""
         self.deliver(state, now)
@@ -282,7 +290,7 @@ class Loop:
             self.mapped = True
         elif name == "perception.collision_status" and self.mapped:
             self.mapped = False
-            self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
+            self._next_image(now)
 
     # ---- recovery ---------------------------------------------------------------------------------------------------
     def recompute(self, action: Action, now: int) -> None:

@@ -63,6 +63,7 @@ class Taps:
         recorders: Called in list order.
         watched: Names of the states that the detector receives; None = all.
         seal: Receives each value before injection, as sent by the producer; None = unused.
+        lost: Receives each value that the injector loses; None = unused.
     """
 
     injector: Injector | None = None
@@ -70,6 +71,7 @@ class Taps:
     recorders: list[Recorder] = field(default_factory=list)
     watched: Set[str] | None = None
     seal: Recorder | None = None
+    lost: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """The value that consumers receive; None = none."""
@@ -78,6 +80,8 @@ class Taps:
             self.seal(state, time_us)
         if self.injector is not None:
             seen = self.injector(state, time_us)
+            if seen is None and self.lost is not None:
+                self.lost(state, time_us)
         if self.detector is not None and seen is not None and (self.watched is None or seen.spec.name in self.watched):
             seen = self.detector(seen, time_us)
         if seen is not None:

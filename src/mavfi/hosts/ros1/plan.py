@@ -62,8 +62,8 @@ class Plan:
         nodes: All nodes of the project except the world.
 
     Raises:
-        BadInputError: The fault is not transient (the injector's node changes one publication), the detector acts on
-            unpublished values, or a policy is not available in free-running mode.
+        BadInputError: The fault is not transient (the injector's node changes one publication) or may lose a message,
+            the detector acts on unpublished values, or a policy is not available in free-running mode.
     """
 
     scenario: Scenario
@@ -86,6 +86,8 @@ class Plan:
         fault = self.state_fault
         if fault is not None and fault.lasting:
             raise BadInputError(f"fault in {fault.site}: lasts_s or times: on ROS one publication is changed")
+        if fault is not None and fault.of_length:
+            raise BadInputError(f"fault in {fault.site}: is the length of a list; allowed on ROS: a field of the state")
         if hasattr(self.detector, "seal") or hasattr(self.detector, "duplicates"):
             text = "takes part in what is not published; allowed on ROS: detectors of published values"
             raise BadInputError(f"detector {type(self.detector).__name__}: {text}")

@@ -52,6 +52,7 @@ class Injector:
             self._outlet.publish(state, number, time_us)
             return
         seen = self._inject(state, time_us)
+        assert seen is not None  # a plan has no faults that lose messages
         done = self._inject.injections
         if done:
             self._spent = True

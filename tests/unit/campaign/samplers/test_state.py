@@ -64,3 +64,35 @@ def test_faults_in_memory_have_no_lifetime():
     group = {"name": "a", "sites": ["planner.acted_seq"], "lifetime": {"times": 2}}
     with pytest.raises((BadInputError, ValueError), match="allowed with faults in states"):
         Campaign(name="c", environments=("sparse",), sampling={"level": "memory", "groups": [group]})
+
+
+def messages(names, **sampling):
+    campaign = {"environments": ("sparse",), "missions": 2, "faults": 30}
+    return Campaign(name="c", **campaign, sampling={"scheme": "messages", "messages": names, **sampling})
+
+
+def test_every_message_has_its_own_row_and_the_strata_that_it_has():
+    names = ("planning.waypoint", "planning.path")
+    sampler = StateSampler(messages(names, strata={"sign_exponent": 1, "length": 1}))
+    profile = Profile({name: np.arange(50) for name in names}, {name: np.full(50, 4, np.int32) for name in names})
+    for name, block in zip(names, sampler.blocks("sparse"), strict=True):
+        found = sampler.draw([block.draw(i) for i in range(30)], "sparse", {"": Sampled(Flight(None, profile))})
+        strata = [fault.stratum for fault in found]
+        assert {fault.where.state for fault in found} == {name}
+        assert strata.count("length") == (15 if name == "planning.path" else 0)
+        assert len(set(map(place, found))) > 25
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"names": ("planning.plan",)}, "'planning.plan'"),
+        ({"names": ()}, "is required with scheme 'messages'"),
+        ({"names": ("sensor.imu",)}, "sensor.imu: only flights with localization estimator"),
+        ({"names": ("planning.waypoint",), "strata": {"length": 1}}, "no field has bits of the stratum 'length'"),
+        ({"names": ("planning.path",), "scheme": "stage_balanced"}, "allowed with the key messages: messages"),
+    ],
+)
+def test_messages_that_cannot_be_drawn_are_refused(given, message):
+    with pytest.raises((BadInputError, ValueError), match=message):
+        messages(**given)

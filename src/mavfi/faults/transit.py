@@ -1,0 +1,70 @@
+"""Inter-kernel messages in serialized form, and faults in the lengths of their lists.
+
+The layout is that of ROS for the message definitions of `hosts.ros1.definitions` (little-endian, packed; a uint32
+length precedes each list; http://wiki.ros.org/msg), without the standard header and the number: the header fields in
+table order, then one list per element field.  A bit of a number is thus a bit of a field of the state.  A flipped
+length moves everything behind it.
+"""
+
+import numpy as np
+
+from mavfi.states import State, StateSpec
+
+_LENGTH = np.dtype("<u4")
+
+
+def serialize(state: State) -> bytearray:
+    """The bytes of a message."""
+    data = bytearray(state.header.tobytes())
+    for field in state.spec.elements:
+        data += np.array([len(state.elements)], _LENGTH).tobytes() + state.elements[field.name].tobytes()
+    return data
+
+
+def parse(spec: StateSpec, data: bytes | bytearray) -> State | None:
+    """The state that a subscriber reads from a message; None = a list exceeds the message, which is then dropped.
+
+    As ROS does, it ignores bytes that are left over; as `hosts.ros1.convert.from_msg` does, it cuts lists of unequal
+    length to the shortest.
+    """
+    start = spec.header_dtype.itemsize
+    header = np.frombuffer(bytearray(data[:start]), spec.header_dtype)
+    lists = []
+    for field in spec.elements:
+        kind = np.dtype(field.dtype)
+        begin = start + _LENGTH.itemsize
+        if begin > len(data):
+            return None
+        count = int(np.frombuffer(data, _LENGTH, 1, start)[0])
+        start = begin + count * kind.itemsize
+        if start > len(data):
+            return None
+        lists.append(np.frombuffer(data, kind, count, begin))
+    elements = np.zeros(min(map(len, lists), default=0), spec.element_dtype)
+    for field, values in zip(spec.elements, lists, strict=True):
+        elements[field.name] = values[: len(elements)]
+    return State(spec, header, elements)
+
+
+def with_length(
+    state: State, name: str, mask: int, stuck: int | None = None
+) -> tuple[State | None, int, int, int]:  # fmt: skip
+    """The state as read after masked bits of a list's length were flipped, or set as in `stuck`; None = dropped.
+
+    Also returns the length before and after, and the new word, as for other fields.
+
+    Args:
+        state: A publication.
+        name: As in `StateSpec.lengths`.
+        mask: Bits to change.
+        stuck: Their values; None = flip them.
+    """
+    data, start = serialize(state), state.spec.header_dtype.itemsize
+    for field, length in zip(state.spec.elements, state.spec.lengths, strict=True):
+        if length.name == name:
+            break
+        start += _LENGTH.itemsize + len(state.elements) * np.dtype(field.dtype).itemsize
+    before = len(state.elements)
+    after = (before & ~mask) | ((~before if stuck is None else stuck) & mask)
+    data[start : start + _LENGTH.itemsize] = np.array([after], _LENGTH).tobytes()
+    return parse(state.spec, data), before, after, after

@@ -1,0 +1,37 @@
+"""A message that is lost in transit costs what depended on it, and no more."""
+
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.hosts.local import fly
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.reports.explain import _fault
+from tests.hosts.missions import mission
+
+LOST_AT_S = 4.0
+
+
+@pytest.mark.parametrize("site", ["sensor.depth.length_range", "perception.point_cloud.length_x",
+                                  "perception.map_update.length_voxel"])  # fmt: skip
+def test_after_a_lost_scan_the_camera_takes_its_next_image(site):
+    state, _, field = site.rpartition(".")
+    flight = fly(mission(), StateFault(FaultSite(state, field), int(1e6 * LOST_AT_S), 31), profile=True)
+    (injection,) = flight.log.injections
+    assert injection.activated and injection.details["lost"]
+    assert round(1e6 * injection.time_s) not in flight.profile.times_us[state]  # nobody received it
+    images = 1e-6 * flight.profile.times_us["sensor.depth"]
+    assert np.diff(images).max() < 0.6 and images[-1] > LOST_AT_S + 5.0  # one each 0.1 to 0.3 s without the fault
+
+
+def test_the_story_says_that_a_message_was_lost():
+    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
+    (injection,) = fly(mission(), fault).log.injections
+    assert _fault(injection, fault).endswith(", message lost")
+
+
+def test_ros_refuses_a_fault_that_may_lose_a_message():
+    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
+    with pytest.raises(BadInputError, match=r"planning.path.length_z: is the length of a list; allowed on ROS"):
+        Plan(mission(), None, fault)
