@@ -205,16 +205,8 @@ class StateSpec:
         """Whether the named field belongs to the elements (which take precedence if a name is in both)."""
         return any(f.name == name for f in self.elements)
 
-    def is_length(self, name: str) -> bool:
-        """Whether this is the length of a list."""
-        return any(f.name == name for f in self.lengths)
-
     def find(self, name: str) -> Field:
-        """The named field, or length of a list.
-
-        Raises:
-            BadInputError: Unknown field.
-        """
+        """The named field, or length of a list; raises a BadInputError if it is unknown."""
         for candidate in self.fields + self.lengths:
             if candidate.name == name:
                 return candidate

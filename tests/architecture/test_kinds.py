@@ -17,7 +17,6 @@ ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
     "bridges/airsim/boundary.py": 3,  # a host of its own: faults in calls, and in the vehicle behind them
-    "campaign/config.py": 1,  # keys that go together: groups with their scheme
     "campaign/warm_up.py": 2,  # each instrumented kernel is machine code of its own, compiled ahead
     "cli/fly.py": 3,  # options before the slow imports: instrumented code, nodes that can die, flights that fork
     "cli/observing.py": 1,  # a forked flight has no observer

@@ -14,6 +14,7 @@ from mavfi.faults import strata
 from mavfi.faults.planned import NO_SITE as NO_SITE
 from mavfi.faults.planned import Planned
 from mavfi.faults.sensor.fault import SensorFault
+from mavfi.faults.transit import is_length
 from mavfi.states import KERNELS, STATES, WATCHING, find_state
 
 Model = Literal["one_bit", "bits", "random", "zero"]
@@ -93,7 +94,7 @@ class StateFault(Planned):
     @property
     def of_length(self) -> bool:
         """Whether it changes the length of a list in the serialized state, and so may lose it."""
-        return STATES[self.where.state].is_length(self.where.field)
+        return is_length(STATES[self.where.state], self.where.field)
 
     @property
     def site(self) -> str:

@@ -12,7 +12,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
-from mavfi.faults.transit import with_length
+from mavfi.faults.transit import is_length, with_length
 from mavfi.flight_log import Injection
 from mavfi.states import STATES, State, StateSpec, find_state
 
@@ -48,7 +48,7 @@ def _with_bits(
     state: State, site: FaultSite, mask: int, stuck: int | None = None
 ) -> tuple[State, Number, Number, int]:  # fmt: skip
     """A copy with masked bits of a field flipped, or set as in `stuck`; also value before and after, and new word."""
-    if state.spec.is_length(site.field):
+    if is_length(state.spec, site.field):
         raise BadInputError(f"{site}: is the length of a list; allowed: a field of the state")
     changed = state.copy()
     in_elements = state.spec.in_elements(site.field)

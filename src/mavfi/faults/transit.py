@@ -13,6 +13,11 @@ from mavfi.states import State, StateSpec
 _LENGTH = np.dtype("<u4")
 
 
+def is_length(spec: StateSpec, name: str) -> bool:
+    """Whether this names the length of a list."""
+    return any(length.name == name for length in spec.lengths)
+
+
 def serialize(state: State) -> bytearray:
     """The bytes of a message."""
     data = bytearray(state.header.tobytes())

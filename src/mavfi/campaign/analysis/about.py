@@ -13,12 +13,12 @@ from mavfi.campaign.config import (
     MemorySampling,
     RegisterSampling,
     Sampling,
-    StateSampling,
 )
 from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.sensor_sampling import SensorSampling
 from mavfi.campaign.sequential import Precision
+from mavfi.campaign.state_sampling import StateSampling
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 

@@ -6,8 +6,9 @@ The shares of the bit strata are exact, their order is drawn from the seed; each
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from mavfi.campaign.config import Campaign, StateSampling
+from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, TargetBlocks
+from mavfi.campaign.state_sampling import StateSampling
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, StateFault
 from mavfi.faults.sampling import Target, draw, draw_in_message, group_target, message_target, stage_target
