@@ -5,13 +5,14 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.analysis import VIEWS, views_for
 from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.analysis.table import TEXT, Table
 from mavfi.campaign.store import Store
 from mavfi.campaign.telling import Telling, fly_telling_run
 from mavfi.errors import writing
@@ -153,7 +154,8 @@ def _grid(table: Table) -> str:
     columns, rows = shown(table)
     firsts = [row[0] for row in rows]
     found = (["" if row[0] == above else row[0], *row[1:]] for row, above in zip(rows, ["", *firsts], strict=False))
-    return markdown_grid([column.heading for column in columns], found, max(2, table.keys))
+    texts = sum(1 for _ in takewhile(lambda column: column.form == TEXT, columns))
+    return markdown_grid([column.heading for column in columns], found, max(2, table.keys, texts))
 
 
 def _list(lines: Iterable[str]) -> str:

@@ -4,7 +4,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.analysis.table import Column, Table
 from mavfi.cli import report as cli
 from mavfi.errors import BadInputError
 from mavfi.reports.campaign_report import markdown_table, report_of, write_report
@@ -105,3 +105,9 @@ def test_no_campaign_no_report(tmp_path):
 def test_bars_in_cells_do_not_end_them():
     table = Table.of_text("T", ("a", "b"), [("x|y", "1"), ("x|y", "2")], ("note",))
     assert markdown_table(table) == "## T\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n|  | 2 |\n\n- note"
+
+
+def test_leading_columns_of_text_are_aligned_left():
+    columns = (Column("a", "a"), Column("b", "b"), Column("c", "c"), Column("n", "n", "number"), Column("d", "d"))
+    lines = markdown_table(Table("t", "T", columns, [("x", "y", "z", 1, "w")])).splitlines()
+    assert lines[3] == "| --- | --- | --- | ---: | ---: |"

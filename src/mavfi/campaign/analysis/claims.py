@@ -15,6 +15,7 @@ class Evidence:
     here: str  # measured values, with intervals and n
     p_value: float | None  # two-sided; None = not testable with these runs
     supports: bool  # whether the measured difference has the claimed sign
+    behind: tuple[str, ...] = ()  # ids of the tested runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
     ]  # fmt: skip
     count = sum(p is not None for p in adjusted)
     return Table(
-        "claims", "Findings of the paper, tested", _COLUMNS, rows, keys=4,
+        "claims", "Findings of the paper, tested", _COLUMNS, rows, keys=2,
         notes=(
             f"confirmed, contradicted: two-sided p below {LEVEL:g} after Holm's correction over {count} tests (Holm "
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
@@ -72,6 +73,7 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
             "of worlds",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
         ),
+        behind=[tuple(one.behind if key in _LINKED else () for key in _KEYS) for one in tested],
     )  # fmt: skip
 
 
@@ -81,6 +83,8 @@ _COLUMNS = (
     Column("holm_p", "p (Holm)", "number .2g"), Column("method", "test", TEXT, hidden=True),
     Column("campaign", "campaign", TEXT, hidden=True),
 )  # fmt: skip
+_KEYS, _LINKED = tuple(column.key for column in _COLUMNS), ("verdict", "p", "holm_p")
+"""Columns, and those whose cells open the tested runs."""
 
 
 def _tested(claim: Claim, runs: Runs | None) -> Evidence:

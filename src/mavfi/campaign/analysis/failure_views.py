@@ -37,15 +37,15 @@ def instructions_per_hour(golden: Runs) -> dict[str, float]:
     return {kernel: number / hours for kernel, number in found.items()} if hours > 0 else {}
 
 
-def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]:
-    """Kernels in the fault space, by environment and setting, each with its number of faults.
+def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
+    """Kernels in the fault space, by environment and setting, each with the ids of its runs with a fault.
 
     Harm is measured against the golden run of the same arm and mission.  `success` names the column for the success of
     injected runs: "success" (as flown) or "success_if_ended".  Settings without instruction counts and kernels without
     faults are omitted.
     """
     golden = {(row["arm"], row["world"]): row["success"] for row in runs.golden.where("judged")}
-    found: dict[tuple[str, str], dict[str, tuple[int, Exposed]]] = {}
+    found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = {}
     faulty = runs.injected.where("judged", level=INSTRUCTION)
     for (environment, setting, arm), own in faulty.groups("environment", "setting", "arm").items():
         counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
@@ -55,7 +55,7 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
                 before = [golden[row["arm"], row["world"]] for row in known]
                 harm = paired_difference(before, [row[success] for row in known], [row["world"] for row in known])
                 kernels = found.setdefault((environment, setting), {})
-                kernels[kernel] = len(known), Exposed(counts[kernel], Estimate(*harm))
+                kernels[kernel] = [row["run_id"] for row in known], Exposed(counts[kernel], Estimate(*harm))
     return found
 
 
@@ -114,24 +114,24 @@ def uncounted(runs: Runs) -> list[str]:
 
 
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
-    """Rows for each kernel of a setting, and one for their sum."""
+    """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
     every, ended = exposed(runs), exposed(runs, "success_if_ended")
     for (environment, setting), kernels in every.items():
         parts = [one for _, one in kernels.values()]
         own = {"environment": environment, "setting": setting}
         worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
-        for kernel, (n, one) in kernels.items():
+        for kernel, (ids, one) in kernels.items():
             numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
-            yield {**own, "kernel": kernel, "n": n, **numbers}
+            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids), **numbers}
         whole = sum(one.instructions for one in parts)
         total = total_failures(parts, upset)
         harm = total.times(1 / (whole * upset)) if whole else Estimate(0.0, 0.0, 0.0)
         base = every.get((environment, FI))
         alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
         against = total.value / alone if setting != FI and alone > 0 else None
-        faults = sum(n for n, _ in kernels.values())
-        yield {**own, "kernel": ALL, "n": faults, "against": against,
+        every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
+        yield {**own, "kernel": ALL, "run_id": every_id, "n": len(every_id), "against": against,
                **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
 
 
@@ -145,7 +145,8 @@ def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Est
 
 def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
     rows = [{"against": None, **row} for row in _rows(runs, upsets)]
-    return replace(runs, frame=pl.DataFrame(rows, infer_schema_length=None) if rows else runs.frame.clear())
+    frame = pl.DataFrame(rows, infer_schema_length=None).explode("run_id") if rows else runs.frame.clear()
+    return replace(runs, frame=frame)
 
 
 def _harm(own: Runs) -> Rate:

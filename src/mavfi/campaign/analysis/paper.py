@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-import polars as pl
-
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import PERCENT
@@ -58,7 +56,7 @@ def column(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
             return None
         return find(own.first("environment"), own.first("setting"))
 
-    return Measure("paper", heading, form, of, counted=lambda own: own.where(pl.lit(value=False)))  # no runs
+    return Measure("paper", heading, form, of)
 
 
 def success(environment: str, setting: str) -> float | None:

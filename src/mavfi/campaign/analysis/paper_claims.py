@@ -50,7 +50,7 @@ def tested(found: Difference | None, one: str, other: str, *, more: bool, what: 
     if found is None:
         return Evidence("no runs to compare", None, supports=False)
     here = f"{what}: {unit.text(found.first, one)}, {unit.text(found.second, other)}, {found.worlds} worlds"
-    return Evidence(here, found.p_value, supports=(found.difference > 0) == more)
+    return Evidence(here, found.p_value, (found.difference > 0) == more, found.behind)
 
 
 def _faults(runs: Runs) -> Runs:
@@ -129,7 +129,7 @@ def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
         if found is None:
             return Evidence("no runs", None, supports=False)
         here = f"{Unit('%', 100.0, '.3g').text(found.first)} of compute time, {found.worlds} worlds"
-        return Evidence(here, found.p_value, supports=found.difference < 0)
+        return Evidence(here, found.p_value, found.difference < 0, found.behind)
 
     return test
 

@@ -1,6 +1,7 @@
 """Claims of the paper's sections VI-C and VI-D: computing platforms on flights, redundant processors by a model."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import polars as pl
 
@@ -54,7 +55,7 @@ def _same_trend(runs: Runs) -> Evidence:
     own = leading_faults(runs).where(setting=FI)
     found = between_worlds(own.where(environment=SLOW), own.where(environment=FAST), HURT)
     evidence = tested(found, SLOW, FAST, more=True, what="fails or > 5 % longer")
-    return Evidence(evidence.here, evidence.p_value, supports=False)
+    return replace(evidence, supports=False)
 
 
 def _redundant(vehicle: str) -> Callable[[Runs], Evidence]:

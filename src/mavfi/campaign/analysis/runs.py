@@ -87,6 +87,11 @@ class Runs:
         """Distinct values of a column, in order of first appearance."""
         return self.frame[column].unique(maintain_order=True).to_list()
 
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Distinct ids of the runs; empty if rows are not runs (models, estimates)."""
+        return tuple(self.values("run_id")) if "run_id" in self.frame.columns else ()
+
     def recorded(self) -> list[FlightRecord]:
         """Records of the runs, in row order."""
         return [self.records[run_id] for run_id in self["run_id"]]

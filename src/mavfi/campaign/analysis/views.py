@@ -78,7 +78,7 @@ class View:
         rows = [
             _Row(
                 (*key, *(_cell(measure, own, raised) for measure in measures)),
-                (*[_ids(own)] * len(key), *(_behind(measure, own) for measure in measures)),
+                (*[own.ids] * len(key), *(_behind(measure, own) for measure in measures)),
             )
             for key, own in groups.items()
         ]
@@ -95,7 +95,7 @@ class View:
                 cells = [_cell(measure, parts[(value,)], raised) if (value,) in parts else None for value in values]
                 if any(cell is not None for cell in cells):
                     behind = (_behind(measure, parts[(value,)]) if (value,) in parts else () for value in values)
-                    rows.append(_Row((*key, measure.heading, *cells), (*[_ids(own)] * (len(key) + 1), *behind)))
+                    rows.append(_Row((*key, measure.heading, *cells), (*[own.ids] * len(key), (), *behind)))
         return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
 
     def _ordered(self, columns: list[Column], rows: list[_Row]) -> list[_Row]:
@@ -119,14 +119,9 @@ def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
         return UNKNOWN
 
 
-def _ids(own: Runs) -> tuple[str, ...]:
-    """Distinct ids of runs; empty if rows are not runs (models, estimates)."""
-    return tuple(own.values("run_id")) if "run_id" in own.frame.columns else ()
-
-
 def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
-    """Ids of the runs counted in a cell."""
-    return _ids(measure.counted(own))
+    """Ids of the runs counted in a cell; none for the paper's values, whose headings begin with "paper"."""
+    return () if measure.heading.startswith("paper") else measure.counted(own).ids
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ class Difference:
     worlds: int  # in the test
     difference: float  # first - second, mean over worlds
     p_value: float | None  # two-sided; None = fewer than two worlds
+    behind: tuple[str, ...]  # ids of the runs with a value
 
 
 def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
@@ -49,7 +50,7 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | Non
         return None
     differences = np.array([np.mean(one[world]) - np.mean(other[world]) for world in shared])
     p_value = _p_value((differences,), np.mean, "samples")
-    return Difference(_mean(first, value), _mean(second, value), len(shared), float(differences.mean()), p_value)
+    return _compared(first, second, value, len(shared), float(differences.mean()), p_value)
 
 
 def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
@@ -60,7 +61,15 @@ def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | No
     means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
     difference = float(means[0].mean() - means[1].mean())
     p_value = _p_value(means, _difference, "independent")
-    return Difference(_mean(first, value), _mean(second, value), len(one) + len(other), difference, p_value)
+    return _compared(first, second, value, len(one) + len(other), difference, p_value)
+
+
+def _compared(
+    first: Runs, second: Runs, value: pl.Expr, worlds: int, difference: float, p_value: float | None
+) -> Difference:  # fmt: skip
+    ids = (part.where(value.is_not_null()).ids for part in (first, second))
+    behind = tuple(dict.fromkeys(run_id for part in ids for run_id in part))
+    return Difference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
 
 
 def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:

@@ -67,8 +67,7 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
             if table.columns[column].key in _SETTINGS:
                 text = setting_label(text)
             value, interval = _split(text)
-            is_value = kinds[column] == "number" and text != ABSENT and not isinstance(row[column], str)
-            link = sets.link(ids[column]) if is_value else ""
+            link = sets.link(ids[column]) if kinds[column] != "key" and text not in ("", ABSENT) else ""
             cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
         rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
     columns = [
@@ -82,7 +81,7 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
 
 
 def _kind(table: Table, place: int) -> str:
-    """Kind of a column: "key" identifies the row, "number" cells link to runs, "text" cells do not."""
+    """Kind of a column: "key" identifies the row and has no links; "text" and "number" are aligned left and right."""
     if place < table.keys:
         return "key"
     return "text" if table.columns[place].form == TEXT else "number"

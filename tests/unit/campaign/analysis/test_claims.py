@@ -1,3 +1,4 @@
+import polars as pl
 import pytest
 
 from mavfi.campaign.analysis.claims import CLAIMS, Claim, Evidence, claims_table, holm, register, verdict
@@ -59,6 +60,16 @@ def states(stage_lost, arm_saves=True):
 def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, expected):
     [found] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
     assert found["verdict"] == expected, found["here"]
+
+
+def test_verdict_and_p_open_the_tested_runs():
+    own = states(True)
+    found = claims_table(["fault_loses_missions_in_states", "gaussian_recovers_in_states"], [own])
+    linked = [column.key in ("verdict", "p", "holm_p") for column in found.columns]
+    for behind, settings in zip(found.behind, (["fi"], ["fi", "dr_gaussian"]), strict=True):
+        assert [bool(ids) for ids in behind] == linked
+        tested = own.injected.where(pl.col("setting").is_in(settings))
+        assert {ids for ids in behind if ids} == {tuple(sorted(tested["run_id"], key=behind[2].index))}
 
 
 @pytest.mark.parametrize(("share", "expected"), [(1e-6, "confirmed"), (0.01, "contradicted"), (None, "undecided")])

@@ -40,6 +40,15 @@ def test_instructions_harm_and_failures_by_hand():
     assert rows["fi", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["n"] == 20
 
 
+def test_the_faults_of_a_row_are_behind_its_cells():
+    own = campaign()
+    found = table(own, "failures_per_hour")
+    for row, behind in zip(found.entries(), found.behind, strict=True):
+        counted = own.injected.where(setting=row["setting"])
+        counted = counted if row["kernel"] == "all" else counted.where(kernel=row["kernel"])
+        assert set(behind) == {behind[0]} and sorted(behind[0]) == sorted(counted["run_id"])
+
+
 def test_a_detector_that_looks_better_by_coverage_fails_more_often():
     rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
     assert rows["dr_gaussian"]["coverage"] > rows["fi"]["coverage"]

@@ -10,7 +10,7 @@ import pytest
 from mavfi.campaign.analysis import VIEWS, View, paper, table, views_for
 from mavfi.campaign.analysis.measures import Measure, count, rate
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.table import NUMBER, RATE, UNKNOWN
+from mavfi.campaign.analysis.table import NUMBER, RATE, TEXT, UNKNOWN
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.reports.text import FORMS
@@ -62,12 +62,15 @@ def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
     assert found.behind[0] == (sparse, (ids["sparse", 1],), (ids["sparse", 2],))
     assert [len(row) for row in found.behind] == [len(row) for row in found.rows]
     across = View("x", "X", ("setting",), measures, across="environment").table(own)
-    assert across.behind[1] == (tuple(own["run_id"]),) * 2 + ((ids["sparse", 2],), (ids["dense", 1],))
+    assert across.behind[1] == (own.ids, (), (ids["sparse", 2],), (ids["dense", 1],)), (
+        "the name of a measure opens none"
+    )
 
 
 def test_no_run_is_behind_a_figure_of_the_paper(own):
-    found = View("x", "X", ("environment",), (count("n", "n"), paper.column(paper.success))).table(own)
-    assert [len(ids) for ids in found.behind[0]] == [2, 2, 0]
+    words = Measure("words", "paper: in words", TEXT, lambda _: "far")
+    found = View("x", "X", ("environment",), (count("n", "n"), paper.column(paper.success), words)).table(own)
+    assert [len(ids) for ids in found.behind[0]] == [2, 2, 0, 0]
 
 
 def test_least_leaves_small_groups_out(own):
