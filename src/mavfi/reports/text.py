@@ -10,10 +10,13 @@ from mavfi.campaign.analysis.table import (
     ESTIMATE,
     PER_HOUR,
     PERCENT,
+    PERCENT_TEST,
     POINTS,
+    POINTS_TEST,
     RATE,
     SIGNED,
     SMALL,
+    TIMES_TEST,
     Cell,
     Column,
     Table,
@@ -42,6 +45,10 @@ def _interval(found: Rate) -> str:
     return "" if found.low is None or found.high is None else f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
 
 
+def _p(found: Any) -> str:
+    return "" if found.p_value is None else f" p = {found.p_value:.2g}"
+
+
 def rate(found: Rate | float | None) -> str:
     """A rate in per cent with its interval and n: "93.3 [78.7, 98.2] 28/30"; a weighted rate has no count: "n=30"."""
     if found is None or isinstance(found, float):
@@ -67,6 +74,9 @@ FORMS: dict[str, Callable[[Any], str]] = {
     "percent 2": lambda share: percent(share, 2),
     "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
     POINTS: lambda found: f"{100 * (found.rate or 0.0):+.1f} {_interval(found)}",
+    POINTS_TEST: lambda found: f"{100 * found.rate:+.1f} {_interval(found)}{_p(found)}",
+    PERCENT_TEST: lambda found: f"{percent(found.rate)} {_interval(found)}{_p(found)}",
+    TIMES_TEST: lambda found: f"{found.rate:.2f}× [{found.low:.2f}, {found.high:.2f}]{_p(found)}",
     SIGNED: signed_percent,
     "signed points": lambda share: f"{100 * share:+.1f}",
     "points each way": lambda share: f"{100 * share:.1f}",

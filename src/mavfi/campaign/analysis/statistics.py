@@ -128,10 +128,35 @@ def resample(sums: np.ndarray) -> np.ndarray:
     Returns:
         Shape (RESAMPLES, m); deterministic.
     """
-    k = len(sums)
-    draws = np.random.default_rng(_SEED).multinomial(k, np.full(k, 1 / k), size=RESAMPLES)
-    totals: np.ndarray = draws @ sums
+    totals: np.ndarray = draws(len(sums)) @ sums
     return totals
+
+
+def draws(clusters: int) -> np.ndarray:
+    """How often each cluster is in each bootstrap sample; deterministic. Shape (RESAMPLES, clusters)."""
+    found: np.ndarray = np.random.default_rng(_SEED).multinomial(
+        clusters, np.full(clusters, 1 / clusters), size=RESAMPLES
+    )
+    return found
+
+
+def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarray:
+    """Quantiles of samples that hold each value several times, interpolated linearly; NaN of empty samples.
+
+    Args:
+        values: In ascending order. Shape (n,).
+        counts: How often each value is in each sample. Shape (samples, n).
+        share: 0 to 1.
+
+    Returns:
+        Shape (samples,).
+    """
+    upto = counts.cumsum(axis=1)
+    place = share * np.maximum(upto[:, -1] - 1, 0)
+    low, high = (values[np.minimum((upto <= one(place)[:, None]).sum(axis=1), len(values) - 1)]
+                 for one in (np.floor, np.ceil))  # fmt: skip
+    found: np.ndarray = np.where(upto[:, -1] > 0, low + (place - np.floor(place)) * (high - low), np.nan)
+    return found
 
 
 def weighted_rate(

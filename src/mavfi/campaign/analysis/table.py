@@ -16,6 +16,8 @@ RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, ESTIMATE, NUMBER, TEXT = (
     "rate", "percent", "signed percent", "small percent", "per hour", "points", "estimate", "number", "text",
 )  # fmt: skip
 """Display formats of a cell; a number may have a format specification and a unit: "number .1f s"."""
+POINTS_TEST, PERCENT_TEST, TIMES_TEST = "points with test", "percent with test", "times with test"
+"""Formats of a `worlds.Contrast`: with interval and p."""
 UNKNOWN = "unknown"  # a cell whose measure raised an exception
 Cell = Any  # None = empty; text, a number, or a dataclass of numbers such as `Rate`
 

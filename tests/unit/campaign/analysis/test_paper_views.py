@@ -49,7 +49,10 @@ def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
         [worst] = fake.where(run_id=faulty["worst_run"])["inflation"]
         assert worst == faulty["worst"]
         assert faulty["paper"] == paper.worst_time(environment, "fi")
-        assert watched["recovered"] == pytest.approx(faulty["worst"])
+        assert watched["recovered"].rate == pytest.approx(faulty["worst"])
+        assert watched["recovered_p95"].rate == pytest.approx(faulty["p95"], abs=1e-3)
+        assert watched["recovered"].low <= watched["recovered"].rate <= watched["recovered"].high
+        assert 0 < watched["recovered"].p_value <= 1
         assert watched["paper_recovered"] == paper.figure(
             "worst_time_recovered", environment=environment, setting="dr_gaussian"
         )

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import polars as pl
 import pytest
 
 from mavfi.campaign.analysis import table, views_for
@@ -41,12 +42,26 @@ def test_times_energies_and_ratios_by_hand():
     assert set(found) == {(name, setting) for name in PARTS for setting in ("golden", "fi", "dr_gaussian")}
     assert found["fast", "fi"]["n"] == 2, "failures have no flight time"
     assert found["fast", "fi"]["worst_s"] == 80 and found["fast", "fi"]["median_s"] == 60
-    assert found["slow", "golden"]["median_ratio"] == 2.5 and found["slow", "fi"]["worst_ratio"] == 2.5
+    ratio, worst = found["slow", "golden"]["median_ratio"], found["slow", "fi"]["worst_ratio"]
+    assert (ratio.rate, ratio.low, ratio.high, ratio.p_value) == (2.5, 2.5, 2.5, 0.5), "two worlds: 2 of 4 swaps"
+    assert worst.rate == 2.5 and (worst.low, worst.high) == (2.5, 2.5)
+    assert found["slow", "golden"]["energy_ratio"].rate == pytest.approx(2.5)
     assert found["fast", "golden"]["median_ratio"] is None
     assert found["slow", "golden"]["power_w"] == pytest.approx(443.9)
-    assert found["fast", "dr_gaussian"]["recovered"] == pytest.approx(30 / 40)
-    assert found["slow", "dr_gaussian"]["recovered"] == 1.0
+    assert found["fast", "dr_gaussian"]["recovered"].rate == pytest.approx(30 / 40)
+    assert found["slow", "dr_gaussian"]["recovered"].rate == 1.0
     assert found["fast", "fi"]["recovered"] is None
+
+
+def test_the_runs_behind_a_ratio_are_those_of_both_platforms():
+    own = campaign()
+    found = table(own, "platforms")
+    places = {column.key: place for place, column in enumerate(found.columns)}
+    behind = dict(zip([row[:2] for row in found.rows], found.behind, strict=True))
+    assert set(behind["slow", "golden"][places["median_ratio"]]) == set(own.where(setting="golden").ids)
+    kinds = pl.col("setting").is_in(("golden", "fi", "dr_gaussian"))
+    cured = own.where("success", kinds, environment="slow").ids
+    assert set(behind["slow", "dr_gaussian"][places["recovered"]]) == set(cured)
 
 
 def test_the_papers_figures_are_in_the_rows_of_their_platform():

@@ -1,10 +1,12 @@
+import operator
+
 import numpy as np
 import polars as pl
 import pytest
 
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.worlds import between_worlds, within_worlds
+from mavfi.campaign.analysis.statistics import quantiles, wilson
+from mavfi.campaign.analysis.worlds import between_worlds, contrast, within_worlds
 
 VALUE = pl.col("value")
 
@@ -64,3 +66,36 @@ def test_a_rate_has_wilsons_interval_and_another_mean_that_of_a_bootstrap():
     assert alike[0] < low and alike[1] > high, "two worlds say less than ten"
     single = within_worlds(runs(["a"] * 3, [1.0, 2.0, 3.0]), runs(["a"], [0.0]), VALUE)
     assert single.first.bounds is None and single.p_value is None
+
+
+def test_a_contrast_of_quantiles_swaps_whole_worlds():
+    worlds = list("aabbccdd")
+    one, other = runs(worlds, [2.0] * 8), runs(worlds, [1.0] * 8)
+    found = contrast((one, other), "value", 1.0, operator.sub)
+    assert (found.rate, found.low, found.high, found.n) == (1.0, 1.0, 1.0, 4)
+    assert found.p_value == pytest.approx(2 / 2**4), "flights of one world are swapped together"
+    assert contrast((one, runs(worlds, [1.0, None] * 4)), "value", 1.0, operator.truediv).rate == 2.0
+    assert contrast((one, runs(["a"], [None])), "value", 1.0, operator.sub) is None
+    assert contrast((runs(["a"], [1.0]), runs(["a"], [0.0])), "value", 1.0, operator.sub).p_value is None
+
+
+def test_a_contrast_covers_the_difference_of_medians_and_keeps_its_level():
+    random = np.random.default_rng(3)
+    covered, small, campaigns = 0, 0, 100
+    worlds = [str(place) for place in range(30) for _ in range(2)]
+    for _ in range(campaigns):
+        course = np.repeat(random.normal(size=30), 2)
+        first, second = (runs(worlds, course + random.normal(size=60)) for _ in range(2))
+        found = contrast((first, second), "value", 0.5, operator.sub)
+        covered += found.low <= 0.0 <= found.high
+        small += found.p_value < 0.1
+    assert covered >= 88 and small <= 20
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.95, 1.0])
+def test_quantiles_of_counted_values_are_those_of_numpy(share):
+    random = np.random.default_rng(1)
+    values, counts = np.sort(random.normal(size=9)), random.integers(0, 4, size=(20, 9))
+    expected = [np.quantile(np.repeat(values, row), share) for row in counts]
+    assert quantiles(values, counts, share) == pytest.approx(expected)
+    assert np.isnan(quantiles(values, np.zeros((1, 9), int), share)).all(), "no values"
