@@ -103,12 +103,13 @@ class StudyBar(Bar):
         self._parts, self._part, self._name = parts, next(iter(parts.values())), label
         self._at_start, self._first = self._flights(), (math.inf, 0.0)
 
-    def begin(self, name: str, words: str) -> None:
-        """Start the next part."""
+    def begin(self, name: str, words: str) -> str:
+        """Start the next part; returns the words for it."""
         self._part = self._parts[name]
         place = list(self._parts).index(name) + 1
         self._label = f"{self._name}, {words} ({place} of {len(self._parts)})"
         self._bar.update(self._task, description=self._label)
+        return words
 
     def _tell(self, done: int, total: int, pace: str) -> None:
         self._part.done, self._part.total = done, total

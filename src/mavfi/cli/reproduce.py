@@ -1,7 +1,7 @@
 """`mavfi reproduce`: train detectors, fly the campaigns of a study, write its reports, print its headline."""
 
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,8 +16,11 @@ from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.steps import Steps
     from mavfi.campaign.study import Study
-    from mavfi.cli.progress import Part
+    from mavfi.campaign.training import Training
+    from mavfi.cli.progress import Part, StudyBar
     from mavfi.mission import MissionSpec
 
 MODELS = "models"
@@ -48,18 +51,17 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi reproduce --scale quick --out out/reproduce[/bold]
     """
-    from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.overheads import measure, save
     from mavfi.campaign.run import run_campaign
+    from mavfi.campaign.steps import Steps
     from mavfi.campaign.study import load_study
-    from mavfi.campaign.training import Training, record
+    from mavfi.campaign.training import record
     from mavfi.campaign.warm_up import compile_ahead
     from mavfi.cli.progress import Part, StudyBar, compiling
     from mavfi.cli.study_report import show_study_report, write_study_report
     from mavfi.reports.study_report import check_names
 
-    begun = time.perf_counter()
     chosen = load_study(study)
     check_names(chosen, study)
     found = chosen.campaigns_at(scale)
@@ -68,6 +70,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     for folder, campaign in campaigns.items():
         _check_campaign(campaign, chosen.campaigns[folder], out / folder)
     check_folder(out)
+    steps = Steps.begin(out, workers)
     flights = chosen.training_flights
     lacking = _untrained(campaigns.values(), out / MODELS, flights)
     wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
@@ -76,27 +79,42 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     timed = _to_be_timed(chosen, campaigns, out)
     parts |= {f"timing {folder}": Part(0, flights, 1.0) for folder, flights in timed.items()}
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
-    with stoppable(stopped), compiling(instrumented=True):
+    with stoppable(stopped), steps.timed("compilation"), compiling(instrumented=True):
         compile_ahead(campaigns.values(), executor)
     with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
-        trainings = []
-        for place, mission in enumerate(lacking, 1):
-            bar.begin(f"training {place}", "training flights")
-            flown = record(out / MODELS, flights, mission, workers=workers, progress=bar.show, only=wanted)
-            trainings.append(flown)
-        list(map_each(executor, Training.fit, trainings))
+        recording = partial(record, out / MODELS, flights, workers=workers, progress=bar.show, only=wanted)
+        _train(lacking, recording, executor, bar, steps)
         for folder, campaign in campaigns.items():
-            bar.begin(folder, f"campaign {campaign.name}")
-            run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign)
+            with steps.timed(bar.begin(folder, f"campaign {campaign.name}")):
+                run_campaign(
+                    campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign
+                )
         for folder in timed:  # in one process, with no other work at the same time
-            bar.begin(f"timing {folder}", "timed flights")
-            save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
-    written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers)
+            with steps.timed(bar.begin(f"timing {folder}", "timed flights")):
+                save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
+    written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, steps=steps)
     if as_json:
         write_json(written.to_json())
         return
     show_study_report(written, show_all)
-    _say_where(out, campaigns, time.perf_counter() - begun)
+    _say_where(out, campaigns, sum(steps.seconds.values()))
+
+
+def _train(
+    lacking: Iterable["MissionSpec"], recording: Callable[..., "Training"], executor: "LocalExecutor", bar: "StudyBar",
+    steps: "Steps",
+) -> None:  # fmt: skip
+    """Fly and fit the models that are lacking."""
+    from mavfi.campaign.executors.executor import map_each
+    from mavfi.campaign.training import Training
+
+    trainings = []
+    for place, mission in enumerate(lacking, 1):
+        with steps.timed(bar.begin(f"training {place}", "training flights")):
+            trainings.append(recording(mission))
+    if trainings:
+        with steps.timed("fitting of detectors"):
+            list(map_each(executor, Training.fit, trainings))
 
 
 def _say_where(out: Path, folders: Iterable[str], seconds: float) -> None:
@@ -107,7 +125,7 @@ def _say_where(out: Path, folders: Iterable[str], seconds: float) -> None:
     terminal = console()
     terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
     terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in folders)}."), soft_wrap=True)
-    terminal.print(f"The models are in {out / MODELS}. It took {duration(seconds)}.", soft_wrap=True)
+    terminal.print(f"The models are in {out / MODELS}. It took {duration(seconds)} in all.", soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:

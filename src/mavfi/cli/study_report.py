@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,17 +12,18 @@ from rich.text import Text
 
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.steps import Steps
 from mavfi.campaign.study import Study
 from mavfi.cli.console import console
 from mavfi.cli.report_page import write_study_html
 from mavfi.reports.campaign_report import write_report
-from mavfi.reports.study_report import StudyReport, write_study
+from mavfi.reports.study_report import StudyReport, write_study, write_texts
 from mavfi.reports.terminal import show_table
 
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
     study: Study, scale: str, folder: Path, page: Path | None, flights: int | None, workers: int, *,
-    draw_run: bool = True,
+    draw_run: bool = True, steps: Steps | None = None,
 ) -> tuple[StudyReport, int]:  # fmt: skip
     """Write the reports of a study and of its campaigns.
 
@@ -32,6 +35,7 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         flights: Maximum number of flights in the page; None = as many as fit.
         workers: Number of processes.
         draw_run: Whether to fly a run of each campaign again and draw it.
+        steps: To which the time of writing is added; None = it is not recorded.
 
     Returns:
         The report of the study, and the number of flights in the page.
@@ -44,9 +48,15 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         partial(write_study, study, scale, folder),  # the longest first
         *(partial(write_report, directory, draw_run=draw_run) for directory in campaigns),
     ]
-    written, *found = _written(tasks, 1 if _polars_has_threads() else workers)
+    with nullcontext() if steps is None else steps.timed("tables and figures"):
+        written, *found = _written(tasks, 1 if _polars_has_threads() else workers)
+    if steps is not None:
+        written = replace(written, steps=steps)
     reports = dict(zip(campaigns, found, strict=True))
-    count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers)
+    with nullcontext() if steps is None else steps.timed("report.html and its flights"):
+        count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers)
+    if steps is not None:
+        write_texts(written, scale, folder)
     return written, count
 
 
@@ -77,7 +87,8 @@ def show_study_report(written: StudyReport, show_all: bool) -> None:
         for table in section.tables if show_all else section.tables[:1]:
             show_table(table, terminal)
     if show_all:
-        show_table(written.times, terminal)
+        for table in written.times:
+            show_table(table, terminal)
     for title, lines in written.findings.items():
         terminal.print(Text(title, "bold"))
         for line in lines:

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ from mavfi.campaign.analysis.claims import CLAIMS, claims_table
 from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.analysis.times import time_table
+from mavfi.campaign.analysis.times import step_table, time_table
+from mavfi.campaign.steps import Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
@@ -22,7 +23,7 @@ from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.flight_record import plain
 from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.figures import FIGURES, draw, drawing
-from mavfi.reports.text import checks, header
+from mavfi.reports.text import checks, header, versions
 
 FIGURES_FOLDER, TABLES_FOLDER = "figures", "tables"
 MARKDOWN, JSON = "study.md", "study.json"
@@ -53,6 +54,7 @@ class StudyReport:
     study: Study
     campaigns: Mapping[str, Runs]  # by folder
     sections: tuple[SectionReport, ...]
+    steps: Steps
     files: tuple[Path, ...] = ()
 
     @property
@@ -85,16 +87,33 @@ class StudyReport:
         return found
 
     @property
-    def times(self) -> Table:
-        """Table of worker time by campaign."""
-        return time_table(self.campaigns)
+    def times(self) -> list[Table]:
+        """Tables of wall time by step, if it was flown by `mavfi reproduce`, and of worker time by campaign."""
+        return [table for table in (step_table(self.steps.seconds), time_table(self.campaigns)) if table.rows]
+
+    @property
+    def provenance(self) -> list[str]:
+        """Lines on where and when the study was flown, how long it took, with which versions, and what it gave."""
+        runs, whole = self.steps.runs, sum(self.steps.seconds.values()) / 60
+        lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
+        if runs:
+            again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
+            lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min.")
+        flown_with = {
+            name: text for runs in self.campaigns.values() for name, text in runs.campaign["versions"].items()
+        }
+        lines.append(f"Versions: {', '.join(versions({'versions': flown_with}))}.")
+        for folder, flown in self.campaigns.items():
+            lines.append(f"Digest of the ledger in {folder} ({flown.campaign['name']}): {flown.campaign['digest']}.")
+        return lines
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: name, campaigns by folder, sections, times."""
         campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
         sections = [section.to_json() for section in self.sections]
         data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
-                                      "times": self.times.to_json()})  # fmt: skip
+                                      "provenance": self.provenance,
+                                      **{table.name: table.to_json() for table in self.times}})  # fmt: skip
         return data
 
 
@@ -140,7 +159,7 @@ def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport
         if (found := views_for(runs))
     )
     reports = tuple(_section(section, campaigns, folder, fly=fly) for section in sections)
-    return StudyReport(study, campaigns, reports)
+    return StudyReport(study, campaigns, reports, Steps.load(folder))
 
 
 def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, fly: bool) -> SectionReport:
@@ -170,10 +189,20 @@ def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> 
         BadInputError: See `study_report`.
     """
     found = study_report(study, folder, fly=fly)
+    files = [*write_texts(found, scale, folder), *(name for one in found.sections for name in one.captions)]
+    return replace(found, files=tuple(folder / name for name in files))
+
+
+def write_texts(found: StudyReport, scale: str, folder: Path) -> list[str]:
+    """Write study.md, study.json and tables (CSV) of a study flown at a scale; returns their names.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
     today = date.today().isoformat()
-    flown = {"date": today, "scale": scale, "definition": study.model_dump(mode="json", exclude_defaults=True)}
+    flown = {"date": today, "scale": scale, "definition": found.study.model_dump(mode="json", exclude_defaults=True)}
     texts = {
-        MARKDOWN: _markdown(found, today),
+        MARKDOWN: _markdown(found, today, scale),
         JSON: json.dumps({**flown, **found.to_json()}, indent=1, allow_nan=False) + "\n",
         **{f"{TABLES_FOLDER}/{name}.csv": table.to_csv() for name, table in found.tables.items()},
     }
@@ -182,8 +211,7 @@ def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> 
     for name, content in texts.items():
         with writing(folder / name):
             (folder / name).write_text(content, encoding="utf-8")
-    files = [*texts, *(name for section in found.sections for name in section.captions)]
-    return StudyReport(study, found.campaigns, found.sections, tuple(folder / name for name in files))
+    return list(texts)
 
 
 def stored_study(folder: Path) -> tuple[Study, str] | None:
@@ -203,13 +231,14 @@ def stored_study(folder: Path) -> tuple[Study, str] | None:
     return parse(Study, definition, f"{path}: definition"), scale
 
 
-def _markdown(found: StudyReport, today: str) -> str:
-    parts = [f"# Study {found.study.name}", f"Report of {today}."]
+def _markdown(found: StudyReport, today: str, scale: str) -> str:
+    parts = [f"# Study {found.study.name}", f"Report of {today}, scale {scale}."]
+    parts.append("\n".join(f"- {line}" for line in found.provenance))
     for part in found.sections:
         parts += [f"# {part.section.title}", part.section.text]
         parts += [f"![{name}]({name})\n\n{text}" for name, text in part.captions.items()]
         parts += [markdown_table(shown) for shown in part.tables]
-    parts += ["# Campaigns", markdown_table(found.times)]
+    parts += ["# Campaigns", *map(markdown_table, found.times)]
     for runs in found.campaigns.values():
         first, *rest = header(runs.campaign)
         parts += [f"## {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, *checks(runs)])]

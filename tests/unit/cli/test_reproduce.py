@@ -7,6 +7,7 @@ from mavfi.campaign import overheads
 from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
+from mavfi.campaign.steps import Steps
 from mavfi.campaign.study import load_study
 from mavfi.cli import run
 from mavfi.cli.progress import StudyBar
@@ -23,7 +24,7 @@ def few_flights(monkeypatch):
 
 def no_report(monkeypatch):
     """Write and print nothing after the flights."""
-    monkeypatch.setattr("mavfi.cli.study_report.write_study_report", lambda *_: (None, 0))
+    monkeypatch.setattr("mavfi.cli.study_report.write_study_report", lambda *_, **__: (None, 0))
     monkeypatch.setattr("mavfi.cli.study_report.show_study_report", lambda *_, **__: None)
 
 
@@ -67,12 +68,21 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
         raise AssertionError("trained or timed again")
 
     assert overheads.load(out)["missions"] == 1
-    assert "one process on " in (out / "study.md").read_text(encoding="utf-8"), "measured, not modelled alone"
+    written = (out / "study.md").read_text(encoding="utf-8")
+    assert "one process on " in written, "measured, not modelled alone"
+    flights = ["training flights", "fitting of detectors", "campaign table1", "campaign table1_instructions"]
+    steps = ["compilation", *flights, "timed flights", "tables and figures", "report.html and its flights"]
+    assert list(Steps.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
+    assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
+    assert ">Machine: " in (out / "report.html").read_text(encoding="utf-8")
+    spent = Steps.load(out).seconds["campaign table1"]
     monkeypatch.setattr("mavfi.campaign.training.record", never)
     monkeypatch.setattr("mavfi.campaign.overheads.measure", never)
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)["campaigns"]) == {".", "instructions"}
+    data = json.loads(capsys.readouterr().out)
+    assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 5
+    assert Steps.load(out).seconds["campaign table1"] > spent, "a resumed study adds to its times"
 
 
 @pytest.mark.slow

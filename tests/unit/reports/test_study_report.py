@@ -1,8 +1,12 @@
 """Findings of a study in sentences, from tables made by hand."""
 
+from pathlib import Path
+
 from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.steps import Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.reports.study_report import SectionReport, StudyReport
+from tests.unit.campaign.analysis.handmade import golden, runs
 
 
 def test_findings_name_the_claims_that_are_contradicted_below_the_title_of_their_section():
@@ -10,11 +14,28 @@ def test_findings_name_the_claims_that_are_contradicted_below_the_title_of_their
     rows = [(f"claim {place}", verdict) for place, verdict in enumerate(verdicts)]
     table = Table.of_text("claims", ["statement", "verdict"], rows, ())
     study = Study(name="small", campaigns={".": "table1"})
-    report = StudyReport(study, {}, (SectionReport(Section(title="Tested"), None, (table,)),))
+    report = StudyReport(study, {}, (SectionReport(Section(title="Tested"), None, (table,)),), Steps(Path()))
     assert report.findings == {
         "Tested": ["4 claims: 2 confirmed, 1 contradicted, 1 undecided.", "Contradicted: claim 1."]
     }
 
 
 def test_no_section_no_findings():
-    assert StudyReport(Study(name="small", campaigns={".": "table1"}), {}, ()).findings == {}
+    assert StudyReport(Study(name="small", campaigns={".": "table1"}), {}, (), Steps(Path())).findings == {}
+
+
+def test_provenance_names_machines_times_versions_and_whole_digests():
+    flown = runs(golden(1), digest="d" * 64, versions={"numba": "2", "mavfi": "1"})
+    begun = [{"begun": f"2026-11-2{day} 10:00:00+00:00", "machine": "a CPU"} for day in (1, 2)]
+    study = Study(name="small", campaigns={".": "handmade"})
+    report = StudyReport(study, {".": flown}, (), Steps(Path(), {"compilation": 60.0, "campaign": 120.0}, begun))
+    assert report.provenance == [
+        "Machine: a CPU.",
+        "Begun 2026-11-21 10:00:00+00:00, last resumed 2026-11-22 10:00:00+00:00 (run 2); wall time in all: 3.0 min.",
+        "Versions: mavfi 1, numba 2.",
+        f"Digest of the ledger in . (handmade): {'d' * 64}.",
+    ]
+    assert [table.name for table in report.times] == ["steps", "times"]
+    assert report.times[0].rows == [("compilation", 1.0, 1 / 3), ("campaign", 2.0, 2 / 3), ("all", 3.0, 1.0)]
+    bare = StudyReport(study, {".": flown}, (), Steps(Path()))
+    assert bare.provenance == report.provenance[2:] and [table.name for table in bare.times] == ["times"]

@@ -1,11 +1,26 @@
-"""Breakdown of a study's worker time, from the wall times in its ledgers."""
+"""Breakdown of a study's time: wall time by step, and worker time from the ledgers of its campaigns."""
 
 from collections.abc import Mapping
 
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.table import Column, Table
+from mavfi.campaign.analysis.table import PERCENT, Column, Table
 
 _MINUTES = "number .1f min"
+
+
+def step_table(seconds: Mapping[str, float]) -> Table:
+    """Wall time (s) by step, and its sum."""
+    whole = sum(seconds.values())
+    rows = [(step, spent / 60, spent / whole if whole else None) for step, spent in [*seconds.items(), ("all", whole)]]
+    columns = Column("step", "step"), Column("wall", "wall time", _MINUTES), Column("share", "share", PERCENT)
+    return Table(
+        "steps", "Where the time goes: steps of mavfi reproduce", columns, rows if seconds else (),
+        notes=(
+            "wall time, added over the runs of a resumed study; that of a campaign includes drawing its faults and "
+            "writing its ledger; compilation: of what was not in the cache",
+            "report.html is written last, so that its own time is in study.md only",
+        ),
+    )  # fmt: skip
 
 
 def time_table(campaigns: Mapping[str, Runs]) -> Table:
@@ -13,7 +28,7 @@ def time_table(campaigns: Mapping[str, Runs]) -> Table:
     rows = [_row(str(runs.campaign["name"]), [runs]) for runs in campaigns.values()]
     rows.append(_row("all", list(campaigns.values())))
     return Table(
-        "times", "Where the time goes", _COLUMNS, rows,
+        "times", "Where the time goes: workers of the campaigns", _COLUMNS, rows,
         notes=(
             "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
             "include the counting of instructions, and those with a fault start at checkpoints of golden runs",

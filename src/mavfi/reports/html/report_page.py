@@ -21,7 +21,7 @@ from mavfi.reports.html.flight_page import FlightPage
 from mavfi.reports.html.run_list import run_list
 from mavfi.reports.html.table_data import RunSets, table_data
 from mavfi.reports.study_report import StudyReport
-from mavfi.reports.text import checks, header, versions
+from mavfi.reports.text import checks, header
 
 LARGEST = 15_000_000
 """Maximum size of a page (bytes)."""
@@ -70,7 +70,7 @@ def sections_of_study(study: StudyReport) -> list[Section]:
     ]  # fmt: skip
     leading = [found[study.sections.index(one)] for one in study.headline]
     first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
-    return [*first, *found, Section(study.times.title, [study.times])]
+    return [*first, *found, Section("Where the time goes", study.times)]
 
 
 def drawn_of_study(study: StudyReport) -> list[Drawn]:
@@ -117,7 +117,7 @@ def headline_of(report: Report) -> Headline:
 
 
 def headline_of_study(study: StudyReport) -> Headline:
-    """Headline of a study: environments, number of runs by level, and versions; the remarks describe each campaign."""
+    """Headline of a study: environments, number of runs by level, provenance; the remarks describe each campaign."""
     campaigns = [runs.campaign for runs in study.campaigns.values()]
     done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
     levels = Counter[str]()
@@ -134,7 +134,7 @@ def headline_of_study(study: StudyReport) -> Headline:
     lines = [
         f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
         f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
-        " · ".join(versions(campaigns[0])),
+        *study.provenance[: -len(campaigns)],
     ]
     return Headline("study", f"Study {study.study.name}", lines, study.findings)
 

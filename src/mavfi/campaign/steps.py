@@ -1,0 +1,71 @@
+"""Wall time of a study by step, and the machines that it ran on, kept in its folder: a resumed study adds to them."""
+
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mavfi.campaign.overheads import processor
+from mavfi.errors import BadInputError, writing
+
+FILE = "steps.json"
+"""Name of the file in the folder of a study."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Wall times (s) by step, and when and where each run of the command began."""
+
+    folder: Path
+    seconds: dict[str, float] = field(default_factory=dict)
+    runs: list[dict[str, str]] = field(default_factory=list)  # "begun" (UTC) and "machine"
+
+    @staticmethod
+    def load(folder: Path) -> "Steps":
+        """The steps so far; without any if the folder has no file of them.
+
+        Raises:
+            BadInputError: The file is invalid.
+        """
+        path = folder / FILE
+        try:
+            held = json.loads(path.read_text(encoding="utf-8"))
+            seconds = {str(step): float(spent) for step, spent in held["seconds"].items()}
+            runs = [{key: str(run[key]) for key in ("begun", "machine")} for run in held["runs"]]
+        except FileNotFoundError:
+            return Steps(folder)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            raise BadInputError(f"{path}: is not a file of wall times; remove it") from None
+        return Steps(folder, seconds, runs)
+
+    @staticmethod
+    def begin(folder: Path, workers: int) -> "Steps":
+        """The steps so far, and a new run on this machine."""
+        found = Steps.load(folder)
+        begun = datetime.now(UTC).isoformat(" ", "seconds")
+        found.runs.append({"begun": begun, "machine": f"{machine()}, {workers} worker{'s' * (workers != 1)}"})
+        return found
+
+    @contextmanager
+    def timed(self, step: str) -> Iterator[None]:
+        """Add the wall time of a block to a step, and write the file, also if the block is interrupted."""
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[step] = self.seconds.get(step, 0.0) + time.perf_counter() - begun
+            path = self.folder / FILE
+            with writing(path):
+                path.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
+
+
+def machine() -> str:
+    """This machine in words: processor, its number of cores, memory and system."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    system = f"{platform.system()} {platform.machine()}"
+    return f"{processor()}, {os.cpu_count()} cores, {memory:.1f} GiB of memory, {system}"
