@@ -192,7 +192,7 @@ def measure(
 
     Returns:
         `processor`, `missions`, and `rows`: environment, arm, stage, and medians over flights of `detection` and
-        `recovery` as shares of the kernels' time.
+        `recovery` as shares of the kernels' time; `flights` has both of each flight, in order of seed.
 
     Raises:
         BadInputError: No arm has a detector, or a mission cannot be flown.
@@ -218,10 +218,10 @@ def measure(
     return {"processor": processor(), "missions": missions, "rows": rows}
 
 
-def _shares(costs: Iterable[Cost], stage: str) -> dict[str, float]:
+def _shares(costs: Iterable[Cost], stage: str) -> dict[str, Any]:
     found = [(one.detection[stage] / one.kernels, one.recovery[stage] / one.kernels) for one in costs]
     detection, recovery = zip(*found, strict=True)
-    return {"detection": statistics.median(detection), "recovery": statistics.median(recovery)}
+    return {"detection": statistics.median(detection), "recovery": statistics.median(recovery), "flights": found}
 
 
 def save(measured: Mapping[str, Any], directory: Path) -> Path:

@@ -11,6 +11,7 @@ from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views
     flight_views,
     kernel_views,
     node_views,
+    overhead_claims,
     paper_claims,
     paper_views,
     platform_claims,

@@ -1,18 +1,16 @@
 """Claims of the paper's text, each with a test on runs (see `claims`); all tests treat worlds as independent."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import polars as pl
-from scipy.stats import binomtest
 
 from mavfi.campaign.analysis import measures as m
-from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.claims import Claim, Evidence, register
 from mavfi.campaign.analysis.paper_views import by_bits, leading_faults
+from mavfi.campaign.analysis.rows import ACTIVATED
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.worlds import Difference, Mean, between_worlds, within_worlds
-from mavfi.campaign.overheads import ALL
 from mavfi.campaign.plan import FI
 
 KERNELS, STATES, BITS, INSTRUCTIONS, VALUES = "kernels", "states", "bits", "table1_instructions", "table1"
@@ -22,8 +20,7 @@ ALTERED = pl.when("success").then(pl.col("inflation").abs() > m.SLOWER)
 """Whether flight time changes by more than 5 %; null for failures."""
 LOSS = pl.col("golden_success").cast(pl.Float64) - pl.col("success").cast(pl.Float64)
 """Success lost to the fault: success without it - success with it."""
-_WITHIN = "random signs of the differences of worlds"
-_SIGNS = "sign test of environments and stages"
+WITHIN = "random signs of the differences of worlds"
 _BETWEEN = "worlds shuffled between the groups"
 
 
@@ -51,6 +48,11 @@ def tested(found: Difference | None, one: str, other: str, *, more: bool, what: 
         return Evidence("no runs to compare", None, supports=False)
     here = f"{what}: {unit.text(found.first, one)}, {unit.text(found.second, other)}, {found.worlds} worlds"
     return Evidence(here, found.p_value, (found.difference > 0) == more, found.behind)
+
+
+def equality(test: Callable[[Runs], Evidence]) -> Callable[[Runs], Evidence]:
+    """A claim of equality, which can be contradicted, but not confirmed."""
+    return lambda runs: replace(test(runs), supports=False)
 
 
 def _faults(runs: Runs) -> Runs:
@@ -82,15 +84,27 @@ _WORDS = {FI: "fault", "dr_gaussian": "fault with GAD", "dr_autoencoder": "fault
 """Settings of paired tests."""
 
 
-def _lost(select: pl.Expr | None = None) -> Callable[[Runs], Evidence]:
+def _lost(select: pl.Expr | None = None, setting: str = FI) -> Callable[[Runs], Evidence]:
     """Test of golden runs against the same missions with a fault."""
 
     def test(runs: Runs) -> Evidence:
-        own = _faults(runs).where(pl.col("golden_success").is_not_null())
+        own = leading_faults(runs).where(pl.col("golden_success").is_not_null(), setting=setting)
         own = own if select is None else own.where(select)
         golden = pl.col("golden_success")
         found = within_worlds(own.adding(value=golden), own.adding(value=SUCCESS), pl.col("value"))
-        return tested(found, "golden", "fault", more=True, what="success")
+        return tested(found, "golden", _WORDS[setting], more=True, what="success")
+
+    return test
+
+
+def _above_golden(value: pl.Expr, what: str, select: pl.Expr | None = None) -> Callable[[Runs], Evidence]:
+    """Test of a value that is 0 in golden runs by definition."""
+
+    def test(runs: Runs) -> Evidence:
+        own = _faults(runs).where("golden_success", *(() if select is None else (select,))).adding(value=value)
+        known = own.where(pl.col("value").is_not_null())
+        found = within_worlds(known, known.adding(value=pl.lit(0.0)), pl.col("value"))
+        return tested(found, "fault", "golden", more=True, what=what)
 
     return test
 
@@ -111,60 +125,26 @@ def paired(
     return test
 
 
+def _in_dense(runs: Runs, value: pl.Expr | str, *, more: bool, what: str) -> Evidence:
+    """Evidence from flights in Dense and in the other environments."""
+    own = runs.adding(value=pl.col(value) if isinstance(value, str) else value)
+    dense, others = own.where(environment="dense"), own.where(pl.col("environment") != "dense")
+    return tested(between_worlds(dense, others, pl.col("value")), "Dense", "other environments", more=more, what=what)
+
+
 def _hardest(runs: Runs) -> Evidence:
     own = _faults(runs).where(pl.col("golden_success").is_not_null())
-    dense, others = own.where(environment="dense"), own.where(pl.col("environment") != "dense")
-    found = between_worlds(dense, others, LOSS)
-    return tested(found, "Dense", "other environments", more=True, what="success lost to a fault")
+    return _in_dense(own, LOSS, more=True, what="success lost to a fault")
 
 
-def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
-    """Test of the overhead (recomputation / compute time, by run, in modelled time) against an upper bound."""
-
-    def test(runs: Runs) -> Evidence:
-        own = runs.where("judged", setting=setting)
-        shares = {run_id: _recomputed(runs, run_id) for run_id in own["run_id"]}
-        known = own.adding(value=pl.col("run_id").replace_strict(shares, return_dtype=pl.Float64))
-        found = within_worlds(known, known.adding(value=pl.lit(bound)), pl.col("value"))
-        if found is None:
-            return Evidence("no runs", None, supports=False)
-        here = f"{Unit('%', 100.0, '.3g').text(found.first)} of compute time, {found.worlds} worlds"
-        return Evidence(here, found.p_value, found.difference < 0, found.behind)
-
-    return test
+def _hardest_to_recover(runs: Runs) -> Evidence:
+    lost = m.against_fi(leading_faults(runs)).where("golden_success", ~pl.col("fi_success"))
+    return _in_dense(lost, "dr_success", more=False, what="lost missions that GAD or AAD bring back")
 
 
-def _measured_overhead(arm: str, bound: float) -> Callable[[Runs], Evidence]:
-    """Test of measured detection and recovery, as shares of the kernels' time by stage, against an upper bound."""
-
-    def test(runs: Runs) -> Evidence:
-        rows = [row for row in runs.campaign.get("overheads", {}).get("rows", ()) if row["arm"] == arm]
-        shares = [row["detection"] + row["recovery"] for row in rows if row["stage"] != ALL]
-        if not shares:
-            return Evidence("not measured", None, supports=False)
-        above, places = sum(share > bound for share in shares), len({row["environment"] for row in rows})
-        here = f"{100 * sum(shares) / places:.3g} % of the kernels' time, mean of {places} environments; in {above} of "
-        here += f"{len(shares)} environments and stages one stage alone exceeds it"
-        return Evidence(here, float(binomtest(above, len(shares)).pvalue), supports=2 * above < len(shares))
-
-    return test
-
-
-def _recomputed(runs: Runs, run_id: str) -> float | None:
-    record = runs.records[run_id]
-    spent = sum(record.recompute_us.values())
-    compute = sum(record.compute_us.values()) - spent
-    return spent / compute if compute else None
-
-
-def _largest(name: str, setting: str) -> float:
-    """The paper's largest recomputation overhead of a detector over environments, summed over stages."""
-    stages = [
-        paper.figure(name, environment=place, setting=setting, stage=stage)
-        for place in ("factory", "farm", "sparse", "dense")
-        for stage in ("perception", "planning", "control")
-    ]
-    return max(float(sum(stages[place : place + 3])) for place in range(0, len(stages), 3))  # fmt: skip
+def _most_missed(runs: Runs) -> Evidence:
+    own = leading_faults(runs).where(pl.col("detector") != "", site_outcome=ACTIVATED)
+    return _in_dense(own, "detected_at_site", more=False, what="faults detected at their site by GAD or AAD")
 
 
 _BITS = {name: (words, _of("bits", *bits)) for name, words, bits in (
@@ -177,7 +157,7 @@ def _of_kernels() -> Iterable[Claim]:
         "The perception stage is the least critical",
         "III-A",
         KERNELS,
-        _WITHIN,
+        WITHIN,
         _compared(_faults, _PERCEPTION, _LATER, HURT, more=False, what=_HURT),
     )
     yield Claim(
@@ -185,7 +165,7 @@ def _of_kernels() -> Iterable[Claim]:
         "Collision check is the critical kernel within perception",
         "III-A",
         KERNELS,
-        _WITHIN,
+        WITHIN,
         _compared(
             _faults,
             ("collision check", _of("kernel", "collision_check")),
@@ -200,15 +180,23 @@ def _of_kernels() -> Iterable[Claim]:
         "Flight time ranges wider with faults in planning and control",
         "III-A",
         KERNELS,
-        _WITHIN,
+        WITHIN,
         _compared(_faults, _LATER, _PERCEPTION, ALTERED, more=True, what="flight time changed by > 5 %"),
+    )
+    yield Claim(
+        "clouds_and_maps_negligible",
+        "Faults in point cloud and OctoMap lose no missions (little to negligible impact)",
+        "III-A",
+        KERNELS,
+        WITHIN,
+        equality(_lost(_of("kernel", "point_cloud", "octomap"))),
     )
     yield Claim(
         "planning_control_success",
         "Faults in planning and control lower the success rate (by up to 8 %)",
         "III-A",
         KERNELS,
-        _WITHIN,
+        WITHIN,
         _lost(_LATER[1]),
     )
 
@@ -219,7 +207,7 @@ def _of_states() -> Iterable[Claim]:
         "future_collision_seq is much more robust than time_to_collision",
         "III-B",
         STATES,
-        _WITHIN,
+        WITHIN,
         _compared(
             _faults,
             ("future_collision_seq", _of("target", "future_collision_seq")),
@@ -234,66 +222,127 @@ def _of_states() -> Iterable[Claim]:
         "Faults in sign and exponent fields have a greater impact",
         "III-B",
         BITS,
-        _WITHIN,
+        WITHIN,
         _compared(by_bits, _BITS["high"], _BITS["low"], HURT, more=True, what=_HURT),
     )
+
+    for name, value, what in (
+        ("flight_time", pl.col("inflation"), "flight time over golden"),
+        ("energy", pl.col("energy_inflation"), "energy over golden"),
+        ("failures", ~SUCCESS, "fails"),
+    ):
+        yield Claim(
+            f"sign_exponent_{name}",
+            f"Faults in sign and exponent fields increase {name.replace('_', ' ')} more",
+            "III-B",
+            BITS,
+            WITHIN,
+            _compared(by_bits, _BITS["high"], _BITS["low"], value, more=True, what=what),
+        )
+    groups = ("waypoint position", "waypoint yaw", "waypoint velocity")
+    yield Claim(
+        "waypoints_harm",
+        "Faults in position, yaw and velocity of way-points lead to crashes or longer flights",
+        "III-B",
+        STATES,
+        WITHIN,
+        _above_golden(HURT, _HURT, _of("target", *groups)),
+    )
+
+
+def _of_faults(campaign: str, words: str, end: str) -> Iterable[Claim]:
+    yield Claim(
+        f"fault_loses_missions{end}",
+        f"{words}: one fault lowers the success rate",
+        "VI-A",
+        campaign,
+        WITHIN,
+        _lost(),
+    )
+    yield Claim(
+        f"fault_lengthens_flights{end}",
+        f"{words}: flights that succeed take longer (the worst by 63 to 93 %)",
+        "VI-A",
+        campaign,
+        WITHIN,
+        _above_golden(pl.when("success").then("inflation"), "flight time over golden"),
+    )
+    yield Claim(
+        f"dense_hardest{end}",
+        f"{words}: Dense loses most missions (9.7 points)",
+        "VI-A",
+        campaign,
+        _BETWEEN,
+        _hardest,
+    )
+
+
+def _of_detectors(campaign: str, words: str, end: str) -> Iterable[Claim]:
+    for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
+        yield Claim(
+            f"{arm}_recovers{end}",
+            f"{words}: {short} recovers failed missions",
+            "VI-A",
+            campaign,
+            WITHIN,
+            paired(f"dr_{arm}", FI, "success", more=True, what="success"),
+        )
+    yield Claim(
+        f"autoencoder_beats_gaussian{end}",
+        f"{words}: AAD recovers more than GAD",
+        "VI-A",
+        campaign,
+        WITHIN,
+        paired("dr_autoencoder", "dr_gaussian", "success", more=True, what="success"),
+    )
+    yield Claim(
+        f"autoencoder_like_golden{end}",
+        f"{words}: with AAD as many missions succeed as without a fault",
+        "VI-A",
+        campaign,
+        WITHIN,
+        equality(_lost(setting="dr_autoencoder")),
+    )
+    yield Claim(
+        f"dense_hardest_to_recover{end}",
+        f"{words}: Dense is the hardest to recover",
+        "VI-A",
+        campaign,
+        _BETWEEN,
+        _hardest_to_recover,
+    )
+    yield Claim(
+        f"autoencoder_shortens_more{end}",
+        f"{words}: AAD recovers more flight time than GAD",
+        "VI-A",
+        campaign,
+        WITHIN,
+        paired("dr_autoencoder", "dr_gaussian", "inflation", more=False, what="flight time over golden"),
+    )
+    for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
+        yield Claim(
+            f"{arm}_shortens_flights{end}",
+            f"{words}: {short} recovers flight time",
+            "VI-A",
+            campaign,
+            WITHIN,
+            paired(f"dr_{arm}", FI, "inflation", more=False, what="flight time over golden"),
+        )
 
 
 def _of_success() -> Iterable[Claim]:
     for campaign, level, end in ((INSTRUCTIONS, "instructions", ""), (VALUES, "states", "_in_states")):
         words = f"Table I, faults in {level}"
-        yield Claim(
-            f"fault_loses_missions{end}",
-            f"{words}: one fault lowers the success rate",
-            "VI-A",
-            campaign,
-            _WITHIN,
-            _lost(),
-        )
-        yield Claim(
-            f"dense_hardest{end}",
-            f"{words}: Dense loses most missions (9.7 points)",
-            "VI-A",
-            campaign,
-            _BETWEEN,
-            _hardest,
-        )
-        for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-            yield Claim(
-                f"{arm}_recovers{end}",
-                f"{words}: {short} recovers failed missions",
-                "VI-A",
-                campaign,
-                _WITHIN,
-                paired(f"dr_{arm}", FI, "success", more=True, what="success"),
-            )
-        yield Claim(
-            f"autoencoder_beats_gaussian{end}",
-            f"{words}: AAD recovers more than GAD",
-            "VI-A",
-            campaign,
-            _WITHIN,
-            paired("dr_autoencoder", "dr_gaussian", "success", more=True, what="success"),
-        )
-        for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-            yield Claim(
-                f"{arm}_shortens_flights{end}",
-                f"{words}: {short} recovers flight time",
-                "VI-A",
-                campaign,
-                _WITHIN,
-                paired(f"dr_{arm}", FI, "inflation", more=False, what="flight time over golden"),
-            )
+        yield from _of_faults(campaign, words, end)
+        yield from _of_detectors(campaign, words, end)
+    yield Claim(
+        "dense_most_missed_in_states",
+        "Table I, faults in states: in Dense most faults go undetected",
+        "VI-A",
+        VALUES,
+        _BETWEEN,
+        _most_missed,
+    )
 
 
-def _of_overhead() -> Iterable[Claim]:
-    for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-        bound = _largest("recompute_overhead", "dr_gaussian") if arm == "gaussian" else paper.figure(
-            "detection_overhead", setting="dr_autoencoder", environment="dense")  # fmt: skip
-        text = f"Recomputation of {short} takes at most {100 * bound:.4g} % of compute time, both modelled"
-        yield Claim(f"{arm}_overhead", text, "VI-C", INSTRUCTIONS, _WITHIN, _overhead(f"dr_{arm}", bound))
-        text = f"Detection and recovery by {short} take at most {100 * bound:.4g} % of compute time, measured here"
-        yield Claim(f"{arm}_overhead_measured", text, "VI-C", VALUES, _SIGNS, _measured_overhead(arm, bound))
-
-
-register(*_of_kernels(), *_of_states(), *_of_success(), *_of_overhead())
+register(*_of_kernels(), *_of_states(), *_of_success())

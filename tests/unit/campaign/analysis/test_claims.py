@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import polars as pl
 import pytest
 
@@ -5,7 +7,7 @@ from mavfi.campaign.analysis.claims import CLAIMS, Claim, Evidence, claims_table
 from mavfi.campaign.overheads import ALL
 from mavfi.errors import BadInputError
 from mavfi.flight_record import EnergyTerms
-from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
+from tests.unit.campaign.analysis.handmade import FAULT, INSTRUCTION, alarm, flown, golden, injected, runs
 
 
 def test_holm_is_that_of_the_textbook():
@@ -83,6 +85,97 @@ def test_measured_overheads_are_tested_by_stage(share, expected):
     own.campaign["overheads"] = {"rows": rows}
     [found] = claims_table(["autoencoder_overhead_measured"], [own]).entries()
     assert found["verdict"].startswith(expected), found
+
+
+@pytest.mark.parametrize(
+    ("name", "aad", "gad", "expected"),
+    [
+        ("autoencoder_overhead_smaller_measured", (0.02, 0.0), (0.01, 0.02), "confirmed"),
+        ("autoencoder_overhead_smaller_measured", (0.02, 0.02), (0.01, 0.02), "contradicted"),
+        ("autoencoder_detection_slower", (0.02, 0.0), (0.01, 0.02), "confirmed"),
+        ("autoencoder_detection_slower", (0.01, 0.0), (0.01, 0.02), "undecided"),
+    ],
+)
+def test_measured_overheads_of_two_detectors_are_compared_by_flight(name, aad, gad, expected):
+    rows = [
+        {"environment": place, "arm": arm, "stage": stage, "detection": 9.0, "recovery": 9.0, "flights": [shares] * 2}
+        for place in ("factory", "farm", "sparse", "dense")
+        for arm, shares in (("autoencoder", aad), ("gaussian", gad), ("mine", gad))
+        for stage in (ALL, "control")
+    ]
+    own = runs(golden(1), name="table1", overheads={"rows": rows})
+    [found] = claims_table([name], [own]).entries()
+    assert found["verdict"] == expected and found["here"].endswith("of 8 flights"), found["here"]
+    for row in rows:
+        del row["flights"]
+    [found] = claims_table([name], [own]).entries()
+    assert (found["verdict"], found["p"]) == ("undecided", None), "measured by an earlier version"
+
+
+def test_modelled_recomputation_of_two_detectors_and_by_stage():
+    own = []
+    for seed in range(10):
+        spent = {"gaussian": {"perception": 900, "planning": 900, "control": 10}, "autoencoder": {"control": 20}}
+        for arm, parts in spent.items():
+            record = flown(recompute_us=parts, compute_us={"pid": 1_000_000 + sum(parts.values())})
+            own.append(injected(seed, record, arm=arm))
+    names = ["autoencoder_overhead_smaller", "gaussian_recovery_of_early_stages"]
+    first, second = claims_table(names, [runs(*own, name="table1_instructions")]).entries()
+    assert first["verdict"] == second["verdict"] == "confirmed"
+    assert "AAD 0.002 % of compute time" in first["here"] and "GAD 0.181 %" in first["here"]
+    assert "perception and planning 0.18 %" in second["here"] and "control 0.001 %" in second["here"]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("fault_lengthens_flights_in_states", "confirmed"),
+        ("autoencoder_like_golden_in_states", "contradicted"),
+        ("dense_hardest_to_recover_in_states", "confirmed"),
+        ("dense_most_missed_in_states", "confirmed"),
+        ("autoencoder_shortens_more_in_states", "contradicted"),
+    ],
+)
+def test_claims_on_detection_recovery_and_flight_time(name, expected):
+    """Every second fault loses its mission, which detectors bring back in Sparse alone, where they raise alarms."""
+    own = []
+    for seed in range(24):
+        for place in ("sparse", "dense"):
+            saved, lost = place == "sparse", seed % 2 == 0
+            alarms = [alarm(0.3)] if saved else []
+            own += [golden(seed, environment=place),
+                    injected(seed, flown(not lost, flight_time_s=60.0), environment=place)]  # fmt: skip
+            for arm, time in (("gaussian", 51.0), ("autoencoder", 55.0)):
+                record = flown(saved or not lost, flight_time_s=time, alarms=alarms)
+                own.append(injected(seed, record, arm=arm, environment=place))
+    [found] = claims_table([name], [runs(*own, name="table1")]).entries()
+    assert found["verdict"] == expected, found
+
+
+def test_claims_on_kinds_of_bits_and_on_waypoints():
+    own = []
+    for seed in range(10):
+        own += [golden(seed), injected(seed, flown(flight_time_s=60.0), FAULT, target="waypoint yaw", index=2 * seed)]
+        mild = replace(FAULT, bit=3, stratum="mantissa")
+        own.append(injected(seed, flown(), mild, target="waypoint yaw", index=2 * seed + 1))
+    strong = [replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign")))
+              if run.spec.fault and run.spec.fault.stratum != "mantissa" else run for run in own]  # fmt: skip
+    [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="bits")]).entries()
+    assert found["verdict"] == "confirmed" and "sign and exponent 20.0 %" in found["here"], found
+    [found] = claims_table(["sign_exponent_failures"], [runs(*strong, name="bits")]).entries()
+    assert found["verdict"] == "undecided" and "fails: sign and exponent 0.0 %" in found["here"]
+    [found] = claims_table(["waypoints_harm"], [runs(*own, name="states")]).entries()
+    assert found["verdict"] == "confirmed" and "fault 100.0 %" in found["here"], found
+
+
+def test_kernels_of_no_impact_can_be_contradicted_only():
+    for succeeds, expected in ((True, "undecided"), (False, "contradicted")):
+        own = []
+        for seed in range(10):
+            fault = replace(INSTRUCTION, kernel="octomap")
+            own += [golden(seed), injected(seed, flown(succeeds), fault, target="octomap")]
+        [found] = claims_table(["clouds_and_maps_negligible"], [runs(*own, name="kernels")]).entries()
+        assert found["verdict"] == expected, found
 
 
 def test_a_bound_is_tested_on_recomputation_over_compute_time():
