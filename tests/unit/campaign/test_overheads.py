@@ -36,6 +36,7 @@ def test_modelled_shares_by_hand_next_to_the_papers():
     assert found["all"]["measured_detection"] is None, "nothing was measured"
     notes = table(watched_runs(), "overheads_as_in_the_paper").notes
     assert any(note.startswith("columns measured are empty: ") for note in notes), "elsewhere it may have been measured"
+    assert any(note.startswith("detection is not modelled: no latency of a detector") for note in notes)
 
 
 def test_the_papers_autoencoder_has_one_row_for_all_stages():

@@ -125,7 +125,9 @@ def _overhead_notes(runs: Runs) -> list[str]:
     )
     return [
         "modelled: recomputations with the latencies of the platform / compute time of the pipeline, all flights with "
-        "the detector and a fault, as the paper's; the modelled computer is not charged for detection",
+        "the detector and a fault, as the paper's",
+        "detection is not modelled: no latency of a detector on these platforms is published, only the paper's ratios "
+        "beside it, so that a column of it would repeat them; the modelled computer is not charged for detection",
         where,
         "the paper does not say what its times are divided by; its figures below 0.0001 % stand as that bound; an "
         "alarm at a way-point charges the planning stage, as in the paper, but only repeats the setpoint generator, "
