@@ -57,7 +57,7 @@ class Shrunk:
     original: Trial
     smallest: Trial
     steps: tuple[Step, ...]
-    instants: tuple[Trial, ...]  # the smallest fault at other instants of its site, in order of time
+    instants: tuple[Trial, ...]  # the smallest fault at other instants or calls of its site, in order of time
     golden: Flight
 
 
@@ -102,7 +102,7 @@ def shrink(
             found = next((trial for trial in trials.of(smaller) if trial.lost), None)
             steps.append(Step(what, trials.count, found))
             smallest = found or smallest
-    others = tuple(trials.of(elsewhere(smallest.fault, golden, instants)))
+    others = tuple(trials.of(elsewhere(smallest.fault, golden, instants, setup)))
     return Shrunk(directory, spec, original, smallest, tuple(steps), others, golden)
 
 

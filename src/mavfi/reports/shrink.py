@@ -21,20 +21,20 @@ def lines(found: Shrunk) -> Lines:
         rows.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
     if found.instants:
         lost = [trial for trial in found.instants if trial.lost]
-        when = ", ".join(f"@{_time(trial)} ({trial.status.replace('_', ' ')})" for trial in lost)
+        when = ", ".join(f"{_when(trial)} ({trial.status.replace('_', ' ')})" for trial in lost)
         rows.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
                      + (f", with {when}" if when else "")))  # fmt: skip
-    elif hasattr(found.smallest.fault, "time_us"):
-        rows.append(("instants", "the golden run has no other one of this site, or none was asked for"))
     else:
-        rows.append(("instants", "none tried: the fault names a call, not a time"))
+        rows.append(("instants", "the golden run has no other one of this site, or none was asked for"))
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows
 
 
-def _time(trial: Trial) -> float:
-    return float(getattr(trial.fault, "time_us", 0)) / 1e6
+def _when(trial: Trial) -> str:
+    """The instant of a fault, or its call, as in the text of a fault."""
+    fault: Any = trial.fault
+    return f"@{fault.time_us / 1e6}" if hasattr(fault, "time_us") else f"call={fault.call}"
 
 
 def _trial(trial: Trial) -> str:

@@ -1,5 +1,6 @@
 import json
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -18,6 +19,10 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import parse
 from mavfi.faults.strata import WORD_BITS
+from mavfi.hosts.host import ArmSetup
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
+from mavfi.reports.shrink import lines
 from mavfi.states import STATES
 from tests.unit.campaign.fakes import fly, small
 
@@ -106,3 +111,14 @@ def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):
 )  # fmt: skip
 def test_sizes_of_changes(before, dtype, bit, size):
     assert change_of(before, dtype, bit) == size
+
+
+def test_other_calls_of_an_instruction_are_tried_and_named(directory, lost):
+    fault = InstructionFault("m.f", "ab" * 32, 42, 7, (3,), budget=9, kernel="pid", entry="track")
+    spec = Store.open(directory).run(lost[0]).spec
+    trials = [
+        Trial(replace(fault, call=call), status, 9.0, None) for call, status in ((9, "success"), (12, "collision"))
+    ]
+    golden = fly(ArmSetup(resolve(MissionSpec())), None, None)
+    found = Shrunk(directory, spec, trials[1], trials[1], (), tuple(trials), golden)
+    assert ("instants", "at 1 of 2 others the mission is lost, too, with call=12 (collision)") in lines(found)

@@ -9,7 +9,7 @@ With a mission's other flights at hand, the first one takes their checkpoints, a
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.strata import pick
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import InstructionRequest, InstructionSite
-from mavfi.hosts.host import Flight
+from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.instruction.protected import rewriting_of
 from mavfi.hosts.local import fly
@@ -36,7 +36,7 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, GUARDS, INJECTABLE
 
-_ROUNDS, _SPARE = 6, 40
+_ROUNDS, _SPARE, _NEAR = 6, 40, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +120,41 @@ def instruction_fault(scenario: Scenario, site: InstructionSite, detector: Detec
     if site.entry not in functions:
         raise BadInputError(f"kernel {site.kernel!r}: no function {site.entry!r}; allowed: {', '.join(functions)}")
     return InstructionFault(name_of(functions[site.entry]), kernel=site.kernel, entry=site.entry, **site.given)
+
+
+def in_other_calls(fault: InstructionFault, setup: ArmSetup, count: int) -> list[InstructionFault]:
+    """The fault in the same instruction, in up to `count` evenly spaced other calls in the golden flight of an arm.
+
+    Of the executions of the instruction in a call the one nearest to the fault's index is chosen; calls that execute it
+    at none of the `_NEAR` indices on either side are omitted.
+
+    Raises:
+        BadInputError: The mission lacks the kernel.
+    """
+    detector, name = setup.detector(), fault.entry
+    check_kernel(fault.kernel, setup.scenario.planner.name, detector)
+    function, rewriting = _functions(fault.kernel, detector)[name], rewriting_of(setup.scenario)
+
+    def flown(made: Any) -> Any:
+        with _instrumented(detector, {name: made}) as table:
+            fly(setup.scenario, None, detector, recovery=setup.recovery, functions=table)
+        return made
+
+    counted = flown(Profiling(function, rewriting))
+    calls = [call for call, ir in enumerate(counted.digests) if call != fault.call and ir == fault.ir_sha256]
+    places = np.unique(np.linspace(0, len(calls) - 1, min(count, len(calls))).round().astype(int))
+    near = {
+        call: range(max(0, fault.index - _NEAR), min(counted.counts[call], fault.index + _NEAR + 1))
+        for call in (calls[place] for place in places)
+    }
+    sites = flown(Resolving(function, {fault.call: [fault.index], **near}, rewriting)).sites
+    wanted, found = sites[fault.call, fault.index], []
+    for call, indices in near.items():
+        same = [index for index in indices if sites[call, index] == wanted]
+        if same:
+            index, budget = min(same, key=lambda one: abs(one - fault.index)), budget_for(counted.counts[call])
+            found.append(replace(fault, call=call, index=index, budget=budget))
+    return found
 
 
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
