@@ -8,7 +8,7 @@ After `mavfi harden LEDGER --plan configs/protections/ten_percent.yaml --certify
 import json
 import sys
 
-from mavfi.campaign.hardening.study import certification_of
+from mavfi.campaign.hardening.certification import certification_of
 from mavfi.errors import BadInputError
 from mavfi.hardening.plan import load_plan
 from mavfi.reports.hardening.plain import certificate_table, verdict_line

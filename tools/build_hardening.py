@@ -24,12 +24,13 @@ from typing import Any
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.fingerprint import code
 from mavfi.campaign.hardening.advise import Advice, Curve, Step
+from mavfi.campaign.hardening.certification import merged
 from mavfi.campaign.hardening.certify import certify, pairs_of, rate_of, verdict_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import Seen, observe
-from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of
+from mavfi.campaign.hardening.study import Study, advise, plan_of, planned_of
 from mavfi.campaign.hardening.summary import growth_of, summary
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.campaign.overheads import processor

@@ -92,8 +92,9 @@ def _advise(
 ) -> None:
     from rich.text import Text
 
+    from mavfi.campaign.hardening.certification import with_certified
     from mavfi.campaign.hardening.ledger import harm_of
-    from mavfi.campaign.hardening.study import advise, plan_of, with_certified
+    from mavfi.campaign.hardening.study import advise, plan_of
     from mavfi.campaign.hardening.summary import summary
     from mavfi.hardening.plan import load_plan, save_plan
     from mavfi.reports.hardening.page import write_page
@@ -127,7 +128,12 @@ def _advise(
 def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine: str | None, *, as_json: bool) -> None:
     from rich.text import Text
 
-    from mavfi.campaign.hardening.study import certification_json, certified_plan, certify_plan, save_certification
+    from mavfi.campaign.hardening.certification import (
+        certification_json,
+        certified_plan,
+        certify_plan,
+        save_certification,
+    )
     from mavfi.hardening.plan import load_plan, save_plan
     from mavfi.reports.hardening.page import write_certificate
     from mavfi.reports.hardening.plain import certificate_tables, verdict_line

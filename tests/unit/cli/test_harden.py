@@ -7,10 +7,11 @@ import pytest
 
 from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.hardening import study
+from mavfi.campaign.hardening import certification
+from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.certify import Certificate
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.campaign.hardening.study import Certification, Study
+from mavfi.campaign.hardening.study import Study
 from mavfi.cli.commands import run
 from mavfi.config import config_root
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
@@ -60,7 +61,7 @@ def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
             mcnemar([True], [False]),
         )  # fmt: skip
         found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
-        monkeypatch.setattr(study, "certify_plan", lambda *_, found=found: found)
+        monkeypatch.setattr(certification, "certify_plan", lambda *_, found=found: found)
         assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
         assert ("The plan is refuted: " in capsys.readouterr().out) == (code == 3)
         assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
@@ -75,7 +76,7 @@ def test_a_certificate_is_stated_in_the_plan(opened, tmp_path, capsys, monkeypat
         mcnemar([True], [False]),
     )  # fmt: skip
     found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
-    monkeypatch.setattr(study, "certify_plan", lambda *_: found)
+    monkeypatch.setattr(certification, "certify_plan", lambda *_: found)
     assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == 0
     assert "wrote plan.yaml" in capsys.readouterr().out
     (function,) = load_plan(Path("plan.yaml")).functions

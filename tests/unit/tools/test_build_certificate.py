@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from mavfi.campaign.hardening.study import certification_json, certification_of
+from mavfi.campaign.hardening.certification import certification_json, certification_of
 from tools import build_certificate
 from tools.build_certificate import CERTIFICATE, NAME, blocks, main
 from tools.build_hardening import PAGE

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from mavfi.campaign.hardening.study import Certification
+from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.ways import FEWEST
 from mavfi.reports.hardening.drawing import curve, ways
 from mavfi.reports.hardening.plain import (

@@ -8,8 +8,8 @@ from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.hardening.battery import DETECTED, SDC
+from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.certify import REFUTED, Certificate, Unprotected
-from mavfi.campaign.hardening.study import Certification
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.reports.text import ABSENT, percent
 

@@ -8,6 +8,7 @@ import pytest
 from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.hardening.battery import SDC
+from mavfi.campaign.hardening.certification import Certification, certify_plan, check_fresh
 from mavfi.campaign.hardening.certify import (
     Certificate,
     Pair,
@@ -20,7 +21,7 @@ from mavfi.campaign.hardening.certify import (
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, Guarded
 from mavfi.campaign.hardening.kernel import see
-from mavfi.campaign.hardening.study import Certification, Study, certify_plan, check_fresh
+from mavfi.campaign.hardening.study import Study
 from mavfi.errors import BadInputError
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan

@@ -8,12 +8,13 @@ import pytest
 from mavfi.campaign.analysis.statistics import wilson
 from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of
 from mavfi.campaign.hardening.battery import Battery
+from mavfi.campaign.hardening.certification import Certification, certified_plan, with_certified
 from mavfi.campaign.hardening.certify import Pair, certify
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.kernel import see
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import Harm
-from mavfi.campaign.hardening.study import Certification, certified_plan, plan_of, planned_of, with_certified
+from mavfi.campaign.hardening.study import plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import targets_of
 from mavfi.campaign.hardening.ways import FEWEST, OTHERS, SHARES, WAYS, compare_ways

@@ -6,10 +6,10 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from mavfi.campaign.analysis.pairs import mcnemar
+from mavfi.campaign.hardening.certification import Certification, certification_json
 from mavfi.campaign.hardening.certify import Certificate, Unprotected
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.machine import MachineLevel
-from mavfi.campaign.hardening.study import Certification, certification_json
 from mavfi.hardening.plan import Coverage
 from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, curve, ways
 from mavfi.reports.hardening.page import page, source, write_certificate
