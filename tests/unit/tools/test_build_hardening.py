@@ -67,6 +67,17 @@ def test_both_readings_of_the_prediction_are_told():
     assert found["met"] == "yes; no" and "20 of 20 plans" in found["measured"] and "14 of 20" in found["measured"]
 
 
+def test_undecided_plans_count_in_no_agreement():
+    rows = [certified("track", 1.2, 0.95, 0.4) for _ in range(24)]
+    for *_, row in rows[:3]:
+        row["verdict"] = "undecided"
+    found = table(*rows)["prediction"]
+    assert "21 of 21 plans (3 more are undecided)" in found["measured"] and found["met"].startswith("yes")
+    for *_, row in rows[:5]:
+        row["verdict"] = "undecided"
+    assert table(*rows)["prediction"]["met"].startswith("no"), "fewer than 20"
+
+
 def test_ways_to_choose_are_counted_by_kernel():
     won = mcnemar([True] * 50, [False] * 50)
     kernels = ("pid", "octomap", "rrt", "rrt_connect", "rrt_connect")

@@ -29,7 +29,10 @@ from mavfi.ir.build import name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 
-CONFIRMED, REFUTED, BETTER, UNKNOWN = "confirmed", "refuted", "better", "unknown"
+CONFIRMED, REFUTED, BETTER, UNDECIDED, UNKNOWN = "confirmed", "refuted", "better", "undecided", "unknown"
+RESOLVED = 0.2
+"""Largest half-width of the interval of measured - predicted coverage with which a prediction is confirmed: a wider one
+would contain 0 for almost any prediction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,11 +163,13 @@ def rate_of(predicted: Coverage | None) -> Rate:
 
 
 def verdict_of(measured: Rate, predicted: Rate) -> str:
-    """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %."""
+    """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %; or too few SDCs to tell."""
     if measured.rate is None or predicted.rate is None:
         return UNKNOWN
     low, high = difference(measured, predicted)
-    return REFUTED if high < 0 else BETTER if low > 0 else CONFIRMED
+    if low <= 0 <= high:
+        return CONFIRMED if (high - low) / 2 <= RESOLVED else UNDECIDED
+    return REFUTED if high < 0 else BETTER
 
 
 @dataclass

@@ -9,7 +9,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.hardening.battery import DETECTED, SDC
 from mavfi.campaign.hardening.certification import Certification
-from mavfi.campaign.hardening.certify import REFUTED, Certificate, Unprotected
+from mavfi.campaign.hardening.certify import CONFIRMED, REFUTED, RESOLVED, UNDECIDED, Certificate, Unprotected
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.reports.text import ABSENT, percent
 
@@ -118,15 +118,16 @@ def verdict_line(certification: Certification) -> str:
     """The certificate in one sentence."""
     golden = certification.golden
     verdicts = [one.verdict for one in certification.certificates]
-    outcome = "refuted" if certification.refuted else "confirmed"
+    outcome = REFUTED if certification.refuted else UNDECIDED if certification.verdict == UNDECIDED else CONFIRMED
     scope = certification.scope
     counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
     foreseen = certification.predicted
     said = "" if foreseen.rate is None else f" (predicted with the same weights: {interval_of(foreseen)})"
     return (
         f"The plan is {outcome}: {interval_of(certification.coverage)} of {counted} are removed, on fresh missions and "
-        f"faults{said}; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted; golden digests "
-        f"equal in {golden.same} of {golden.flights} flights; {golden.alarms} false alarms in {golden.calls:,} calls."
+        f"faults{said}; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted, "
+        f"{verdicts.count(UNDECIDED)} undecided; golden digests equal in {golden.same} of {golden.flights} flights; "
+        f"{golden.alarms} false alarms in {golden.calls:,} calls."
     )
 
 
@@ -147,6 +148,8 @@ def certificate_table(certification: Certification) -> Table:
         "the same for time, measured here (in the plan)",
         "DUE (crash, hang, exception) at IR level; pairs: of the faults in plain code, injected once more in protected "
         "code: SDC in plain code only : in protected code only, McNemar's test",
+        "undecided: the interval of measured - predicted coverage contains 0, but is wider than "
+        f"±{100 * RESOLVED:.0f} points, so that other predictions would pass as well; more faults would help",
     )
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
 

@@ -27,6 +27,7 @@ from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 from mavfi.hardening.sources import cached_source
 from mavfi.ir.parser import parse_module
+from mavfi.reports.hardening.plain import verdict_line
 from tests.unit.campaign.hardening.kernels import calls, smooth
 
 
@@ -41,6 +42,18 @@ def test_verdicts():
     assert certificate(200, 50, predicted=claim).verdict == "refuted"
     assert certificate(200, 0, predicted=claim).verdict == "better"
     assert certificate(200, 50).verdict == certificate(0, 0, predicted=claim).verdict == "unknown"
+
+
+def test_a_prediction_that_could_not_have_failed_is_undecided():
+    claim = Coverage(estimate=1.0, low=0.566, high=1.0)
+    assert certificate(5, 0, predicted=claim).verdict == "undecided"  # any prediction from 0 to 1 would pass
+    assert certificate(200, 0, predicted=claim).verdict == "undecided"  # the prediction itself says too little
+    assert certificate(200, 0, predicted=Coverage(estimate=1.0, low=0.9, high=1.0)).verdict == "confirmed"
+    assert certificate(30, 40, predicted=claim).verdict == "refuted"  # wide, and yet clear
+    few = Certification("ab" * 32, 400, (), (certificate(5, 0, predicted=claim),), GoldenCheck(1, 1, 9, 0))
+    assert few.verdict == "undecided" and not few.refuted
+    assert verdict_line(few).startswith("The plan is undecided: ")
+    assert "0 of 1 predictions are refuted, 1 undecided;" in verdict_line(few)
 
 
 def test_totals_weight_functions_by_their_silent_corruptions():
