@@ -126,6 +126,7 @@ class Plan(Config):
     studied: dict[str, tuple[NonNegativeInt, NonNegativeInt]] = Field(
         {}, description="their first and last seed, by environment"
     )
+    budget: float | None = Field(None, ge=0, description="largest share of a flight's kernel time that it was to add")
     functions: tuple[FunctionPlan, ...] = ()
 
     @model_validator(mode="after")
@@ -147,14 +148,15 @@ class Plan(Config):
         functions = tuple(
             one.model_copy(update=nothing) for one in self.functions if one.kind != "none" or one.time > 1.0
         )
-        return self.model_copy(update={"functions": functions, "studied": {}})
+        return self.model_copy(update={"functions": functions, "studied": {}, "budget": None})
 
     @model_serializer(mode="wrap")
     def _known(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A plan without studied seeds has the digest that it had before there were any."""
+        """A plan without studied seeds or budget has the digest that it had before there were any."""
         found: dict[str, Any] = write(self)
-        if not self.studied:
-            found.pop("studied", None)
+        for key in ("studied", "budget"):
+            if getattr(self, key) in ({}, None):
+                found.pop(key, None)
         return found
 
     def has_studied(self, environment: str, seed: int) -> bool:

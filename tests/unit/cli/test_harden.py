@@ -115,6 +115,8 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     (function,) = found["functions"]
     assert function["coverage"]["rate"] > 0.6 and function["growth"] > 1.5
     assert found["machine"] == []
+    (spent,) = found["spending"]
+    assert spent["planner"] == "rrt_connect" and 0 < spent["measured"] < 0.03 and spent["budget"] == 0.01
 
     boast = {"estimate": 1.0, "low": 1.0, "high": 1.0}
     little = planned.model_copy(update={"sites": planned.sites[:3], "predicted": Coverage(**boast)})

@@ -24,6 +24,7 @@ from mavfi.campaign.hardening.certify import (
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.machine import MachineLevel, check_kernel, machine_levels
 from mavfi.campaign.hardening.observed import Seen, entries_of, observe
+from mavfi.campaign.hardening.spending import Key, Spending, key_of, spending_of, ticks_of
 from mavfi.campaign.hardening.study import Study, Tell, stated
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError, writing
@@ -48,6 +49,7 @@ class Certification:
         scope: Kernels whose silent corruptions are counted; () = all of the missions.
         machine: Functions in which faults were injected at machine level, too.
         cpu: Class of the processor on which times were measured; "" = not known.
+        spending: Time that the plan adds to flights, by planner; () = not measured.
     """
 
     plan: str
@@ -59,6 +61,7 @@ class Certification:
     scope: tuple[str, ...] = ()
     machine: tuple[MachineLevel, ...] = ()
     cpu: str = ""
+    spending: tuple[Spending, ...] = ()
 
     @property
     def coverage(self) -> Rate:
@@ -77,9 +80,9 @@ class Certification:
 
     @property
     def refuted(self) -> bool:
-        """Whether a prediction is refuted, or a golden flight differs or raises an alarm."""
+        """Whether a prediction or the budget is refuted, or a golden flight differs or raises an alarm."""
         verdicts = [self.verdict, *(one.verdict for one in self.certificates)]
-        return not self.golden.passed or REFUTED in verdicts
+        return not self.golden.passed or REFUTED in verdicts or any(one.refuted for one in self.spending)
 
 
 def certify_plan(
@@ -107,6 +110,8 @@ def certify_plan(
     levels: list[MachineLevel] = []
     golden = GoldenCheck()
     missions: list[str] = []
+    ticks: dict[Key, float] = {}
+    spending: list[Spending] = []
     for planner, kernels in study.by_planner().items():
         flown: list[Seen] = []
         for scenario in study.fresh(planner):
@@ -115,8 +120,9 @@ def certify_plan(
             golden = golden.plus(check_golden(scenario, plan, kernels))
             missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
         done = {(one.function, one.signature) for one in (*certificates, *others)}
-        known = [one for one in merged(flown) if one.entry in entries_of(study.kernels)]
-        fresh = [one for one in known if (name_of(one.function), one.signature_text) not in done]
+        every = merged(flown)
+        known = [one for one in every if one.entry in entries_of(study.kernels)]
+        fresh = [one for one in known if key_of(one) not in done]
         pairs = pairs_of(fresh, plan)
         if machine in kernels and not levels:  # kernels that several planners have are in the first flights
             levels += machine_levels(pairs, machine, faults, tell, plan.digest)
@@ -127,12 +133,15 @@ def certify_plan(
             tell(f"injecting faults in {name_of(one.function)}, which is not duplicated")
             kernel = next(kernel for kernel in kernels if one.entry in INJECTABLE[kernel])
             others.append(observe_plain(kernel, one, faults, plan.digest))
+        tell(f"timing the functions of flights with {planner}")
+        ticks |= {key_of(one): ticks_of(one) for one in every if key_of(one) not in ticks}
+        spending.append(spending_of(planner, every, ticks, certificates, plan.budget))
     if not certificates:
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
     scope = () if study.complete else study.kernels
     return Certification(
         plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels),
-        processor(),
+        processor(), tuple(spending),
     )  # fmt: skip
 
 
@@ -210,16 +219,17 @@ def certification_json(certification: Certification) -> dict[str, Any]:
         "functions": [one.to_json() for one in certification.certificates],
         "unprotected": [one.to_json() for one in certification.others],
         "machine": [one.to_json() for one in certification.machine],
+        "spending": [asdict(one) for one in certification.spending],
     }  # fmt: skip
 
 
 def certification_of(found: Mapping[str, Any]) -> Certification:
-    """Inverse of `certification_json`; ones that were written without a processor have none."""
+    """Inverse of `certification_json`; ones that were written without processor or spending have none."""
     machine = [{one.name: row[one.name] for one in fields(MachineLevel)} for row in found["machine"]]
     others = [{one.name: row[one.name] for one in fields(Unprotected)} for row in found["unprotected"]]
     return Certification(
         found["plan"], found["faults"], tuple(found["missions"]), tuple(map(Certificate.from_json, found["functions"])),
         GoldenCheck(**found["golden"]), tuple(Unprotected(**row) for row in others),
         () if found["kernels"] == "all" else tuple(found["kernels"]), tuple(MachineLevel(**row) for row in machine),
-        found.get("cpu", ""),
+        found.get("cpu", ""), tuple(Spending(**row) for row in found.get("spending", ())),
     )  # fmt: skip

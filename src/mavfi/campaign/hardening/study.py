@@ -166,7 +166,13 @@ def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
         for curve, step in advice.steps
         if len(curve.steps) > 1  # of the kernels to protect
     ]
-    return Plan(cpu=processor(), ledger=study.digest, studied=study.studied, functions=tuple(functions))
+    return Plan(
+        cpu=processor(),
+        ledger=study.digest,
+        studied=study.studied,
+        budget=advices[0].budget,
+        functions=tuple(functions),
+    )
 
 
 def planned_of(target: Target, step: Step, share: float | None = None) -> FunctionPlan:

@@ -10,6 +10,7 @@ from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.hardening.battery import DETECTED, SDC
 from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.certify import CONFIRMED, REFUTED, RESOLVED, UNDECIDED, Certificate, Unprotected
+from mavfi.campaign.hardening.spending import TOLERANCE
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.reports.text import ABSENT, percent
 
@@ -127,7 +128,20 @@ def verdict_line(certification: Certification) -> str:
         f"The plan is {outcome}: {interval_of(certification.coverage)} of {counted} are removed, on fresh missions and "
         f"faults{said}; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted, "
         f"{verdicts.count(UNDECIDED)} undecided; golden digests equal in {golden.same} of {golden.flights} flights; "
-        f"{golden.alarms} false alarms in {golden.calls:,} calls."
+        f"{golden.alarms} false alarms in {golden.calls:,} calls{_spent(certification)}."
+    )
+
+
+def _spent(certification: Certification) -> str:
+    """What the plan adds to the flights to which it adds most, and whether that is too much."""
+    if not certification.spending:
+        return ""
+    most = max(certification.spending, key=lambda one: one.measured)
+    known = "" if most.budget is None else f"; the budget is {percent(most.budget)}"
+    outcome = f", more than {percent(TOLERANCE)} beyond it: refuted" if most.refuted else ""
+    return (
+        f"; it adds {percent(most.measured)} of a flight's kernel time (with the plan's times: {percent(most.planned)}"
+        f"{known}){outcome}"
     )
 
 
@@ -150,7 +164,9 @@ def certificate_table(certification: Certification) -> Table:
         "code: SDC in plain code only : in protected code only, McNemar's test",
         "undecided: the interval of measured - predicted coverage contains 0, but is wider than "
         f"±{100 * RESOLVED:.0f} points, so that other predictions would pass as well; more faults would help",
-    )
+        *(f"flights with {one.planner}: adds {percent(one.measured)} of their kernel time (with the plan's times: "
+          f"{percent(one.planned)})" for one in certification.spending),
+    )  # fmt: skip
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
 
 

@@ -125,7 +125,7 @@ def test_a_plan_states_the_share_of_its_kernels_time(target):
     curves = Curve(target, 300.0, 0.2, steps), Curve(other, 100.0, 0.1, steps)  # two functions of a kernel
     advice = Advice(0.5, curves, (len(steps) - 1, 0))
     plan = plan_of(Study(Study.Named()), [advice])
-    assert plan.studied == {"dense": (1, 2)}
+    assert plan.studied == {"dense": (1, 2)} and plan.budget == 0.5
     planned, none = plan.functions
     assert planned.kind == "duplicate" and planned.share == 0.75 and planned.time == 1.4
     assert none.kind == "none" and not none.sites and none.predicted is None
