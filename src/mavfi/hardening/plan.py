@@ -80,6 +80,16 @@ class FunctionPlan(Config):
     predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
     certified: Coverage | None = Field(None, description="coverage measured with fresh missions and faults")
 
+    @property
+    def executions(self) -> int:
+        """How often each call is executed as a whole."""
+        return {"rerun": 2, "vote": 3}.get(self.kind, 1)
+
+    @property
+    def protects(self) -> bool:
+        """Whether the function is not left as it is."""
+        return bool(self.sites) or self.executions > 1
+
     @field_validator("sites", mode="before")
     @classmethod
     def _expanded(cls, given: Any) -> Any:

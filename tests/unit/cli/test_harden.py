@@ -118,6 +118,14 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     (spent,) = found["spending"]
     assert spent["planner"] == "rrt_connect" and 0 < spent["measured"] < 0.03 and spent["budget"] == 0.01
 
+    vote = planned.model_copy(update={"kind": "vote", "sites": (), "time": 3.2, "predicted": None})
+    save_plan(plan.model_copy(update={"functions": (vote,)}), Path("vote.yaml"))
+    assert run(["harden", "out", "--plan", "vote.yaml", "--certify", "--faults", "40", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (function,) = found["functions"]
+    assert function["coverage"]["rate"] == 1.0 and function["growth"] == 3.0 and function["time"] > 1.5
+    assert found["golden"]["same"] == 2 and found["golden"]["calls"] > 100 and found["golden"]["alarms"] == 0
+
     boast = {"estimate": 1.0, "low": 1.0, "high": 1.0}
     little = planned.model_copy(update={"sites": planned.sites[:3], "predicted": Coverage(**boast)})
     save_plan(plan.model_copy(update={"functions": (little,)}), Path("boast.yaml"))

@@ -186,9 +186,14 @@ def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -
     environment = environment_of(target.seen.function, target.seen.signature)
     base, *others = (Timed(target.source, code, environment).ticks for code in codes)
     clocks = {str(place): clock for place, clock in enumerate(others)}
-    end = monotonic() + seconds
-    timing = compare(base, clocks, target.seen.calls, lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end)
+    timing = compare(base, clocks, target.seen.calls, enough_for(seconds))
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
+
+
+def enough_for(seconds: float) -> Callable[[int], bool]:
+    """Whether a number of rounds of timing is enough; from now on, any is after so many seconds."""
+    end = monotonic() + seconds
+    return lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end
 
 
 def timed_steps(target: Target, own: Prepared, seconds: float = TIMED_S) -> tuple[float, tuple[Step, ...]]:

@@ -137,7 +137,7 @@ def certify_plan(
         ticks |= {key_of(one): ticks_of(one) for one in every if key_of(one) not in ticks}
         spending.append(spending_of(planner, every, ticks, certificates, plan.budget))
     if not certificates:
-        raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
+        raise BadInputError("the plan protects no function of these missions; allowed: one with sites, rerun or vote")
     scope = () if study.complete else study.kernels
     return Certification(
         plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels),
@@ -179,9 +179,9 @@ def merged(seen: Sequence[Seen]) -> list[Seen]:
 
 def with_certified(plan: Plan, other: Plan) -> Plan:
     """The plan with the certified coverage that another one states for the same protected code."""
-    known = {(one.function, one.signature, Protection(one).key): one.certified for one in other.functions}
+    known = {(one.function, one.signature, one.kind, Protection(one).key): one.certified for one in other.functions}
     functions = tuple(
-        one.model_copy(update={"certified": known.get((one.function, one.signature, Protection(one).key))})
+        one.model_copy(update={"certified": known.get((one.function, one.signature, one.kind, Protection(one).key))})
         for one in plan.functions
     )
     return plan.model_copy(update={"functions": functions})

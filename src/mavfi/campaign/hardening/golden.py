@@ -1,12 +1,13 @@
 """Golden flights in which every call of a planned function runs its protected code."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from mavfi.campaign.hardening.observed import entries_of
+from mavfi.campaign.hardening.repeated import repeating
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.compiled import Compiled, compiled
 from mavfi.hardening.plan import Plan
@@ -59,14 +60,19 @@ class Guarded:
 
     def __init__(self, function: Any, plan: Plan) -> None:
         self._function, self._plan = function, plan
-        self._compiled: dict[tuple[Any, ...], Compiled | None] = {}
+        self._compiled: dict[tuple[Any, ...], Callable[..., Any] | None] = {}
         self.calls = self.alarms = 0
 
     def __call__(self, *args: Any) -> Any:
         """Call the function."""
         signature = signature_of(args)
         if signature not in self._compiled:
-            self._compiled[signature] = protected_code(self._function, signature, self._plan)
+            planned = self._plan.find(name_of(self._function), signature)
+            self._compiled[signature] = (
+                repeating(self._function, planned.executions)
+                if planned is not None and planned.executions > 1
+                else protected_code(self._function, signature, self._plan)
+            )
         compiled = self._compiled[signature]
         if compiled is None:
             return self._function(*args)

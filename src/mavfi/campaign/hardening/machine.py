@@ -91,7 +91,7 @@ def machine_levels(
     """
     found = []
     for pair in pairs:
-        args = call_of(pair) if pair.planned.kernel == kernel else None
+        args = call_of(pair) if pair.planned.kernel == kernel and pair.planned.sites else None
         if args is not None:
             found.append(_machine_level(pair, args, faults, tell, *address))
     if not found:
