@@ -90,7 +90,8 @@ _LIMITS: dict[str, Callable[[Curve, Row, float], str]] = {
         else _next(curve, most)
     ),
     "time_to_collision": lambda curve, row, most: (
-        f"`floor` is a call of libm in code for every CPU: code for newer ones would help; {_full(curve)}"
+        "what escapes is spread over the arithmetic before the first voxel of each ray, not in calls of `floor`; "
+        f"{_next(curve, most)}"
     ),
     "apply_updates": lambda curve, row, most: (
         f"most of its instructions update counters, each of which is an output: only more time helps; {_full(curve)}"

@@ -56,6 +56,8 @@ def test_a_requirement_is_met_by_rate_and_lower_bound():
     assert missed["met"] == "no" and missed["what limits"].startswith("n = 200 faults cannot reach")
     missed = table(certified("plan_rrt_connect", 1.1, 0.9, 0.8))["plan_rrt_connect"]
     assert missed["what limits"].startswith("the next step takes ×2.20, predicted: ")
+    missed = table(certified("time_to_collision", 1.19, 0.963, 0.931))["time_to_collision"]
+    assert "not in calls of `floor`; the next step takes ×2.20, predicted: " in missed["what limits"]
     assert table(certified("track", 1.4, 0.98, 0.95))["track"]["met"] == "no", "beyond its time"
     best = table(certified("back_project", 1.12, 0.2, 0.1))["back_project"]
     assert best["met"] == "best found" and "no step between ×1.12 and ×2.20 was tried" in best["what limits"]
