@@ -32,6 +32,7 @@ RULES = {
 LEVELS = {
     "state": "a value between kernels, all fields alike",
     "sites": "a value between kernels, fields and bits that lose most",
+    "message": "a message between kernels: sign, exponent or length of a list",
     "instruction": "an instruction of the planner",
     "memory": "what a node remembers",
 }
@@ -46,7 +47,7 @@ _MOVED = (
 )
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
-_PARTS = re.compile(r"(?: --part \S+)+")
+_PARTS = re.compile(r"(?: --(?:part|level) \S+)+")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
     "Alarms that come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). Faults that last: "
