@@ -240,8 +240,8 @@ def test_a_flight_that_is_over_frees_its_maps_at_once():
     gc.collect()
     gc.disable()
     try:
-        for detector in (None, Scripted()):
-            clearance = weakref.ref(fly(mission(), None, detector).pipeline["planner"].clearance_map)
+        for injected, detector in ((None, None), (None, Scripted()), (fault("control.command", "vx", 4.0, 3), None)):
+            clearance = weakref.ref(fly(mission(), injected, detector).pipeline["planner"].clearance_map)
             assert clearance() is None, "nothing refers back to it"
     finally:
         gc.enable()

@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -39,7 +39,7 @@ class Part(Config):
 
     campaign: str = Field(description="name or path; its arms are those of the bench")
     title: str = Field(description="of its table")
-    level: str = Field("", description="of its faults; by default the level of the campaign's sampling")
+    level: Literal["", "message"] = Field("", description="of its faults, if not that of the campaign's sampling")
     mission: dict[str, Any] = Field({}, description="keys of a mission, in addition to those of the campaign")
     scales: dict[str, Scale] = Field({}, description="sizes, instead of the campaign's; quick is one of them")
     view: str = Field("schemes", description="table that is shown")

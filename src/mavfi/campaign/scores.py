@@ -155,7 +155,7 @@ class _Scorer:
         for name, detector in self._detectors.items():
             kept = self.kept[name]
             for place, other in changed:
-                kept.corrupted[place] = detector.score(other, time_us) or 0.0
+                kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
             found = detector.score(state, time_us)
             if found is not None:
                 kept.exposure.add(regime, found)

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mavfi.campaign.overheads import processor
+from mavfi.campaign.store import FILE as LEDGER
 from mavfi.errors import BadInputError, writing
 
 FILE = "steps.json"
@@ -47,6 +48,8 @@ class Steps:
     def begin(folder: Path, workers: int) -> "Steps":
         """The steps so far, and a new run on this machine."""
         found = Steps.load(folder)
+        if not found.runs and any(folder.rglob(LEDGER)):  # flown by a version that did not keep this file
+            found.runs.append({"begun": "before this was recorded", "machine": "not recorded, for the first flights"})
         begun = datetime.now(UTC).isoformat(" ", "seconds")
         found.runs.append({"begun": begun, "machine": f"{machine()}, {workers} worker{'s' * (workers != 1)}"})
         return found
@@ -59,9 +62,10 @@ class Steps:
             yield
         finally:
             self.seconds[step] = self.seconds.get(step, 0.0) + time.perf_counter() - begun
-            path = self.folder / FILE
+            path, new = self.folder / FILE, self.folder / f".{FILE}"
             with writing(path):
-                path.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
+                new.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
+                os.replace(new, path)
 
 
 def machine() -> str:

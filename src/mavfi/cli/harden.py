@@ -50,7 +50,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Advise which instructions of the kernels to duplicate within a budget of time, or certify such a plan.
 
-    The exit code is 3 if the certificate refutes the plan's prediction.
+    The exit code is 3 if the certificate refutes the plan: its prediction, its budget, or a golden flight.
 
     Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml --html harden.html[/bold]
 

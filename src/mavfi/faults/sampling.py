@@ -173,7 +173,7 @@ def draw_in_message(state: str, stratum: str, profile: Profile, seed: int, *addr
         parts, share = message_bits(state, stratum, int(profile.counts[state][chosen]))
     total = sum(copies * len(bits) for _, copies, bits in parts)
     if total == 0:
-        return StateFault(FaultSite(state, spec.fields[0].name), NO_SITE, 0, stratum, seed=seed)
+        return StateFault(FaultSite(state, spec.fields[0].name), NO_SITE, 0, stratum, share, seed)
     name, copy, bit = place_in(parts, int(random.integers(total)))
     where = FaultSite(state, name, copy if spec.in_elements(name) else None)
     return StateFault(where, int(times[chosen]), bit, stratum, share, seed)

@@ -99,9 +99,10 @@ class StudyReport:
         if runs:
             again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
             lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min.")
-        flown_with = {
-            name: text for runs in self.campaigns.values() for name, text in runs.campaign["versions"].items()
-        }
+        flown_with: dict[str, str] = {}
+        for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
+            known = flown_with.get(name, text)
+            flown_with[name] = known if text in known.split(" and ") else f"{known} and {text}"
         lines.append(f"Versions: {', '.join(versions({'versions': flown_with}))}.")
         for folder, flown in self.campaigns.items():
             lines.append(f"Digest of the ledger in {folder} ({flown.campaign['name']}): {flown.campaign['digest']}.")

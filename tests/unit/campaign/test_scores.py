@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
 from mavfi.campaign.scores import Scores, _Scorer, curves_csv, table, unscored
+from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.states import new_state
 from tests.unit.campaign.fakes import small
 from tests.unit.detectors import streams
 
@@ -106,6 +108,14 @@ class CommandsAlarm:
 
     def accept(self, state, time_us):
         pass
+
+
+def test_a_message_that_a_fault_loses_has_the_lowest_score():
+    scorer = _Scorer(
+        {"one": CommandsAlarm()}, (StateFault(FaultSite("planning.path", "length_x"), 0, 31),), "published"
+    )
+    scorer(new_state("planning.path", 3), 7)
+    assert scorer.kept["one"].corrupted == {0: 0.0}
 
 
 def test_false_alarms_are_counted_by_regime_as_the_scores_are():

@@ -21,6 +21,13 @@ def test_times_of_a_resumed_study_add_up(tmp_path, monkeypatch):
     assert [run["machine"] for run in held.runs] == [f"{machine()}, 2 workers", f"{machine()}, 1 worker"]
 
 
+def test_flights_of_a_version_without_the_file_are_said_to_have_no_record(tmp_path):
+    (tmp_path / "table1").mkdir()
+    (tmp_path / "table1" / "campaign.sqlite").touch()
+    assert [run["begun"][:6] for run in Steps.begin(tmp_path, 2).runs][0] == "before"
+    assert len(Steps.begin(tmp_path / "elsewhere", 2).runs) == 1
+
+
 def test_without_a_file_there_are_none_and_a_damaged_one_is_named(tmp_path):
     assert Steps.load(tmp_path) == Steps(tmp_path)
     for text in ("{", "[]", '{"seconds": {"a": "x"}, "runs": []}', '{"seconds": {}, "runs": [{}]}'):

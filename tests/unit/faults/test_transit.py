@@ -132,6 +132,8 @@ def test_a_message_that_is_never_published_or_has_no_such_bit_gives_no_site():
     assert draw_in_message("planning.path", "length", Profile(), 1).time_us == NO_SITE
     name = "perception.map_update"
     assert draw_in_message(name, "mantissa", profile(name, 0), 1).has_site  # its header has bits
+    name = "perception.map_update"
+    assert draw_in_message(name, "exponent", profile(name, 0), 1).weight == 0.0  # no voxel, no float
     name = "planning.waypoint"
     assert not draw_in_message(name, "length", profile(name, 0), 1).has_site
 

@@ -25,12 +25,13 @@ from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE
 
 WHOLE_WORD = "whole_word"
-PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
-"""Sets of strata that partition a word."""
+_WORDS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
+PARTITIONS = (*_WORDS, *({*strata, "length"} for strata in _WORDS))
+"""Sets of strata that partition a word; with `length`, a message."""
 LEADING = (HEADLINE, ALL_BITS)  # leading populations of tables, which are compared with the paper
 POPULATIONS = {
     "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
-    "mantissa": "mantissa", ALL_BITS: "all bits",
+    "mantissa": "mantissa", "length": "lengths of lists", ALL_BITS: "all bits",
 }  # fmt: skip
 """Display names of populations."""
 SLOWER = 0.05  # relative increase in flight time above which a success counts as slower

@@ -242,7 +242,7 @@ def _of_states() -> Iterable[Claim]:
     groups = ("waypoint position", "waypoint yaw", "waypoint velocity")
     yield Claim(
         "waypoints_harm",
-        "Faults in position, yaw and velocity of way-points lead to crashes or longer flights",
+        "Faults in position, yaw and velocity of way-points lead to crashes or longer flights (cannot be contradicted)",
         "III-B",
         STATES,
         WITHIN,

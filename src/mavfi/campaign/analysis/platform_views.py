@@ -4,6 +4,7 @@ import operator
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
@@ -102,7 +103,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     yield Measure("paper_ratio", "paper", _TIMES, papers_ratio)
     yield contrast_measure(
         "recovered", "recovered", PERCENT_TEST, recoverable, "flight_time_s", 1.0,
-        lambda fi, dr, golden: (fi - dr) / (fi - golden),
+        lambda fi, dr, golden: np.where(fi > golden, (fi - dr) / (fi - golden), 0.0),  # of a sample without a worse one
     )  # fmt: skip
     yield Measure("paper_recovered", "paper", PERCENT, papers_recovery)
 
@@ -148,12 +149,12 @@ register(
             Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_papers("energy_kj")(own))),
             Measure("power_w", "power", "number .0f W", _power),
             Measure("paper_w", "paper", "number .0f W", _papers_power), _against_first,
-            Measure("processor", "paper: processor", "text", lambda own: _watts(_papers("power_w")(own))),
+            Measure("paper_processor", "paper: processor", "text", lambda own: _watts(_papers("power_w")(own))),
         ),
         where=compared, headings=("platform", "setting"),
         notes=lambda runs: (
             "recovered: of the worst flight time with a fault beyond the worst golden one, the share that the detector "
-            "takes away; ratios: to the same setting on the first platform, in the same worlds",
+            "takes away; ratios: to the same setting on the first platform",
             f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the interval is too "
             "narrow, since no sample is worse than the flown ones", *_explanation(runs),
             "latencies are modelled; power is that of the rotors, the processor's is not in it", ONE_FAULT,

@@ -120,8 +120,8 @@ def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
 
 
 def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
-    """Ids of the runs counted in a cell; none for the paper's values, whose headings begin with "paper"."""
-    return () if measure.heading.startswith("paper") else measure.counted(own).ids
+    """Ids of the runs counted in a cell; none for the paper's values, whose keys begin with "paper"."""
+    return () if measure.key.startswith("paper") else measure.counted(own).ids
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:

@@ -61,6 +61,8 @@ class StateSampler(OwnMissions):
             raise BadInputError(
                 f"sampling.messages: {state}: only flights with localization {STATES[state].only_with} publish it"
             )
+        if self._campaign.host == "ros1" and "length" in self._sampling.strata:
+            raise BadInputError("sampling.strata: 'length': may lose a message; allowed on ROS: bits of numbers")
         own = message_target(state)
         fields = [STATES[state].find(name) for name in own.fields[state]]
         shares = self._sampling.strata

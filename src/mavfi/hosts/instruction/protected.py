@@ -41,7 +41,7 @@ SOURCE = "protection"
 def repetition_of(plan: Plan, kernel: str, signature: tuple[Any, ...]) -> str:
     """Kind of protection by repetition of a function: "rerun" or "vote"; "" = none."""
     found = plan.find(kernel, signature)
-    return found.kind if found is not None and found.kind in ("rerun", "vote") else ""
+    return found.kind if found is not None and found.executions > 1 else ""
 
 
 def rewriting_of(scenario: Scenario) -> Rewriting | None:

@@ -101,7 +101,7 @@ class FastForward:
         }
         table = PLAIN.instrumented(tuple(self.functions), lambda name, _: self.functions[name])
         self.loop = new_loop(scenario, profile=True, rewindable=True, functions=table)
-        self.loop.taps.lost = self.loop.lost
+        self.loop.watch_losses()
         for function in self.functions.values():
             function.attach(self.loop)
         self.scratch = scratch and has_scratch(self.loop)

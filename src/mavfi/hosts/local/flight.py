@@ -51,7 +51,8 @@ def fly(  # noqa: PLR0913 - each is independent
     in_memory = MemoryInjector(loop, fault, detector) if isinstance(fault, MemoryFault) else None
     try:
         if isinstance(fault, StateFault):
-            loop.taps.injector, loop.taps.lost = StateInjector(fault), loop.lost
+            loop.taps.injector = StateInjector(fault)
+            loop.watch_losses()
         loop.taps.injector = in_memory or loop.taps.injector
         inject_sensor_fault(loop, fault)
         watch(loop, detector, recovery)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
+from weakref import proxy
 
 import numpy as np
 
@@ -253,6 +254,11 @@ class Loop:
         seen = self.taps(state, now)
         if seen is not None:
             self.publish(seen, now)
+
+    def watch_losses(self) -> None:
+        """From now on, take the next image when the injector loses a message that perception waits for."""
+        own = proxy(self)  # no cycle, so that maps are freed at once
+        self.taps.lost = lambda state, now: own.lost(state, now)
 
     def lost(self, state: State, now: int) -> None:
         """A message is lost in transit: without this scan, perception is ready for the next image."""

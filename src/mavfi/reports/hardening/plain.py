@@ -9,7 +9,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.hardening.battery import DETECTED, SDC
 from mavfi.campaign.hardening.certification import Certification
-from mavfi.campaign.hardening.certify import CONFIRMED, REFUTED, RESOLVED, UNDECIDED, Certificate, Unprotected
+from mavfi.campaign.hardening.certify import CONFIRMED, REFUTED, RESOLVED, UNDECIDED, UNKNOWN, Certificate, Unprotected
 from mavfi.campaign.hardening.spending import TOLERANCE
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.reports.text import ABSENT, percent
@@ -118,8 +118,9 @@ def advice_table(summary: Mapping[str, Any]) -> Table:
 def verdict_line(certification: Certification) -> str:
     """The certificate in one sentence."""
     golden = certification.golden
-    verdicts = [one.verdict for one in certification.certificates]
-    outcome = REFUTED if certification.refuted else UNDECIDED if certification.verdict == UNDECIDED else CONFIRMED
+    verdicts = [one.verdict for one in certification.certificates if one.verdict != UNKNOWN]
+    judged = UNDECIDED if certification.verdict == UNDECIDED else CONFIRMED
+    outcome = REFUTED if certification.refuted else judged if verdicts else "measured; it has no prediction"
     scope = certification.scope
     counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
     foreseen = certification.predicted
@@ -136,7 +137,7 @@ def _spent(certification: Certification) -> str:
     """What the plan adds to the flights to which it adds most, and whether that is too much."""
     if not certification.spending:
         return ""
-    most = max(certification.spending, key=lambda one: one.measured)
+    most = max(certification.spending, key=lambda one: (one.refuted, one.measured))
     known = "" if most.budget is None else f"; the budget is {percent(most.budget)}"
     outcome = f", more than {percent(TOLERANCE)} beyond it: refuted" if most.refuted else ""
     return (

@@ -31,6 +31,13 @@ def test_strata_that_part_the_word_make_up_whole_words():
     assert m.population_names(own, ()) == ["sign", "exponent", "whole_word", "mantissa"]
 
 
+def test_strata_of_messages_make_up_whole_messages():
+    faults = [replace(FAULT, stratum=name) for name in ("sign_exponent", "mantissa", "length")]
+    own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(faults)))
+    assert m.WHOLE_WORD in m.populations(own, "success")
+    assert "length" in m.population_names(own, ())
+
+
 def test_bits_of_instructions_are_one_population():
     own = runs(*(injected(seed, flown(), replace(INSTRUCTION, stratum=name)) for seed, name in enumerate("ab")))
     assert list(m.populations(own, "success")) == [m.ALL_BITS]

@@ -56,6 +56,12 @@ def test_a_prediction_that_could_not_have_failed_is_undecided():
     assert "0 of 1 predictions are refuted, 1 undecided;" in verdict_line(few)
 
 
+def test_a_plan_without_predictions_is_not_confirmed():
+    found = Certification("ab" * 32, 400, (), (certificate(200, 0),), GoldenCheck(1, 1, 9, 0))
+    assert verdict_line(found).startswith("The plan is measured; it has no prediction: ")
+    assert "0 of 0 predictions are refuted" in verdict_line(found)
+
+
 def test_totals_weight_functions_by_their_silent_corruptions():
     whole = together([certificate(200, 0), certificate(20, 10, growth=1.0)])
     assert whole.rate == pytest.approx(1 - 10 / 220) and whole.low < whole.rate <= whole.high

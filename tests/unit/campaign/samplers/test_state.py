@@ -66,8 +66,8 @@ def test_faults_in_memory_have_no_lifetime():
         Campaign(name="c", environments=("sparse",), sampling={"level": "memory", "groups": [group]})
 
 
-def messages(names, **sampling):
-    campaign = {"environments": ("sparse",), "missions": 2, "faults": 30}
+def messages(names, host="local", **sampling):
+    campaign = {"environments": ("sparse",), "missions": 2, "faults": 30, "host": host}
     return Campaign(name="c", **campaign, sampling={"scheme": "messages", "messages": names, **sampling})
 
 
@@ -90,6 +90,10 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
         ({"names": ()}, "is required with scheme 'messages'"),
         ({"names": ("sensor.imu",)}, "sensor.imu: only flights with localization estimator"),
         ({"names": ("planning.waypoint",), "strata": {"length": 1}}, "no field has bits of the stratum 'length'"),
+        (
+            {"names": ("planning.path",), "strata": {"length": 1}, "host": "ros1"},
+            "'length': may lose a message; allowed on ROS: bits of numbers",
+        ),
         ({"names": ("planning.path",), "scheme": "stage_balanced"}, "allowed with the key messages: messages"),
     ],
 )
