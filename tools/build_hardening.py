@@ -257,11 +257,9 @@ def at_machine_level(earlier: str) -> str:
 
 
 def sentence(advice: Row) -> str:
-    """What the budget buys and what it does not, for the README."""
-    return (
-        f"What {percent(advice['budget'], 0)} of the kernels' time buys "
-        f"([curves, plans, certificates](docs/generated/hardening.md)): {headline(advice)} {caveats(advice)[0]}"
-    )
+    """What the budget buys and what it does not, in one sentence for the README."""
+    buys, lost = headline(advice).rstrip("."), caveats(advice)[0].partition(": ")[2]
+    return f"{buys} ([curves, plans, certificates](docs/generated/hardening.md)), but buys no missions: {lost}"
 
 
 def main() -> None:

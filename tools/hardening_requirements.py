@@ -70,6 +70,13 @@ def _full(curve: Curve) -> str:
     return f"in full ×{curve.steps[-1].time:.2f}"
 
 
+def _bound(curve: Curve, most: float) -> str:
+    return (
+        "throughput-bound: plain code leaves the processor few free slots, so shadows take their own time, "
+        f"{_full(curve)}; {_gap(curve, most)}"
+    )
+
+
 def _gap(curve: Curve, most: float) -> str:
     """Times of the steps around the largest one that is allowed."""
     below = max(step.time for step in curve.steps if step.time <= most)
@@ -96,8 +103,7 @@ _LIMITS: dict[str, Callable[[Curve, Row, float], str]] = {
     "apply_updates": lambda curve, row, most: (
         f"most of its instructions update counters, each of which is an output: only more time helps; {_full(curve)}"
     ),
-    "back_project": lambda curve, row, most: f"throughput-bound; {_gap(curve, most)}",
-    "insert_scan": lambda curve, row, most: f"throughput-bound; {_gap(curve, most)}",
+    **dict.fromkeys(("back_project", "insert_scan"), lambda curve, row, most: _bound(curve, most)),
 }
 """What limits a function: what was tried, and what would help, from its curve, certificate and largest time."""
 

@@ -5,6 +5,7 @@ import pytest
 from mavfi.campaign.analysis import Runs
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.hardening.golden import check_golden
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.config import names, parse
@@ -48,6 +49,11 @@ def test_golden_flights_are_those_of_plain_code_with_this_latency(golden, timed)
     assert golden[0].digest() == golden[1].digest() == fly(timed).log.digest()
     assert golden[0].digest() != fly(mission("")).log.digest(), "its time is charged"
     assert golden[0].status.label == "success" and not golden[0].alarms
+
+
+def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
+    found = check_golden(mission(""), load_plan("ten_percent"), ("pid", "rrt_connect", "collision_check"))
+    assert found.passed and found.calls > 1000
 
 
 def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):

@@ -87,6 +87,10 @@ def _recovery(runs: Runs) -> list[str]:
         return []
     names = m.population_names(runs.injected, ())
     parts = []
+    arms = runs.campaign.get("arms", {})
+    # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
+    protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
+    paired = paired.where(~pl.col("arm").is_in(protected))
     for (setting,), own in paired.where(population=names[0]).groups("setting").items():
         test, found = m.discordant(own), m.recovery_of(own)
         back, lost = (0, 0) if found is None else (found.regained, found.lost)

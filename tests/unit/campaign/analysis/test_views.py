@@ -68,7 +68,7 @@ def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
 
 
 def test_no_run_is_behind_a_figure_of_the_paper(own):
-    words = Measure("words", "paper: in words", TEXT, lambda _: "far")
+    words = Measure("paper_words", "in words", TEXT, lambda _: "far")
     found = View("x", "X", ("environment",), (count("n", "n"), paper.column(paper.success), words)).table(own)
     assert [len(ids) for ids in found.behind[0]] == [2, 2, 0, 0]
 
