@@ -3,9 +3,10 @@
 import json
 import os
 import platform
+import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 from mavfi.campaign.overheads import processor
 from mavfi.campaign.store import FILE as LEDGER
 from mavfi.errors import BadInputError, writing
+from mavfi.version import __version__
 
 FILE = "steps.json"
 """Name of the file in the folder of a study."""
@@ -24,7 +26,7 @@ class Steps:
 
     folder: Path
     seconds: dict[str, float] = field(default_factory=dict)
-    runs: list[dict[str, str]] = field(default_factory=list)  # "begun" (UTC) and "machine"
+    runs: list[dict[str, str]] = field(default_factory=list)  # "begun" (UTC), "machine" and "program"
 
     @staticmethod
     def load(folder: Path) -> "Steps":
@@ -37,7 +39,10 @@ class Steps:
         try:
             held = json.loads(path.read_text(encoding="utf-8"))
             seconds = {str(step): float(spent) for step, spent in held["seconds"].items()}
-            runs = [{key: str(run[key]) for key in ("begun", "machine")} for run in held["runs"]]
+            runs = [
+                {key: str(run[key]) for key in ("begun", "machine")} | {"program": str(run.get("program", ""))}
+                for run in held["runs"]
+            ]
         except FileNotFoundError:
             return Steps(folder)
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -49,9 +54,11 @@ class Steps:
         """The steps so far, and a new run on this machine."""
         found = Steps.load(folder)
         if not found.runs and any(folder.rglob(LEDGER)):  # flown by a version that did not keep this file
-            found.runs.append({"begun": "before this was recorded", "machine": "not recorded, for the first flights"})
+            first = {"begun": "before this was recorded", "machine": "not recorded, for the first flights"}
+            found.runs.append({**first, "program": ""})
         begun = datetime.now(UTC).isoformat(" ", "seconds")
-        found.runs.append({"begun": begun, "machine": f"{machine()}, {workers} worker{'s' * (workers != 1)}"})
+        where = f"{machine()}, {workers} worker{'s' * (workers != 1)}"
+        found.runs.append({"begun": begun, "machine": where, "program": program()})
         return found
 
     @contextmanager
@@ -73,3 +80,15 @@ def machine() -> str:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     system = f"{platform.system()} {platform.machine()}"
     return f"{processor()}, {os.cpu_count()} cores, {memory:.1f} GiB of memory, {system}"
+
+
+def program() -> str:
+    """This program in words: its version, and its commit if it runs in a clone."""
+    root = Path(__file__).parents[3]
+    done = None
+    if (root / ".git").exists():
+        command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]
+        with suppress(OSError):
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+    commit = done.stdout.strip() if done is not None and done.returncode == 0 else ""
+    return f"mavfi {__version__}" + (f", commit {commit}" if commit else "")

@@ -89,7 +89,11 @@ class StudyReport:
     @property
     def times(self) -> list[Table]:
         """Tables of wall time by step, if it was flown by `mavfi reproduce`, and of worker time by campaign."""
-        return [table for table in (step_table(self.steps.seconds), time_table(self.campaigns)) if table.rows]
+        return [
+            table
+            for table in (step_table(self.steps.seconds, self.campaigns), time_table(self.campaigns))
+            if table.rows
+        ]
 
     @property
     def provenance(self) -> list[str]:
@@ -99,6 +103,8 @@ class StudyReport:
         if runs:
             again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
             lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min.")
+        programs = [name for name in dict.fromkeys(run["program"] for run in runs) if name]
+        lines += [f"Program: {'; then '.join(programs)}."] if programs else []
         flown_with: dict[str, str] = {}
         for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
             known = flown_with.get(name, text)

@@ -1,6 +1,6 @@
 import pytest
 
-from mavfi.campaign.steps import FILE, Steps, machine
+from mavfi.campaign.steps import FILE, Steps, machine, program
 from mavfi.errors import BadInputError
 
 
@@ -19,6 +19,12 @@ def test_times_of_a_resumed_study_add_up(tmp_path, monkeypatch):
     held = Steps.load(tmp_path)
     assert held.seconds == {"compilation": 3.0, "campaign table1": 5.0}
     assert [run["machine"] for run in held.runs] == [f"{machine()}, 2 workers", f"{machine()}, 1 worker"]
+    assert {run["program"] for run in held.runs} == {program()} and program().startswith("mavfi ")
+
+
+def test_a_file_of_a_version_without_the_program_is_read(tmp_path):
+    (tmp_path / FILE).write_text('{"seconds": {}, "runs": [{"begun": "then", "machine": "one"}]}', encoding="utf-8")
+    assert Steps.load(tmp_path).runs == [{"begun": "then", "machine": "one", "program": ""}]
 
 
 def test_flights_of_a_version_without_the_file_are_said_to_have_no_record(tmp_path):

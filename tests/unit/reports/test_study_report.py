@@ -26,16 +26,21 @@ def test_no_section_no_findings():
 
 def test_provenance_names_machines_times_versions_and_whole_digests():
     flown = runs(golden(1), digest="d" * 64, versions={"numba": "2", "mavfi": "1"})
-    begun = [{"begun": f"2026-11-2{day} 10:00:00+00:00", "machine": "a CPU"} for day in (1, 2)]
+    begun = [{"begun": f"2026-11-2{day} 10:00:00+00:00", "machine": "a CPU", "program": str(day)} for day in (1, 2)]
     study = Study(name="small", campaigns={".": "handmade"})
-    report = StudyReport(study, {".": flown}, (), Steps(Path(), {"compilation": 60.0, "campaign": 120.0}, begun))
+    report = StudyReport(
+        study, {".": flown}, (), Steps(Path(), {"compilation": 60.0, "campaign handmade": 120.0}, begun)
+    )
     assert report.provenance == [
         "Machine: a CPU.",
         "Begun 2026-11-21 10:00:00+00:00, last resumed 2026-11-22 10:00:00+00:00 (run 2); wall time in all: 3.0 min.",
+        "Program: 1; then 2.",
         "Versions: mavfi 1, numba 2.",
         f"Digest of the ledger in . (handmade): {'d' * 64}.",
     ]
     assert [table.name for table in report.times] == ["steps", "times"]
-    assert report.times[0].rows == [("compilation", 1.0, 1 / 3), ("campaign", 2.0, 2 / 3), ("all", 3.0, 1.0)]
+    assert report.times[0].rows == [
+        ("compilation", 1.0, 1 / 3, None), ("campaign handmade", 2.0, 2 / 3, 1 / 120), ("all", 3.0, 1.0, None)
+    ]  # fmt: skip
     bare = StudyReport(study, {".": flown}, (), Steps(Path()))
-    assert bare.provenance == report.provenance[2:] and [table.name for table in bare.times] == ["times"]
+    assert bare.provenance == report.provenance[3:] and [table.name for table in bare.times] == ["times"]

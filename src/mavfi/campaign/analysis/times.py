@@ -8,11 +8,18 @@ from mavfi.campaign.analysis.table import PERCENT, Column, Table
 _MINUTES = "number .1f min"
 
 
-def step_table(seconds: Mapping[str, float]) -> Table:
-    """Wall time (s) by step, and its sum."""
+def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> Table:
+    """Wall time (s) by step, with the runs per second of campaigns, and the sum."""
     whole = sum(seconds.values())
-    rows = [(step, spent / 60, spent / whole if whole else None) for step, spent in [*seconds.items(), ("all", whole)]]
-    columns = Column("step", "step"), Column("wall", "wall time", _MINUTES), Column("share", "share", PERCENT)
+    runs = {f"campaign {own.campaign['name']}": len(own) for own in campaigns.values()}
+    rows = [
+        (step, spent / 60, spent / whole if whole else None, runs[step] / spent if step in runs and spent else None)
+        for step, spent in [*seconds.items(), ("all", whole)]
+    ]
+    columns = (
+        Column("step", "step"), Column("wall", "wall time", _MINUTES), Column("share", "share", PERCENT),
+        Column("pace", "runs per second", "number .1f"),
+    )  # fmt: skip
     return Table(
         "steps", "Where the time goes: steps of mavfi reproduce", columns, rows if seconds else (),
         notes=(
