@@ -18,7 +18,7 @@ from mavfi.campaign.analysis.measures import Measure, against_fi
 from mavfi.campaign.analysis.pairs import paired_difference
 from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, PERCENT, POINTS, Table
+from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, POINTS, Table
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 from mavfi.states import GUARDS, PLANNERS
@@ -153,6 +153,11 @@ def _harm(own: Runs) -> Rate:
     return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
 
 
+def _coverage(own: Runs) -> Rate:
+    value, low, high = (1 - own.first(name) for name in ("harm", "harm_high", "harm_low"))
+    return Rate(own.first("n"), value, low, high)
+
+
 def _estimate(key: str, heading: str) -> Measure:
     names = (key, f"{key}_low", f"{key}_high")
     return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
@@ -173,8 +178,9 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, not the "
         "failures without a fault",
-        "harm: missions lost by the fault against the golden run of the same setting, in pairs; coverage = 1 – harm "
-        "rewards idle instructions and compares nothing (Schirmeier et al., DSN 2015): compare failures",
+        "harm: missions lost by the fault against the golden run of the same setting, in pairs, [95 % interval: "
+        "MOVER], n = faults; coverage = 1 – harm rewards idle instructions and compares nothing (Schirmeier et al., "
+        "DSN 2015): compare failures",
         "against fi: ratio of the estimates; it says nothing where the intervals are wide; the kernel with most "
         "instructions decides the width",
         f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, which scales "
@@ -194,7 +200,7 @@ _VIEW = View(
         Measure("against", "against fi", "number .2f ×", lambda own: own.first("against")),
         Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
         Measure("n", "faults", NUMBER, lambda own: own.first("n")), Measure("harm", "harm (points)", POINTS, _harm),
-        Measure("coverage", "coverage", PERCENT, lambda own: 1 - own.first("harm")),
+        Measure("coverage", "coverage", "percent with interval", _coverage),
         _estimate("ended", "failures, dead node ends mission"),
     ),
     where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),

@@ -61,13 +61,13 @@ def _effects(runs: Runs) -> list[str]:
     own = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
     if not len(own):
         return []
-    shares = {name: m.rate_of(own, pl.col("effect") == name).rate or 0.0 for name in ("masked", "sdc")}
-    died = 1.0 - sum(shares.values())
-    rest = f", {100 * died:.0f} % end in a crash or a hang" if died > 1e-9 else ""
+    masked, silent = (m.rate_of(own, pl.col("effect") == name) for name in ("masked", "sdc"))
+    died = m.rate_of(own, ~pl.col("effect").is_in(("masked", "sdc")))
+    rest = f", {_percent(died)} end in a crash or a hang" if died.successes else ""
     what = "flight" if runs.has_missions else "output"
     return [
-        f"{100 * shares['masked']:.0f} % of {len(own)} faults leave the {what} as it was, bit for bit, "
-        f"{100 * shares['sdc']:.0f} % change it silently{rest}."
+        f"{_percent(masked)} of {len(own)} faults leave the {what} as it was, bit for bit, "
+        f"{_percent(silent)} change it silently{rest}."
     ]
 
 

@@ -214,7 +214,7 @@ FEWEST = 10  # minimum number of flights for a field to have a row in the report
 
 def _slow_note(runs: Runs) -> tuple[str, ...]:
     return (
-        f"success: {_STRATA_INTERVALS}",
+        f"success, hurt: {_STRATA_INTERVALS}",
         "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes; both for the first "
         "column's bits", ONE_FAULT,
     )  # fmt: skip
@@ -243,7 +243,7 @@ _of_failures: dict[str, Any] = {
     "applies": of_sensors,
     "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
     "notes": lambda _: (
-        f"success: {INTERVALS}",
+        f"success, hurt: {INTERVALS}",
         "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
         ONE_FAULT,
     ),

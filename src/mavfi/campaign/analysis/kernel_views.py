@@ -1,6 +1,6 @@
 """Views of instruction faults: the success table under both policies, and the effects on kernels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import polars as pl
@@ -9,6 +9,7 @@ from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.flight_views import (
     INSTRUCTION,
+    INTERVALS,
     ONE_FAULT,
     faulty_and_bare,
     separable_note,
@@ -18,7 +19,8 @@ from mavfi.campaign.analysis.flight_views import (
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, TEXT
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.table import NUMBER, RATE, TEXT
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
@@ -188,10 +190,21 @@ def _readable(own: Runs, column: str) -> Runs:
 
 
 def _silent(runs: Runs) -> Runs:
-    """Silent corruptions, with the first differing field and the number of silent corruptions in the kernel."""
+    """Silent corruptions, with the first differing field."""
     own = kernel_runs(runs).where(kernel_effect="sdc")
     place = pl.concat_str(pl.col("error_state").replace("", MEMORY), "error_field", separator=" ")
-    return own.adding(first_differing_field=place.str.strip_chars(), in_kernel=pl.len().over("kernel"))
+    return own.adding(first_differing_field=place.str.strip_chars())
+
+
+def _share(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+    """Share of a kernel's silent corruptions that differ first in a field."""
+    kernel, field = by
+
+    def of(own: Runs) -> Rate:
+        inside = runs.where(pl.col(kernel) == own.first(kernel))
+        return m.rate_of(inside, pl.col(field) == own.first(field), weighted=True)
+
+    yield Measure("share", "share %", RATE, of)
 
 
 def _finite(own: Runs) -> pl.Series:
@@ -239,8 +252,7 @@ register(
             Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
             m.rate("success_restart", "success, restart", "success", weighted=True),
             m.rate("success_end", "success, end", "success_if_ended", weighted=True),
-            Measure("changed", "changed", PERCENT,
-                    lambda own: m.rate_of(own, pl.col("effect") != "masked", weighted=True)),
+            m.rate("changed", "changed", pl.col("effect") != "masked", weighted=True),
             m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
             m.quantile("inflation", 1.0, "worst", "worst"),
             Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
@@ -248,7 +260,7 @@ register(
         ),
         where=kernel_runs, leads=True,
         notes=_kernel_notes(
-            _POLICIES,
+            f"rates: {INTERVALS}", _POLICIES,
             "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
             "golden run, where both arrive",
             "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
@@ -262,7 +274,7 @@ register(
         "kernel_errors", "From instruction to inter-kernel state", ("kernel", "first_differing_field"),
         (
             m.count("n", "sdc"),
-            Measure("share", "share", PERCENT, lambda own: len(own) / own.first("in_kernel")),
+            _share,
             m.median("error_elements", "elements", "number .3g"),
             Measure("size", "median size", "number .3g", lambda own: _finite(own).median()),
             Measure("largest", "largest", "number .3g", lambda own: _finite(own).max()),
@@ -275,6 +287,7 @@ register(
         notes=_kernel_notes(
             "which silent corruptions within a kernel become which errors between kernels: state faults change one "
             "element of one field, uniformly over its bits",
+            f"share: of the kernel's silent corruptions; rates: {INTERVALS}",
             "elements: in how many places the field differs (median); size: largest difference in the field's unit",
             "(memory only): nothing published differs at once, but what the kernel remembers does",
         ), applies=_of_instructions,

@@ -20,7 +20,7 @@ from mavfi.campaign.analysis.statistics import (
     weighted_rate,
     wilson,
 )
-from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, TEXT, Cell, Column
+from mavfi.campaign.analysis.table import NUMBER, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE
 
@@ -192,15 +192,18 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         held = own.where("judged").values("population")
         return names[0] if names[0] in held else str(held[0])
 
+    def counted(own: Runs) -> Runs:
+        return own.where("judged", population=shown(own))
+
     def worst(own: Runs) -> Any:
-        return own.where("judged", population=shown(own)).frame["inflation"].max()
+        return counted(own).frame["inflation"].max()
 
     def share(own: Runs) -> Rate:
         return populations(own, FAILS_OR_SLOWER)[shown(own)]
 
     if names:
-        yield Measure("hurt", "hurt", PERCENT, share)
-        yield Measure("worst_time", "worst time", SIGNED, worst)
+        yield Measure("hurt", "hurt %", RATE, share, counted=counted)
+        yield Measure("worst_time", "worst time", SIGNED, worst, counted=counted)
 
 
 # ---- pairs -------------------------------------------------------------------------------------------------------

@@ -40,6 +40,13 @@ def test_instructions_harm_and_failures_by_hand():
     assert rows["fi", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["n"] == 20
 
 
+def test_coverage_has_the_interval_and_n_of_the_harm():
+    for row in table(campaign(), "failures_per_hour").entries():
+        harm, coverage = row["harm"], row["coverage"]
+        assert (coverage.n, coverage.rate) == (row["n"], 1 - harm.rate)
+        assert (coverage.low, coverage.high) == (1 - harm.high, 1 - harm.low) and coverage.low < coverage.high
+
+
 def test_the_faults_of_a_row_are_behind_its_cells():
     own = campaign()
     found = table(own, "failures_per_hour")
@@ -51,7 +58,7 @@ def test_the_faults_of_a_row_are_behind_its_cells():
 
 def test_a_detector_that_looks_better_by_coverage_fails_more_often():
     rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
-    assert rows["dr_gaussian"]["coverage"] > rows["fi"]["coverage"]
+    assert rows["dr_gaussian"]["coverage"].rate > rows["fi"]["coverage"].rate
     assert rows["dr_gaussian"]["failures"].value > rows["fi"]["failures"].value
 
 

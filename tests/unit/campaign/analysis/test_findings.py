@@ -1,7 +1,7 @@
 from mavfi.campaign.analysis import views_for
 from mavfi.campaign.analysis.findings import MOST, findings
 from mavfi.campaign.analysis.runs import Runs
-from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
+from tests.unit.campaign.analysis.handmade import DUE, GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
 
 
 def test_the_headline_is_the_success_table_and_five_sentences(fake):
@@ -19,7 +19,8 @@ def test_figures_are_those_of_the_frame():
     own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
     sentences = findings(own)
     assert "the fault loses 1 of 2 missions and saves 0" in sentences[0]
-    assert sentences[1] == "50 % of 2 faults leave the flight as it was, bit for bit, 50 % change it silently."
+    half = "50.0 % [9.5, 90.5]"
+    assert sentences[1] == f"{half} of 2 faults leave the flight as it was, bit for bit, {half} change it silently."
 
 
 def test_kernels_that_die_are_said():
@@ -27,6 +28,11 @@ def test_kernels_that_die_are_said():
     assert any(
         line.startswith("1 of 2 faults kill their kernel; if a dead node ended the mission") for line in findings(own)
     )
+
+
+def test_flights_that_end_in_a_crash_have_a_share_with_interval():
+    own = runs(golden(1), golden(2), injected(1, DUE), injected(2, flown()))
+    assert any(line.endswith(", 50.0 % [9.5, 90.5] end in a crash or a hang.") for line in findings(own))
 
 
 def test_nothing_flown_says_nothing():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.campaign.analysis import paper, table, views_for
+from mavfi.campaign.analysis.table import RATE
 from tests.unit.campaign.analysis.handmade import DUE, FAULT, GOLDEN, UNKNOWN, flown, golden, injected, runs
 
 
@@ -50,6 +51,15 @@ def test_tables_by_property_part_the_faults(fake, name):
     assert sum(whole) + sum(rest) == 2 * 60
     each = entries(fake, f"{name}_and_environment", setting="fi")
     assert sum(e["success"].n for e in each if e["success"]) == sum(whole)
+
+
+def test_who_is_hurt_has_interval_n_and_the_runs_behind_it(fake):
+    found = table(fake, "by_stage")
+    place = [column.key for column in found.columns].index("hurt")
+    assert found.columns[place].form == RATE
+    for row, behind in zip(found.rows, found.behind, strict=True):
+        assert row[place].low < row[place].high and row[place].n == len(behind[place])
+    assert sum(rate.n for rate in found.column("hurt")) < len(fake.injected), "of the first column's bits alone"
 
 
 def test_groups_of_fields_are_a_table_where_faults_are_drawn_by_groups():

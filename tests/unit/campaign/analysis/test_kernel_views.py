@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.campaign.analysis import table, views_for
+from mavfi.campaign.analysis.table import RATE
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import FlightRecord
 from tests.unit.campaign.analysis.handmade import (
@@ -97,9 +98,26 @@ def test_silent_corruptions_by_the_field_that_differed_first():
     records = [silent(first=FIRST), silent(first=FIRST, digest="g"), silent(first=infinite), silent(first=None)]
     own = runs(*(golden(seed) for seed in range(4)), *(injected(i, r, INSTRUCTION) for i, r in enumerate(records)))
     first, second = table(own, "kernel_errors").entries()
-    assert (first["first_differing_field"], first["n"], first["share"]) == ("control.command vx", 3, 0.75)
+    assert (first["first_differing_field"], first["n"], first["share"].rate) == ("control.command vx", 3, 0.75)
+    assert (first["share"].successes, first["share"].n) == (3, 4) and first["share"].low < 0.5
     assert (first["size"], first["largest"], first["not_finite"], first["changed"]) == (2.0, 2.0, 1, 2)
     assert (second["first_differing_field"], second["size"], second["largest"]) == ("(memory only)", None, None)
+
+
+def test_shares_of_silent_corruptions_are_within_their_kernel_and_weighted_back():
+    faults = [replace(INSTRUCTION, weight=3.0), INSTRUCTION, PLANNING]
+    records = [silent(first=FIRST), silent(first=None), silent(first=None)]
+    faulty = (injected(i, r, f) for i, (r, f) in enumerate(zip(records, faults, strict=True)))
+    own = runs(*(golden(seed) for seed in range(3)), *faulty)
+    shares = [(row["kernel"], row["share"].rate, row["share"].n) for row in table(own, "kernel_errors").entries()]
+    assert shares == [("pid", 0.75, 2), ("pid", 0.25, 2), ("rrt_connect", 1.0, 1)]
+
+
+def test_rates_of_kernels_are_shown_with_interval_and_n(own):
+    for view, keys in (("kernel_missions", ("changed",)), ("kernel_errors", ("share",))):
+        found = table(own, view)
+        assert all(column.form == RATE for column in found.columns if column.key in keys)
+        assert any("95 % interval" in note for note in found.notes)
 
 
 def test_which_tables_a_campaign_of_kernels_has(own):
