@@ -71,6 +71,19 @@ _TIMES = (
 )
 
 
+def _pairs(own: Runs) -> Runs:
+    """Runs with a fault whose golden run was judged."""
+    return own.injected.where(pl.col("golden_success").is_not_null())
+
+
+def _p_value(own: Runs) -> float | None:
+    pairs = _pairs(own)
+    return m.against_golden(pairs).p_value if len(pairs) else None
+
+
+_P = Measure("p", "p against golden", "number .3g", _p_value, counted=_pairs)
+
+
 def _quantile(own: Runs, share: float) -> float | None:
     return m.quantile_of(own.where("success")["flight_time_s"], share)
 
@@ -80,11 +93,12 @@ def _shown(
 ) -> View:
     return View(
         name, title, ("environment", by),
-        (m.count("n", "n"), m.rate("success", "success %", "success"), _DETOURS, *_TIMES), where=where,
+        (m.count("n", "n"), m.rate("success", "success %", "success"), _P, _DETOURS, *_TIMES), where=where,
         headings=("environment", heading), applies=applies,
         notes=lambda _: (
             note, f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the "
-            "same world", ONE_FAULT,
+            "same world", "p: McNemar's exact test of success with the fault and without it, in the same missions; not "
+            "corrected for the number of rows", ONE_FAULT,
         ),
     )  # fmt: skip
 

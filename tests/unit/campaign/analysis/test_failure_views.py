@@ -86,6 +86,14 @@ def test_with_enough_pairs_the_answer_is_decided(saved, word):
     assert payoffs(runs(*own), 1.0)[0].startswith(f"does dr_gaussian pay in sparse? {word}, ")
 
 
+def test_settings_are_compared_by_a_difference_with_interval_not_by_a_bare_ratio():
+    found = table(campaign(), "failures_per_hour")
+    [against] = [column for column in found.columns if column.key == "against"]
+    assert against.hidden
+    assert any(note.startswith("does dr_gaussian pay in sparse? ") and "[" in note for note in found.notes)
+    assert any("in pairs with the same fault" in note for note in found.notes)
+
+
 def test_harm_is_that_beyond_the_golden_run_of_the_same_arm():
     lost = replace(counted("pid"), status="collision")
     faulty = (injected(seed, flown(False), INSTRUCTION) for seed in range(4))

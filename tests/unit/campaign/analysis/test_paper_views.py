@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import polars as pl
 import pytest
 
@@ -28,6 +30,30 @@ def test_kernels_stand_below_the_golden_run():
     assert (second["kernel"], second["success"].successes, second["worst_s"]) == ("pid", 1, 60.0)
     assert second["worst_time"] == pytest.approx(0.2)
     assert second["hurt"].rate == 1.0, "one is late, the other one fails"
+
+
+def test_rows_are_tested_against_their_golden_runs_in_pairs():
+    lost = replace(GOLDEN, status="collision")
+    own = [golden(seed, lost if seed == 6 else GOLDEN) for seed in range(9)]
+    # six pairs: five lost, none saved, one alike; the seventh mission fails without the fault, the last has no twin
+    own += [injected(seed, flown(seed == 5), INSTRUCTION, target="pid") for seed in (*range(7), 20)]
+    found = table(runs(*own, each="kernel"), "kernels_as_in_the_paper")
+    first, second = found.entries()
+    assert (first["p"], second["n"], second["p"]) == (None, 8, pytest.approx(2 * 0.5**5))
+    behind = found.behind[1][[column.key for column in found.columns].index("p")]
+    assert len(behind) == 7 and not any("-20-" in run_id for run_id in behind)
+    assert any("McNemar's exact test" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("view", "each"), [("states_as_in_the_paper", "group"), ("bits_as_in_the_paper", "stage")])
+def test_tables_of_states_and_bits_have_the_test_too(view, each):
+    faults = [StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name)
+              for name, bit in (("sign", 63), ("exponent", 60), ("mantissa", 3))]  # fmt: skip
+    own = [golden(seed) for seed in range(6)]
+    own += [injected(seed, flown(stratum > 0), fault, index=10 * seed + stratum)
+            for seed in range(6) for stratum, fault in enumerate(faults)]  # fmt: skip
+    empty, *rows = table(runs(*own, each=each), view).column("p")
+    assert (empty, rows[0]) == (None, pytest.approx(2 * 0.5**6)) and set(rows[1:]) <= {1.0}
 
 
 def test_bits_have_a_row_each():
