@@ -26,7 +26,7 @@ class Claim:
     statement: str
     section: str  # of the paper
     campaign: str  # name of the campaign whose runs test it
-    method: str  # of the test
+    method: str  # the test, as shown in its table, whose notes explain it
     test: Callable[[Runs], Evidence]
 
 
@@ -67,8 +67,10 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
         notes=(
             f"confirmed, contradicted: two-sided p below {LEVEL:g} after Holm's correction over {count} tests (Holm "
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
-            "p: two-sided randomization tests, random signs of the differences of worlds (of groups of different "
-            "worlds: worlds shuffled); flights of one world are not taken as independent",
+            "p: two-sided, by the test in the row; randomization of worlds: random signs of the differences of worlds, "
+            "or, of groups of different worlds, worlds shuffled; flights of one world are not taken as independent",
+            "exact sign test, for measured overheads: of flights on which both detectors are timed, or of environments "
+            "and stages, each taken as independent; none: the output of a model, which has no p",
             "[95 % interval]: of rates Wilson's, n reduced by the design effect of worlds; of other means a bootstrap "
             "of worlds",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
@@ -80,7 +82,7 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
 _COLUMNS = (
     Column("claim", "claim", TEXT, hidden=True), Column("statement", "the paper"), Column("verdict", "verdict"),
     Column("section", "section"), Column("here", "here"), Column("p", "p", "number .2g"),
-    Column("holm_p", "p (Holm)", "number .2g"), Column("method", "test", TEXT, hidden=True),
+    Column("holm_p", "p (Holm)", "number .2g"), Column("method", "test"),
     Column("campaign", "campaign", TEXT, hidden=True),
 )  # fmt: skip
 _KEYS, _LINKED = tuple(column.key for column in _COLUMNS), ("verdict", "p", "holm_p")

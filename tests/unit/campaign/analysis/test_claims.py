@@ -42,6 +42,21 @@ def test_the_correction_is_over_all_claims_of_the_table():
         claims_table(["none"], [])
 
 
+def test_each_claim_shows_its_test_and_the_notes_explain_all_kinds():
+    found = claims_table(list(CLAIMS), [])
+    [shown] = [column for column in found.columns if column.key == "method"]
+    assert not shown.hidden
+    kinds = {
+        "random signs of the differences of worlds": "random signs of the differences of worlds",
+        "worlds shuffled between": "worlds shuffled", "sign test of flights": "exact sign test",
+        "sign test of environments and stages": "of environments and stages", "none: a model": "none: the output of a",
+    }  # fmt: skip
+    notes = " ".join(found.notes)
+    for method in found.column("method"):
+        [words] = [note for start, note in kinds.items() if method.startswith(start)]
+        assert words in notes, method
+
+
 def states(stage_lost, arm_saves=True):
     """Ten missions with one fault each: those of a stage are lost without the detector `gaussian`."""
     own = []
