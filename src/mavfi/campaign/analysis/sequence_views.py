@@ -47,6 +47,6 @@ register(
         ),
         where=_cells,
         headings=("environment", "setting", "target", "bits"), notes=_notes,
-        applies=lambda runs: bool(runs.campaign.get("sequence")),
+        applies=lambda runs: bool(runs.campaign.get("sequence")), any_time=True,
     ),
 )  # fmt: skip
