@@ -100,7 +100,7 @@ def test_a_campaign_ends_when_its_rates_are_known_and_resumes_to_the_same(tmp_pa
 def test_what_cannot_be_flown_in_sequence_is_refused(tmp_path):
     with pytest.raises(BadInputError, match="not with until_halfwidth; allowed: the whole campaign"):
         run_campaign(until(small(), 0.3), tmp_path, shard=Shard(1, 2))
-    with pytest.raises(BadInputError, match="campaign bits: half-width 0.01: needs up to .* faults per target"):
-        until(load_campaign("bits").at_scale("paper"), 0.01)
+    with pytest.raises(BadInputError, match="campaign states: half-width 0.01: needs up to .* faults per target"):
+        until(load_campaign("states").model_copy(update={"missions": 10}), 0.01)
     with pytest.raises(ValueError, match="until_halfwidth"):
         Campaign.model_validate({"name": "a", "environments": ["sparse"], "until_halfwidth": 0.001})
