@@ -105,7 +105,7 @@ class StudyReport:
         if runs:
             again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
             lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min.")
-        programs = [name for name in dict.fromkeys(run["program"] for run in runs) if name]
+        programs = dict.fromkeys(run["program"] or "not recorded" for run in runs)
         lines += [f"Program: {'; then '.join(programs)}."] if programs else []
         flown_with: dict[str, str] = {}
         for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
