@@ -81,7 +81,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 5
+    assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 6
     assert Steps.load(out).seconds["campaign table1"] > spent, "a resumed study adds to its times"
 
 
