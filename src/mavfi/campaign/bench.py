@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import Field, model_validator
 
@@ -39,7 +39,6 @@ class Part(Config):
 
     campaign: str = Field(description="name or path; its arms are those of the bench")
     title: str = Field(description="of its table")
-    level: Literal["", "message"] = Field("", description="of its faults, if not that of the campaign's sampling")
     mission: dict[str, Any] = Field({}, description="keys of a mission, in addition to those of the campaign")
     scales: dict[str, Scale] = Field({}, description="sizes, instead of the campaign's; quick is one of them")
     view: str = Field("schemes", description="table that is shown")
@@ -62,7 +61,7 @@ class Bench(Config):
             if "/" in name or not name.isprintable():
                 raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")
         for name, part in self.parts.items():
-            level = part.level or load_campaign(part.campaign).sampling.level
+            level = level_of(load_campaign(part.campaign))
             if part.scores and level not in SCORED:
                 raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {', '.join(SCORED)}")
         return self
@@ -137,20 +136,24 @@ def entries(
         if name not in bench.parts:
             raise BadInputError(f"bench {bench.name}: part {name!r}: not known; allowed: {', '.join(bench.parts)}")
     campaigns = {name: _campaign(bench, name, scale) for name in parts or bench.parts}
-    of = {name: bench.parts[name].level or campaign.sampling.level for name, campaign in campaigns.items()}
-    known = set(of.values())
+    known = {level_of(campaign) for campaign in campaigns.values()}
     for level in levels:
         if level not in known:
             raise BadInputError(f"bench {bench.name}: level {level!r}: not known; allowed: {', '.join(sorted(known))}")
     wanted = set(levels) or known
     found = {
         name: _entry(bench, name, campaign, models_dir)
-        for name, campaign in campaigns.items() if of[name] in wanted
+        for name, campaign in campaigns.items() if level_of(campaign) in wanted
     }  # fmt: skip
     if not any(entry.campaign.arms for entry in found.values()):
         reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
         raise BadInputError(f"bench {bench.name}: no scheme can fly: {reasons[0] if reasons else 'it has none'}")
     return {name: entry for name, entry in found.items() if entry.campaign.arms}
+
+
+def level_of(campaign: Campaign) -> str:
+    """Level of a campaign's faults; faults in states that are drawn as bits of messages are those of level message."""
+    return "message" if getattr(campaign.sampling, "messages", ()) else campaign.sampling.level
 
 
 def _campaign(bench: Bench, name: str, scale: str) -> Campaign:

@@ -10,6 +10,7 @@ from mavfi.campaign.bench import (
     entries,
     faults_of,
     frozen_faults,
+    level_of,
     load_bench,
     with_only,
 )
@@ -74,9 +75,7 @@ def test_schemes_of_libraries_without_a_model_are_left_out_with_the_command_that
 def test_parts_by_level_and_by_name():
     for level in ("instruction", "memory", "sensor", "message"):
         found = entries(BENCH, "quick", levels=[level])
-        assert next(iter(found)) == level and all(
-            (one.part.level or one.campaign.sampling.level) == level for one in found.values()
-        )
+        assert next(iter(found)) == level and all(level_of(one.campaign) == level for one in found.values())
         assert not any(name in found for name in ("state", "sites", "golden"))
     assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
 
