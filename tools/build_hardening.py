@@ -50,8 +50,8 @@ PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 COMPARED_SHARE = 0.25
 """Share of the cost of full duplication at which ways to choose are compared."""
-MORE = {"plan_rrt_connect": 24, "time_to_collision": 40}
-"""Times more faults in the largest step within the time, where a lower bound is required."""
+MORE = {"plan_rrt_connect": 24, "time_to_collision": 40, "insert_scan": 16}
+"""Times more faults in the largest step within the time, where a lower bound is required, or few faults are silent."""
 LONG = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
 _MACHINE = "<!-- machine-level:begin -->", "<!-- machine-level:end -->"
