@@ -1,13 +1,15 @@
 """Wall time of a study by step, and the machines that it ran on, kept in its folder: a resumed study adds to them."""
 
 import json
+import math
 import os
 import platform
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,6 +20,10 @@ from mavfi.version import __version__
 
 FILE = "steps.json"
 """Name of the file in the folder of a study."""
+SET_UP = "set-up (make setup)"
+"""The first step, which the Makefile times."""
+SET_UP_FILE = Path(sys.prefix) / "setup-seconds"
+"""Written by `make setup` when it has made this virtual environment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +57,11 @@ class Steps:
 
     @staticmethod
     def begin(folder: Path, workers: int) -> "Steps":
-        """The steps so far, and a new run on this machine."""
+        """The steps so far, and a new run on this machine; set-up counts once, as that of the first run."""
         found = Steps.load(folder)
+        spent = set_up_seconds()
+        if spent is not None and SET_UP not in found.seconds:
+            found = replace(found, seconds={SET_UP: spent, **found.seconds})
         if not found.runs and any(folder.rglob(LEDGER)):  # flown by a version that did not keep this file
             first = {"begun": "before this was recorded", "machine": "not recorded, for the first flights"}
             found.runs.append({**first, "program": ""})
@@ -73,6 +82,15 @@ class Steps:
             with writing(path):
                 new.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
                 os.replace(new, path)
+
+
+def set_up_seconds() -> float | None:
+    """Wall time (s) in which `make setup` made this environment; None if it is unknown, or another way was taken."""
+    try:
+        spent = float(SET_UP_FILE.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # a damaged file is no reason not to fly: the time is unknown
+        return None
+    return spent if 0 <= spent < math.inf else None
 
 
 def machine() -> str:

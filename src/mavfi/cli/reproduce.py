@@ -97,7 +97,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         write_json(written.to_json())
         return
     show_study_report(written, show_all)
-    _say_where(out, campaigns, sum(steps.seconds.values()))
+    _say_where(out, campaigns, steps)
 
 
 def _train(
@@ -117,15 +117,17 @@ def _train(
             list(map_each(executor, Training.fit, trainings))
 
 
-def _say_where(out: Path, folders: Iterable[str], seconds: float) -> None:
+def _say_where(out: Path, folders: Iterable[str], steps: "Steps") -> None:
     """Print where report, ledgers and models are, and how long it took."""
+    from mavfi.campaign.steps import SET_UP
     from mavfi.cli.progress import duration
     from mavfi.reports.study_report import MARKDOWN
 
     terminal = console()
     terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
     terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in folders)}."), soft_wrap=True)
-    terminal.print(f"The models are in {out / MODELS}. It took {duration(seconds)} in all.", soft_wrap=True)
+    took = duration(sum(steps.seconds.values())) + (", set-up included" if SET_UP in steps.seconds else " in all")
+    terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:

@@ -14,7 +14,7 @@ from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.analysis.times import step_table, time_table
-from mavfi.campaign.steps import Steps
+from mavfi.campaign.steps import SET_UP, Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
@@ -104,7 +104,8 @@ class StudyReport:
         lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
         if runs:
             again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
-            lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min.")
+            set_up = ", set-up included" if SET_UP in self.steps.seconds else ""
+            lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min{set_up}.")
         programs = dict.fromkeys(run["program"] or "not recorded" for run in runs)
         lines += [f"Program: {'; then '.join(programs)}."] if programs else []
         flown_with: dict[str, str] = {}

@@ -16,8 +16,9 @@ from tests.unit.campaign.fakes import HOST, small
 
 
 @pytest.fixture(autouse=True)
-def few_flights(monkeypatch):
-    """One flight in the page of a study; code is compiled when it is needed."""
+def few_flights(monkeypatch, tmp_path):
+    """One flight in the page of a study; code is compiled when it is needed; nobody knows how long set-up took."""
+    monkeypatch.setattr("mavfi.campaign.steps.SET_UP_FILE", tmp_path / "setup-seconds")
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 1)
     monkeypatch.setattr("mavfi.campaign.warm_up.compile_ahead", lambda *_: None)
 
@@ -54,10 +55,12 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     sections.append({"title": "Table II", "campaign": ".", "views": ["overheads_as_in_the_paper"]})
     out = tmp_path / "out"
     arguments = ["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out), "--workers", "1"]
+    (tmp_path / "setup-seconds").write_text("3600", encoding="utf-8")
     assert run(arguments) == 0
     text = capsys.readouterr().out
     states, instructions = (VIEWS[name].title for name in leading.values())
     assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
+    assert "It took 1 h " in text and text.rstrip().endswith("set-up included.")
     assert {"study.md", "study.json"} <= {path.name for path in out.iterdir()}
     files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
     assert files | {"models", "instructions"} <= {path.name for path in out.iterdir()}
@@ -71,7 +74,8 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     written = (out / "study.md").read_text(encoding="utf-8")
     assert "one process on " in written, "measured, not modelled alone"
     flights = ["training flights", "fitting of detectors", "campaign table1", "campaign table1_instructions"]
-    steps = ["compilation", *flights, "timed flights", "tables and figures", "report.html and its flights"]
+    reports = ["tables and figures", "report.html and its flights"]
+    steps = ["set-up (make setup)", "compilation", *flights, "timed flights", *reports]
     assert list(Steps.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
     assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
     assert ">Machine: " in (out / "report.html").read_text(encoding="utf-8")

@@ -1,5 +1,6 @@
 """Findings of a study in sentences, from tables made by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.sequential import until
-from mavfi.campaign.steps import Steps
+from mavfi.campaign.steps import SET_UP, Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.reports.study_report import SectionReport, StudyReport, study_report
 from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
@@ -75,5 +76,7 @@ def test_provenance_names_machines_times_versions_and_whole_digests():
     assert report.times[0].rows == [
         ("compilation", 1.0, 1 / 3, None), ("campaign handmade", 2.0, 2 / 3, 1 / 120), ("all", 3.0, 1.0, None)
     ]  # fmt: skip
+    timed = replace(report, steps=Steps(Path(), {SET_UP: 60.0, **report.steps.seconds}, begun))
+    assert timed.provenance[1].endswith("; wall time in all: 4.0 min, set-up included.")
     bare = StudyReport(study, {".": flown}, (), Steps(Path()))
     assert bare.provenance == report.provenance[3:] and [table.name for table in bare.times] == ["times"]

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import PERCENT, Column, Table
+from mavfi.campaign.steps import SET_UP
 
 _MINUTES = "number .1f min"
 
@@ -25,6 +26,7 @@ def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> T
         notes=(
             "wall time, added over the runs of a resumed study; that of a campaign includes drawing its faults and "
             "writing its ledger; compilation: of what was not in the cache",
+            *((f"{SET_UP}: once, also if it was for another study",) if SET_UP in seconds else ()),
             "report.html is written last, so that its own time is in study.md only",
         ),
     )  # fmt: skip
