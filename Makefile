@@ -9,6 +9,8 @@ STAMP := $(VENV)/.installed
 # When make began, if there is no $(VENV) yet: the time of set-up counts from here.
 BEGUN := $(if $(wildcard $(BIN)/python),,$(shell date +%s))
 CODE := src tests examples benchmarks tools
+# The summary at the end says which tests were skipped, and why; without it a missing program passes unseen.
+PYTEST := $(BIN)/python -m pytest -rfEs
 
 # One thread per process: sums keep their order, and two workers do not fight for two cores.
 export OMP_NUM_THREADS := 1
@@ -43,15 +45,15 @@ reproduce: setup  ## train, fly, print the tables and tested findings of the pap
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests
-	@$(BIN)/python -m pytest -n $(JOBS) -m "not long and not alone"
-	@$(BIN)/python -m pytest -n 2 -m "alone and not long"
+	@$(PYTEST) -n $(JOBS) -m "not long and not alone"
+	@$(PYTEST) -n 2 -m "alone and not long"
 
 test-all: setup  ## run all tests, including those that repeat others in more settings
-	@$(BIN)/python -m pytest -n $(JOBS) -m "not alone"
-	@$(BIN)/python -m pytest -n 2 -m "alone"
+	@$(PYTEST) -n $(JOBS) -m "not alone"
+	@$(PYTEST) -n 2 -m "alone"
 
 machines: setup  ## flights and campaigns have the same bits on every x86-64 machine: other C library, CPU, folder, environment
-	@$(BIN)/python -m pytest -n $(JOBS) --dist=worksteal -m machines tests/golden/test_machines.py
+	@$(PYTEST) -n $(JOBS) --dist=worksteal -m machines tests/golden/test_machines.py
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)
@@ -60,7 +62,7 @@ lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/lint-imports
 
 check: lint  ## the same, and fast tests
-	@$(BIN)/python -m pytest -n $(JOBS) -m "not slow and not long and not alone"
+	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not alone"
 
 check-nojit: setup  ## tests of kernels and numerics as plain Python, without the compiler
 	@$(BIN)/python -m tests.robustness.nojit
