@@ -31,6 +31,10 @@ def _percent(rate: Rate) -> str:
     return f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
+def _with_n(rate: Rate) -> str:
+    return f"{_percent(rate)} (n = {rate.n})"
+
+
 def _success(runs: Runs) -> list[str]:
     golden, faulty = runs.golden.where("judged", setting=GOLDEN), leading_faults(runs).where(setting=FI)
     if not runs.has_missions or not len(golden) or not len(faulty):
@@ -39,8 +43,8 @@ def _success(runs: Runs) -> list[str]:
     known = faulty.where(pl.col("golden_success").is_not_null())
     test = m.against_golden(known)
     return [
-        f"Without a fault {_percent(without)} of missions succeed, with one fault{_bits(faulty)} "
-        f"{_percent(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
+        f"Without a fault {_with_n(without)} of missions succeed, with one fault{_bits(faulty)} "
+        f"{_with_n(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
         f"(McNemar p = {test.p_value:.2g})."
     ]
 
@@ -52,7 +56,7 @@ def _deaths(runs: Runs) -> list[str]:
         return []
     ended = m.rate_of(faulty, "success_if_ended")
     return [
-        f"{len(own)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, {_percent(ended)} "
+        f"{len(own)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, {_with_n(ended)} "
         "would succeed."
     ]
 
@@ -77,7 +81,7 @@ def _worst_stage(runs: Runs) -> list[str]:
     if len(rates) < 2:
         return []
     ordered = sorted(rates.items(), key=lambda item: -(item[1].rate or 0.0))
-    stages = "; ".join(f"{stage} {_percent(rate)}" for stage, rate in ordered)
+    stages = "; ".join(f"{stage} {_with_n(rate)}" for stage, rate in ordered)
     return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {stages}."]
 
 
@@ -103,7 +107,9 @@ def _false_alarms(runs: Runs) -> list[str]:
     own = runs.golden.where(pl.col("detector") != "", end="flown")
     rates = {arm: m.alarm_rate(part) for (arm,), part in own.groups("arm").items()}
     by_arm = "; ".join(
-        f"{arm} {rate.per_hour:.1f} per hour" for arm, rate in rates.items() if rate.per_hour is not None
+        f"{arm} {rate.per_hour:.1f} per hour [{rate.low:.1f}, {rate.high:.1f}] ({rate.events} in {rate.hours:.2g} h)"
+        for arm, rate in rates.items()
+        if rate.per_hour is not None
     )
     return [f"Alarms on flights without a fault: {by_arm}."] if by_arm else []
 
@@ -114,8 +120,8 @@ def _flight_time(runs: Runs) -> list[str]:
         return []
     median, worst = (m.quantile_of(own["inflation"], share) or 0.0 for share in (0.5, 1.0))
     return [
-        f"Of the missions that succeed with a fault, the median takes {100 * median:+.1f} % flight time, the worst "
-        f"{100 * worst:+.1f} % ({m.worst_run(own)})."
+        f"Of the missions that succeed with a fault (n = {len(own)}), the median takes {100 * median:+.1f} % flight "
+        f"time, the worst {100 * worst:+.1f} % ({m.worst_run(own)})."
     ]
 
 
