@@ -2,7 +2,7 @@
 
 import fcntl
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,25 +71,36 @@ class _Mission:
 _Task = _Stage | _Detector | _Mission
 
 
-def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
+def compile_ahead(
+    campaigns: Iterable[Campaign], executor: Executor, progress: Callable[[int, int], None] = lambda *_: None
+) -> None:
     """Compile the code of several campaigns in an executor's processes; nothing if that was done before.
 
     First come the stages of a flight, then instrumented kernels and detectors, last what only a whole mission calls.
     Instrumented detectors have the shipped models: the code of other models is the same.
 
+    Args:
+        campaigns: The campaigns.
+        executor: Runs the tasks.
+        progress: Called after every task with the numbers of tasks done and in all.
+
     Raises:
         BadInputError: A campaign cannot be flown.
         MavfiError: A worker was lost.
     """
-    left = [campaign for campaign in campaigns if host_of(campaign).in_process and not _done(campaign).exists()]
-    rounds: list[list[_Task]] = [
-        list(_stages(left)), [*_kernels(left), *_detectors(left)], [_Mission(_bare(campaign)) for campaign in left]
-    ]  # fmt: skip
+    left = _not_compiled(campaigns)
+    rounds, done = _rounds(left), 0
     for tasks in rounds:
         for _ in map_each(executor, _compile, tasks):
-            pass
+            done += 1
+            progress(done, sum(map(len, rounds)))
     for campaign in left:
         _done(campaign).touch()
+
+
+def tasks_ahead(campaigns: Iterable[Campaign]) -> int:
+    """Number of tasks of `compile_ahead`; raises a BadInputError if a campaign cannot be flown."""
+    return sum(map(len, _rounds(_not_compiled(campaigns))))
 
 
 def compile_flight(scenario: Scenario, executor: Executor) -> None:
@@ -106,6 +117,19 @@ def compile_flight(scenario: Scenario, executor: Executor) -> None:
 def is_compiled(campaign: Campaign) -> bool:
     """Whether the cache has all of a campaign's code, by `compile_ahead` or on a machine that flew it."""
     return _done(campaign).exists()
+
+
+def _not_compiled(campaigns: Iterable[Campaign]) -> list[Campaign]:
+    return [campaign for campaign in campaigns if host_of(campaign).in_process and not _done(campaign).exists()]
+
+
+def _rounds(campaigns: Sequence[Campaign]) -> list[list[_Task]]:
+    """Tasks of campaigns in rounds, each of which uses the code of the former ones."""
+    return [
+        list(_stages(campaigns)),
+        [*_kernels(campaigns), *_detectors(campaigns)],
+        [_Mission(_bare(campaign)) for campaign in campaigns],
+    ]
 
 
 def _compile(task: _Task) -> None:

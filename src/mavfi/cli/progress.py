@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Self
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -21,11 +21,12 @@ from mavfi.cli.console import console
 
 if TYPE_CHECKING:
     from mavfi.campaign.run import Progress as CampaignProgress
+    from mavfi.campaign.steps import Steps
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""
-_FEW = 10
-"""Number of flights of a study before the time left is estimated."""
+_FEW, _FEW_TASKS = 10, 3
+"""Numbers of flights, and of other units, of a study before the time left is estimated."""
 
 
 class Bar:
@@ -35,12 +36,13 @@ class Bar:
         self._label, self._unit = label, unit
         self._console = console(error=True)
         self._bar = Progress(
-            TextColumn("[bold]{task.description}"), BarColumn(bar_width=40), MofNCompleteColumn(),
+            TextColumn("[bold]{task.description}"), BarColumn(bar_width=40), TextColumn("{task.fields[counts]}"),
             TextColumn("{task.fields[pace]}"), console=self._console,
         )  # fmt: skip
-        self._task = self._bar.add_task(label, total=None, pace="")
+        self._task = self._bar.add_task(label, total=None, counts="", pace="")
         self._live = Live(self._bar, console=self._console, refresh_per_second=5)
         self._begun = self._printed = time.perf_counter()
+        self._line = ""
         self._held: int | None = None
         self._waits = True
 
@@ -76,56 +78,85 @@ class Bar:
         self._tell(progress.done, progress.total, pace)
 
     def _tell(self, done: int, total: int, pace: str) -> None:
+        self._draw(done, total, f"{done}/{total} {self._unit}", pace)
+
+    def _draw(self, done: float, total: float, counts: str, pace: str) -> None:
         pace = pace if done < total else ""
         if self._console.is_terminal:
-            self._bar.update(self._task, completed=done, total=total, pace=pace)
+            self._bar.update(self._task, completed=done, total=total, counts=counts, pace=pace)
             return
-        now = time.perf_counter()
-        if now - self._printed >= _LINE_EVERY or done == total:
-            self._printed = now
-            self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
+        now, line = time.perf_counter(), f"{self._label} {counts}  {pace}".rstrip()
+        if (now - self._printed >= _LINE_EVERY or done == total) and line != self._line:
+            self._printed, self._line = now, line
+            self._console.print(line)
 
 
 @dataclass(slots=True)
 class Part:
-    """Progress of one part of a study: training or a campaign."""
+    """Progress of one part of a study: compilation, training, a campaign, tables ..."""
 
-    done: int  # flights
-    total: int  # flights
-    seconds: float  # expected wall time of a flight: weight of the part in the estimate of the time left
+    done: int  # units
+    total: int  # units
+    seconds: float  # expected wall time of a unit: weight of the part in the bar and in the time left
+    flights: bool = True  # whether units are flights; else tasks of some seconds
 
 
 class StudyBar(Bar):
-    """Progress over all parts of a study, which run in sequence; the time left covers all of them."""
+    """Progress over all parts of a study, which run in sequence; bar and time left cover all of them.
 
-    def __init__(self, label: str, parts: dict[str, Part]) -> None:
+    Args:
+        label: Name of the study.
+        parts: By name, in the order in which they run.
+        steps: To which the wall times of the parts are added.
+    """
+
+    def __init__(self, label: str, parts: dict[str, Part], steps: Steps) -> None:
         super().__init__(label, "flights")
+        self.steps = steps
         self._parts, self._part, self._name = parts, next(iter(parts.values())), label
-        self._at_start, self._first = self._flights(), (math.inf, 0.0)
+        self._origin, self._units = (0.0, 0.0), -1  # where measurement began: time and work (s); units since then
+        self._by_flights, self._rate = False, math.inf  # of measurement: its units; wall time / expected wall time
 
-    def begin(self, name: str, words: str) -> str:
-        """Start the next part; returns the words for it."""
+    @contextmanager
+    def timed(self, name: str, step: str) -> Iterator[None]:
+        """Run a part, and add its wall time to a step of the study, which is also shown."""
         self._part = self._parts[name]
         place = list(self._parts).index(name) + 1
-        self._label = f"{self._name}, {words} ({place} of {len(self._parts)})"
+        self._label = f"{self._name}, {step} ({place} of {len(self._parts)})"
         self._bar.update(self._task, description=self._label)
-        return words
+        self._live.update(self._bar)  # without the successes of the last campaign
+        with self.steps.timed(step):
+            yield
+        ended = self._part.done or self._part.total  # fewer than expected, or none was reported
+        self._tell(ended, ended, "")
 
     def _tell(self, done: int, total: int, pace: str) -> None:
+        new = done - self._part.done
         self._part.done, self._part.total = done, total
-        now, work, flown = time.perf_counter(), self._sum("done"), self._flights() - self._at_start
-        if flown:
-            self._first = min(self._first, (now, work))  # excludes the time of compiling kernels
-            known = flown > _FEW and work > self._first[1]
-            rate = (now - self._first[0]) / (work - self._first[1]) if known else math.inf
-            pace = time_left((self._sum("total") - work) * rate)
-        super()._tell(self._flights(), sum(part.total for part in self._parts.values()), pace)
+        work, whole = self._sum("done"), self._sum("total")
+        if new > 0:
+            self._measure(new, work)
+        done, total = (sum(getattr(part, key) for part in self._parts.values() if part.flights)
+                       for key in ("done", "total"))  # fmt: skip
+        share = math.floor(100 * work / whole) if work < whole else 100
+        self._draw(work, whole, f"{share} %, {done}/{total} {self._unit}", time_left((whole - work) * self._rate))
 
-    def _flights(self) -> int:
-        return sum(part.done for part in self._parts.values())
+    def _measure(self, new: int, work: float) -> None:
+        """Compare with what was expected, from the first flight on, or from the first unit until one has flown.
+
+        The first one includes loading; and a cache may hold some of the code that was expected to be compiled.
+        """
+        now, first_flight = time.perf_counter(), self._part.flights and not self._by_flights
+        if self._units < 0 or first_flight:
+            self._origin, self._units, self._by_flights = (now, work), 0, self._part.flights
+            return
+        self._units += new
+        begun, before = self._origin
+        if self._units >= (_FEW if self._by_flights else _FEW_TASKS) and work > before:
+            self._rate = (now - begun) / (work - before)
 
     def _sum(self, key: str) -> float:
-        """Expected wall time of all flights that attribute `key` ("done" or "total") counts (s)."""
+        """Expected wall time of all units that attribute `key` ("done" or "total") counts (s)."""
         return sum(float(getattr(part, key)) * part.seconds for part in self._parts.values())
 
 

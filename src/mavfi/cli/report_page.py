@@ -1,7 +1,7 @@
 """HTML reports of campaigns and studies: choose runs, replay them, and write the page."""
 
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from itertools import zip_longest
 from pathlib import Path
 
@@ -35,13 +35,15 @@ from mavfi.reports.study_report import StudyReport
 Case = tuple[Path, str, str | None]
 """Folder of a ledger, id of a run, and id of the run with the same fault in another setting (None = none)."""
 
+Progress = Callable[[int, int], None]
+
 _SMALLEST = 30_000
 """Approximate minimum size of a page of a flight with its golden run (bytes)."""
 
 
 def _write(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
-    flights: int | None, workers: int, headline: Headline | None = None,
+    flights: int | None, workers: int, headline: Headline | None = None, show: Progress | None = None,
 ) -> int:  # fmt: skip
     """Write the page of one or more campaigns, with replayed runs.
 
@@ -53,13 +55,16 @@ def _write(
         flights: Maximum number of flights; None = as many as fit.
         workers: Number of processes.
         headline: See `write_report_page`.
+        show: Called with the numbers of flights done and in all; None = there is a bar for them.
 
     Returns:
         Number of flights in the page.
     """
     cases = _cases(parts, LARGEST // _SMALLEST if flights is None else flights)
     executor = LocalExecutor(min(workers, max(1, len(cases))))
-    with Bar("flights of the page") as bar, closing(_flown(cases, executor, bar)) as pages:
+    with ExitStack() as stack:
+        told = show or stack.enter_context(Bar("flights of the page")).show
+        pages = stack.enter_context(closing(_flown(cases, executor, told)))
         return write_report_page(path, parts, sections, commands, pages, headline=headline)
 
 
@@ -78,7 +83,7 @@ def _cases(parts: Sequence[Part], most: int) -> list[Case]:
 
 
 def _flown(
-    cases: Sequence[Case], executor: LocalExecutor, bar: Bar
+    cases: Sequence[Case], executor: LocalExecutor, show: Progress
 ) -> Generator[tuple[str, FlightPage], None, None]:  # fmt: skip
     """Yield run ids and pages in the order of the cases, independent of the order of completion."""
     done: dict[Case, FlightPage] = {}
@@ -86,7 +91,7 @@ def _flown(
     case = next(waiting, None)
     for count, (flown, page) in enumerate(map_each(executor, _page, cases), start=1):
         done[flown] = page
-        bar.show(count, len(cases))
+        show(count, len(cases))
         while case is not None and case in done:
             yield case[1], done.pop(case)
             case = next(waiting, None)
@@ -104,7 +109,7 @@ def write_html(path: Path, directory: Path, report: Report, flights: int | None,
 
 def write_study_html(  # noqa: PLR0913 - what the command was given
     path: Path, root: Path, study: StudyReport, scale: str, reports: Mapping[Path, Report], flights: int | None,
-    workers: int,
+    workers: int, show: Progress | None = None,
 ) -> int:  # fmt: skip
     """Write the page of a study.
 
@@ -116,6 +121,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
         reports: Reports of its campaigns, by folder of the ledger.
         flights: Maximum number of flights; None = as many as fit.
         workers: Number of processes.
+        show: See `_write`.
 
     Returns:
         Number of flights in the page.
@@ -125,7 +131,7 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
     ]
-    return _write(path, parts, sections_of_study(study), repeat, flights, workers, headline_of_study(study))
+    return _write(path, parts, sections_of_study(study), repeat, flights, workers, headline_of_study(study), show)
 
 
 def commands(directory: Path) -> list[tuple[str, str]]:

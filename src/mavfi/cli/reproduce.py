@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.steps import Steps
     from mavfi.campaign.study import Study
     from mavfi.campaign.training import Training
-    from mavfi.cli.progress import Part, StudyBar
+    from mavfi.cli.progress import StudyBar
     from mavfi.mission import MissionSpec
 
 MODELS = "models"
@@ -58,7 +58,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import record
     from mavfi.campaign.warm_up import compile_ahead
-    from mavfi.cli.progress import Part, StudyBar, compiling
+    from mavfi.cli.progress import StudyBar
+    from mavfi.cli.study_parts import COMPILATION, flying, study_parts, timing
     from mavfi.cli.study_report import show_study_report, write_study_report
     from mavfi.reports.study_report import check_names
 
@@ -70,51 +71,51 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     for folder, campaign in campaigns.items():
         _check_campaign(campaign, chosen.campaigns[folder], out / folder)
     check_folder(out)
-    steps = Steps.begin(out, workers)
-    flights = chosen.training_flights
-    lacking = _untrained(campaigns.values(), out / MODELS, flights)
+    lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
     wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
-    parts = {f"training {place}": Part(0, flights, 1.0 / workers) for place in range(1, 1 + len(lacking))}
-    parts |= {folder: _part(campaign, out / folder, workers) for folder, campaign in campaigns.items()}
     timed = _to_be_timed(chosen, campaigns, out)
-    parts |= {f"timing {folder}": Part(0, flights, 1.0) for folder, flights in timed.items()}
+    parts = study_parts(
+        campaigns, out, workers, trainings=len(lacking), training_flights=chosen.training_flights, timed=timed,
+        shown=FLIGHTS,
+    )  # fmt: skip
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
-    with stoppable(stopped), steps.timed("compilation"), compiling(instrumented=True):
-        compile_ahead(campaigns.values(), executor)
-    with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
-        recording = partial(record, out / MODELS, flights, workers=workers, progress=bar.show, only=wanted)
-        _train(lacking, recording, executor, bar, steps)
+    with stoppable(stopped), StudyBar(f"study {chosen.name}", parts, Steps.begin(out, workers)) as bar:
+        with bar.timed(COMPILATION, "compilation"):
+            compile_ahead(campaigns.values(), executor, bar.show)
+        fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
+        _train(lacking, fly, executor, bar)
         for folder, campaign in campaigns.items():
-            with steps.timed(bar.begin(folder, f"campaign {campaign.name}")):
+            with bar.timed(flying(folder), f"campaign {campaign.name}"):
                 run_campaign(
                     campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign
                 )
         for folder in timed:  # in one process, with no other work at the same time
-            with steps.timed(bar.begin(f"timing {folder}", "timed flights")):
+            with bar.timed(timing(folder), "timed flights"):
                 save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
-    written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, steps=steps)
+        written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
     if as_json:
         write_json(written.to_json())
         return
     show_study_report(written, show_all)
-    _say_where(out, campaigns, steps)
+    _say_where(out, campaigns, bar.steps)
 
 
 def _train(
-    lacking: Iterable["MissionSpec"], recording: Callable[..., "Training"], executor: "LocalExecutor", bar: "StudyBar",
-    steps: "Steps",
-) -> None:  # fmt: skip
+    lacking: Iterable["MissionSpec"], fly: Callable[..., "Training"], executor: "LocalExecutor", bar: "StudyBar"
+) -> None:
     """Fly and fit the models that are lacking."""
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.training import Training
+    from mavfi.cli.study_parts import FITTING, training
 
     trainings = []
     for place, mission in enumerate(lacking, 1):
-        with steps.timed(bar.begin(f"training {place}", "training flights")):
-            trainings.append(recording(mission))
+        with bar.timed(training(place), "training flights"):
+            trainings.append(fly(mission))
     if trainings:
-        with steps.timed("fitting of detectors"):
-            list(map_each(executor, Training.fit, trainings))
+        with bar.timed(FITTING, "fitting of detectors"):
+            for done, _ in enumerate(map_each(executor, Training.fit, trainings), 1):
+                bar.show(done, len(trainings))
 
 
 def _say_where(out: Path, folders: Iterable[str], steps: "Steps") -> None:
@@ -150,17 +151,6 @@ def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path)
         if arms and not load(out / folder):
             found[folder] = TIMED_FLIGHTS * arms * len(campaigns[folder].environments)
     return found
-
-
-def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
-    """Flights of a campaign that are done and planned (at most), and the expected wall time of a remaining one."""
-    from mavfi.campaign.forecast import forecast
-    from mavfi.campaign.mission import plan_of
-    from mavfi.cli.progress import Part
-
-    found = forecast(plan_of(campaign, {}, {}), folder, workers)
-    total = found.golden + found.injected
-    return Part(found.done, total, (found.seconds or 0.0) / max(1, total - found.done))
 
 
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:

@@ -12,18 +12,21 @@ from rich.text import Text
 
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.steps import Steps
 from mavfi.campaign.study import Study
 from mavfi.cli.console import console
+from mavfi.cli.progress import StudyBar
 from mavfi.cli.report_page import write_study_html
 from mavfi.reports.campaign_report import write_report
 from mavfi.reports.study_report import StudyReport, write_study, write_texts
 from mavfi.reports.terminal import show_table
 
+TABLES, PAGE = "tables", "page"
+"""Parts of the progress bar."""
+
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
     study: Study, scale: str, folder: Path, page: Path | None, flights: int | None, workers: int, *,
-    draw_run: bool = True, steps: Steps | None = None,
+    draw_run: bool = True, bar: StudyBar | None = None,
 ) -> tuple[StudyReport, int]:  # fmt: skip
     """Write the reports of a study and of its campaigns.
 
@@ -35,7 +38,7 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         flights: Maximum number of flights in the page; None = as many as fit.
         workers: Number of processes.
         draw_run: Whether to fly a run of each campaign again and draw it.
-        steps: To which the time of writing is added; None = it is not recorded.
+        bar: Shows the progress in its parts `TABLES` and `PAGE`, and records their times; None = the page has its own.
 
     Returns:
         The report of the study, and the number of flights in the page.
@@ -48,16 +51,23 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         partial(write_study, study, scale, folder),  # the longest first
         *(partial(write_report, directory, draw_run=draw_run) for directory in campaigns),
     ]
-    with nullcontext() if steps is None else steps.timed("tables and figures"):
-        written, *found = _written(tasks, 1 if _polars_has_threads() else workers)
-    if steps is not None:
-        written = replace(written, steps=steps)
+    show = None if bar is None else bar.show
+    with nullcontext() if bar is None else bar.timed(TABLES, "tables and figures"):
+        written, *found = _written(tasks, 1 if _polars_has_threads() else workers, show)
+    if bar is not None:
+        written = replace(written, steps=bar.steps)
     reports = dict(zip(campaigns, found, strict=True))
-    with nullcontext() if steps is None else steps.timed("report.html and its flights"):
-        count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers)
-    if steps is not None:
+    told = None if bar is None else partial(_show_before_writing, bar)
+    with nullcontext() if bar is None else bar.timed(PAGE, "report.html and its flights"):
+        count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers, told)
+    if bar is not None:
         write_texts(written, scale, folder)
     return written, count
+
+
+def _show_before_writing(bar: StudyBar, done: int, total: int) -> None:
+    """Show the flights of the page, after the last of which it is still to be written."""
+    bar.show(done, total + 1)
 
 
 def _polars_has_threads() -> bool:
@@ -66,16 +76,22 @@ def _polars_has_threads() -> bool:
     return any(re.match(r"polars-\d", name) for name in names)
 
 
-def _written(tasks: Sequence[Callable[[], Any]], workers: int) -> list[Any]:
+def _written(
+    tasks: Sequence[Callable[[], Any]], workers: int, show: Callable[[int, int], None] | None = None
+) -> list[Any]:
     """Reports in the order of the tasks that write them."""
-    if workers == 1:
-        return [task() for task in tasks]
-    done = {place: found for (place, _), found in map_each(LocalExecutor(workers), _write, enumerate(tasks))}
+    alone, numbered = workers == 1, enumerate(tasks)
+    each = ((one, _write(one)) for one in numbered) if alone else map_each(LocalExecutor(workers), _write, numbered)
+    done: dict[int, Any] = {}
+    for (place, _), found in each:
+        done[place] = found
+        if show is not None:
+            show(len(done), len(tasks))
     return [done[place] for place in range(len(tasks))]
 
 
 def _write(task: tuple[int, Callable[[], Any]]) -> Any:  # noqa: ANN401 - the report that the task writes
-    """Write one report; called in a worker."""
+    """Write one report; importable, to be called in a worker."""
     return task[1]()
 
 

@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from mavfi.campaign.steps import Steps
 from mavfi.campaign.study import load_study
 from mavfi.cli import run
 from mavfi.cli.progress import StudyBar
+from mavfi.cli.study_parts import study_parts
 from mavfi.reports.study_report import study_report
 from tests.unit.campaign.fakes import HOST, small
 
@@ -57,7 +59,11 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     arguments = ["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out), "--workers", "1"]
     (tmp_path / "setup-seconds").write_text("3600", encoding="utf-8")
     assert run(arguments) == 0
-    text = capsys.readouterr().out
+    text, progress = capsys.readouterr()
+    assert re.fullmatch(
+        r"study small, report.html and its flights \(8 of 8\) 100 %, (\d+)/\1 flights", progress.splitlines()[-1]
+    )
+    assert progress.count("100 %") == 1, "at the end, when all is written"
     states, instructions = (VIEWS[name].title for name in leading.values())
     assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
     assert "It took 1 h " in text and text.rstrip().endswith("set-up included.")
@@ -180,7 +186,7 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
     assert shown == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
     shown.clear()
     assert run([*arguments, "--out", str(out)]) == 0
-    assert shown == [(2, 3), (3, 3)]
+    assert shown == [(2, 3), (3, 3), (1, 1)], "and one training fits its models"
     assert [path.name for path in (out / "models").glob("*.json")] == ["published-i9-9940x-gaussian-paper.json"]
     assert not (out / "models" / ".flights").exists()
 
@@ -231,6 +237,38 @@ def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_wr
     assert run(arguments) == 2
     assert "holds another campaign (differs in: campaign)" in capsys.readouterr().err
     assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_a_report_that_is_stopped_is_written_by_the_same_command(capsys, tmp_path, trained, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mavfi.cli.study_report.write_study_report", stop)
+    assert run(["reproduce", study(tmp_path), "--out", str(tmp_path / "out")]) == 130
+    assert "the same command resumes" in capsys.readouterr().err
+
+
+def test_every_part_of_a_study_has_an_expected_time(tmp_path):
+    campaigns = load_study("paper").campaigns_at("quick")
+    common = {"trainings": 2, "training_flights": 100, "timed": {".": 24}, "shown": 12}
+    one, two = (study_parts(campaigns, tmp_path, workers, **common) for workers in (1, 2))
+    flown = [f"campaign {folder}" for folder in campaigns]
+    training = ["training 1", "training 2", "fitting"]
+    assert list(two) == ["compilation", *training, *flown, "timing .", "tables", "page"]
+    assert all(part.seconds > 0 for part in two.values())
+    assert [name for name in two if one[name].seconds == two[name].seconds] == ["timing ."], "in one process"
+    assert {name for name, part in two.items() if not part.flights} == {"compilation", "fitting", "tables", "page"}
+    larger = study_parts(load_study("paper").campaigns_at("paper"), tmp_path, 2, **common)
+    assert larger["tables"].seconds > 2 * two["tables"].seconds and larger["page"] == two["page"]
+    bare = study_parts(campaigns, tmp_path, 2, **{**common, "trainings": 0, "timed": {}})
+    assert list(bare) == ["compilation", *flown, "tables", "page"]
+
+
+def test_flights_on_a_host_of_which_nothing_is_known_move_the_bar_too(tmp_path):
+    parts = study_parts(
+        {"fake": small(missions=2)}, tmp_path, 2, trainings=0, training_flights=0, timed={}, shown=0
+    )  # fmt: skip
+    assert parts["campaign fake"].seconds > 0
 
 
 def test_detectors_are_trained_for_each_platform_of_a_campaign():
