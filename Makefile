@@ -189,7 +189,7 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
 
-readme: setup  ## put the results of `make reproduce` into README.md and docs/results.md
+readme: setup  ## put the results of scale paper, or the digests of scale quick, into README.md and docs/results (SCALE=paper)
 	@$(BIN)/python -m tools.build_readme $(OUT)
 
 pictures: setup  ## draw the pictures of the documentation from flights and kernel runs (LOGS=folder)

@@ -1,21 +1,28 @@
 """Copy the results of `mavfi reproduce` to docs/results.md and docs/results/, and their headline to README.md.
 
-    python -m tools.build_readme out/reproduce
+    python -m tools.build_readme out/reproduce-paper
+
+Of a study at another scale than paper, only the digests of its ledgers go to README.md.
 
 The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and `report.html`.  All
 are copied verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
 """
 
+import json
 import re
 import shutil
 import sys
 from pathlib import Path
 
+from mavfi.reports.study_report import JSON
 from mavfi.reports.text import markdown_grid
+from tools import published_digests
 from tools.markers import DOCS, ROOT, banner, fill
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
 """File of each table, by marker name."""
+PUBLISHED = "paper"
+"""The scale whose results are shown."""
 DATE = r"Generated on (\S+) by (mavfi \S+)"
 Count = tuple[int, int]
 """Number of successes, and n."""
@@ -103,28 +110,39 @@ def compact(block: str) -> str:
 
 
 def copy_study(out: Path) -> None:
-    """Copy the report of a study, its tables, figures and page to docs/results/, in the place of the former ones."""
+    """Copy the report of a study, its tables, figures and page to docs/results/, in the place of the former ones.
+
+    The digests among them, of all scales, are written afterwards.
+    """
     results = DOCS / "results"
     shutil.rmtree(results, ignore_errors=True)
     for folder in ("figures", "tables"):
         shutil.copytree(out / folder, results / folder)
     shutil.copyfile(out / "report.html", results / "report.html")
     text = (out / "study.md").read_text(encoding="utf-8")
-    (results / "study.md").write_text(banner("make reproduce readme") + text, encoding="utf-8")
+    (results / "study.md").write_text(banner("make reproduce readme SCALE=paper") + text, encoding="utf-8")
 
 
 def main(out: Path) -> int:
     """Update README.md, docs/results.md and docs/results/ from a study folder; returns the exit code."""
-    for block in BLOCKS.values():
-        if not (out / block).is_file():
-            print(f"{out / block}: not there; run `make reproduce` first", file=sys.stderr)
+    for name in (*BLOCKS.values(), JSON):
+        if not (out / name).is_file():
+            print(f"{out / name}: not there; run `make reproduce` first", file=sys.stderr)
             return 2
-    blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
-    fill(DOCS / "results.md", blocks)
-    table = blocks["instruction_table"]
-    fill(ROOT / "README.md", {"headline": f"{headline(table)}\n\n{compact(table)}"})
-    if (out / "study.md").is_file():
+    study = json.loads((out / JSON).read_text(encoding="utf-8"))
+    try:
+        digests = published_digests.known(DOCS) | {study["scale"]: published_digests.of_study(out, study)}
+    except ValueError as error:
+        print(f"{out}: {error}", file=sys.stderr)
+        return 2
+    if study["scale"] == PUBLISHED:
+        blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
+        fill(DOCS / "results.md", blocks)
+        table = blocks["instruction_table"]
+        fill(ROOT / "README.md", {"headline": f"{headline(table)}\n\n{compact(table)}"})
         copy_study(out)
+    published_digests.write(digests, DOCS)
+    fill(ROOT / "README.md", {"digests": published_digests.block(digests)})
     return 0
 
 

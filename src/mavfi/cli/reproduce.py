@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.files import is_file
 
 if TYPE_CHECKING:
+    from mavfi.campaign.analysis.runs import Runs
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.steps import Steps
@@ -97,7 +98,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         write_json(written.to_json())
         return
     show_study_report(written, show_all)
-    _say_where(out, campaigns, bar.steps)
+    _say_where(out, written.campaigns, bar.steps)
 
 
 def _train(
@@ -118,15 +119,20 @@ def _train(
                 bar.show(done, len(trainings))
 
 
-def _say_where(out: Path, folders: Iterable[str], steps: "Steps") -> None:
-    """Print where report, ledgers and models are, and how long it took."""
+def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "Steps") -> None:
+    """Print where report, ledgers and models are, the digests of the ledgers, and how long it took."""
     from mavfi.campaign.steps import SET_UP
     from mavfi.cli.progress import duration
     from mavfi.reports.study_report import MARKDOWN
+    from mavfi.reports.text import short
 
     terminal = console()
     terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
-    terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in folders)}."), soft_wrap=True)
+    terminal.print("The ledgers, with their digests (mavfi campaign digest DIR prints one in full):")
+    width = max((len(runs.campaign["name"]) for runs in campaigns.values()), default=0)
+    for folder, runs in campaigns.items():
+        name, digest = runs.campaign["name"], short(runs.campaign["digest"])
+        terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
     took = duration(sum(steps.seconds.values())) + (", set-up included" if SET_UP in steps.seconds else " in all")
     terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
 

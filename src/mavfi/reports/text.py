@@ -131,7 +131,7 @@ def header(campaign: Mapping[str, Any]) -> list[str]:
     """Header lines of a report: campaign (from `analysis.about.describe`), progress, digest, versions, caveats."""
     lines = [
         campaign["title"], *campaign["lines"],
-        f"{campaign['done']} of {campaign['total']} runs done · digest {campaign['digest'][:16]}…",
+        f"{campaign['done']} of {campaign['total']} runs done · digest {short(campaign['digest'])}…",
         " · ".join(versions(campaign)),
     ]  # fmt: skip
     if campaign["on_design_seeds"]:
@@ -139,6 +139,11 @@ def header(campaign: Mapping[str, Any]) -> list[str]:
     if campaign["done"] < campaign["total"]:
         lines.append("Not complete: what follows is of the runs that are done.")
     return lines
+
+
+def short(digest: str) -> str:
+    """The digits of a digest that are shown, at the end of a study and in README.md alike."""
+    return digest[:16]
 
 
 def versions(campaign: Mapping[str, Any]) -> list[str]:

@@ -1,5 +1,6 @@
 import json
 import re
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -9,6 +10,7 @@ from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.steps import Steps
+from mavfi.campaign.store import Store
 from mavfi.campaign.study import load_study
 from mavfi.cli import run
 from mavfi.cli.progress import StudyBar
@@ -27,7 +29,8 @@ def few_flights(monkeypatch, tmp_path):
 
 def no_report(monkeypatch):
     """Write and print nothing after the flights."""
-    monkeypatch.setattr("mavfi.cli.study_report.write_study_report", lambda *_, **__: (None, 0))
+    nothing = SimpleNamespace(campaigns={})
+    monkeypatch.setattr("mavfi.cli.study_report.write_study_report", lambda *_, **__: (nothing, 0))
     monkeypatch.setattr("mavfi.cli.study_report.show_study_report", lambda *_, **__: None)
 
 
@@ -49,6 +52,11 @@ def study(folder, **changes):
     return str(folder / "small.yaml")
 
 
+def digest_of(folder):
+    with Store.open(folder) as store:
+        return store.digest()
+
+
 @pytest.mark.slow
 def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("mavfi.cli.reproduce.TIMED_FLIGHTS", 1)
@@ -66,6 +74,9 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     assert progress.count("100 %") == 1, "at the end, when all is written"
     states, instructions = (VIEWS[name].title for name in leading.values())
     assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
+    ends = [line.split() for line in text.partition("The ledgers, with their digests")[2].splitlines()[1:3]]
+    ledgers = {"table1": out, "table1_instructions": out / "instructions"}
+    assert ends == [[name, digest_of(folder)[:16], str(folder)] for name, folder in ledgers.items()], "as in README.md"
     assert "It took 1 h " in text and text.rstrip().endswith("set-up included.")
     assert {"study.md", "study.json"} <= {path.name for path in out.iterdir()}
     files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}

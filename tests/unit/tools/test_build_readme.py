@@ -1,6 +1,8 @@
+import json
+
 import pytest
 
-from tools import build_readme
+from tools import build_readme, published_digests
 from tools.markers import DOCS, ROOT
 
 TABLE = """**Instruction level, the paper's Table I: success rates, one fault per mission**
@@ -63,26 +65,64 @@ def test_the_headline_of_the_readme_is_that_of_the_results():
     assert build_readme.headline(block) in readme and build_readme.compact(block) in readme
 
 
-def test_both_pages_are_written(monkeypatch, tmp_path):
-    for name, markers in (("README.md", "headline"), ("results.md", "table instruction_table")):
+@pytest.fixture
+def documents(monkeypatch, tmp_path):
+    """Pages without content, in the place of README.md and docs/results.md; the digests of a study are made up."""
+    for name, markers in (("README.md", "headline digests"), ("results.md", "table instruction_table")):
         blocks = "".join(f"<!-- {marker}:begin -->\n<!-- {marker}:end -->\n" for marker in markers.split())
         (tmp_path / name).write_text(blocks, encoding="utf-8")
     for name in ("DOCS", "ROOT"):
         monkeypatch.setattr(build_readme, name, tmp_path)
-    out = tmp_path / "out"
-    assert build_readme.main(out) == 2
-    (out / "instructions").mkdir(parents=True)
-    (out / "readme_block.md").write_text("| state level |", encoding="utf-8")
-    (out / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
-    for folder in ("figures", "tables"):
-        (out / folder).mkdir()
+
+    def entry(_, study):
+        if study["scale"] == "other":
+            raise ValueError("scale other")
+        return {"program": "mavfi", "fingerprint": "", "ledgers": [["table1", "", f"digest of {study['scale']}"]]}
+
+    monkeypatch.setattr(published_digests, "of_study", entry)
+    return tmp_path
+
+
+def study(folder, scale):
+    """A folder with the files of a study."""
+    (folder / "instructions").mkdir(parents=True)
+    (folder / "readme_block.md").write_text("| state level |", encoding="utf-8")
+    (folder / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
+    for name in ("figures", "tables"):
+        (folder / name).mkdir()
     for name in ("figures/a.png", "tables/a.csv", "report.html", "study.md"):
-        (out / name).write_text(name, encoding="utf-8")
-    (tmp_path / "results").mkdir()
-    (tmp_path / "results" / "old.png").touch()
-    assert build_readme.main(out) == 0
-    assert "27 of 156" in (tmp_path / "README.md").read_text(encoding="utf-8")
-    assert "| state level |" in (tmp_path / "results.md").read_text(encoding="utf-8")
-    copied = {str(path.relative_to(tmp_path / "results")) for path in (tmp_path / "results").rglob("*.*")}
-    assert copied == {"figures/a.png", "tables/a.csv", "report.html", "study.md"}
-    assert (tmp_path / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
+        (folder / name).write_text(name, encoding="utf-8")
+    (folder / "study.json").write_text(json.dumps({"scale": scale}), encoding="utf-8")
+    return folder
+
+
+def test_both_pages_are_written(documents):
+    assert build_readme.main(documents / "out") == 2
+    (documents / "results").mkdir()
+    (documents / "results" / "old.png").touch()
+    assert build_readme.main(study(documents / "out", "paper")) == 0
+    readme = (documents / "README.md").read_text(encoding="utf-8")
+    assert "27 of 156" in readme and "| table1 |  | `digest of paper` |" in readme
+    assert "| state level |" in (documents / "results.md").read_text(encoding="utf-8")
+    copied = {str(path.relative_to(documents / "results")) for path in (documents / "results").rglob("*.*")}
+    assert copied == {"figures/a.png", "tables/a.csv", "report.html", "study.md", "digests.json"}
+    assert (documents / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
+
+
+def test_a_study_at_another_scale_brings_its_digests_only_and_keeps_those_of_others(documents):
+    assert build_readme.main(study(documents / "quick", "quick")) == 0
+    readme = (documents / "README.md").read_text(encoding="utf-8")
+    assert "| table1 |  | `digest of quick` |" in readme and "27 of 156" not in readme
+    assert "state level" not in (documents / "results.md").read_text(encoding="utf-8")
+    assert [path.name for path in (documents / "results").iterdir()] == ["digests.json"]
+    assert build_readme.main(study(documents / "paper", "paper")) == 0
+    readme = (documents / "README.md").read_text(encoding="utf-8")
+    assert "| table1 |  | `digest of quick` | `digest of paper` |" in readme
+
+
+def test_a_study_whose_digests_are_not_those_of_the_program_changes_nothing(documents, capsys):
+    before = (documents / "README.md").read_text(encoding="utf-8")
+    assert build_readme.main(study(documents / "out", "other")) == 2
+    assert "scale other" in capsys.readouterr().err
+    assert (documents / "README.md").read_text(encoding="utf-8") == before
+    assert not (documents / "results").exists()

@@ -1,0 +1,104 @@
+"""Digests of the study of the paper, by scale: kept in docs/results/digests.json, shown in README.md.
+
+A fingerprint of what decides them is kept, too: its campaigns, and the golden flights of the tests.  A test compares it
+with that of the program, so that the digests of another program are not left standing.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mavfi.campaign.mission import scenarios_of
+from mavfi.campaign.outside import held
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.run import identity_of
+from mavfi.campaign.study import load_study
+from mavfi.flight_record import canonical
+from mavfi.reports.text import markdown_grid, short
+from tools.markers import DOCS, ROOT
+
+FILE = "results/digests.json"
+"""In the folder of the documentation."""
+COMMANDS = {"quick": "make reproduce", "paper": "make reproduce SCALE=paper"}
+"""By scale, in the order of their columns."""
+
+
+def known(docs: Path = DOCS) -> dict[str, Any]:
+    """By scale: program, fingerprint, and ledgers with name, what they need, and digest."""
+    path = docs / FILE
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return found
+
+
+def identities(scale: str) -> dict[str, str]:
+    """What the program flies at a scale, by folder of the ledger, as canonical text; models are not in it."""
+    campaigns = load_study("paper").campaigns_at(scale)
+    return {
+        folder: canonical({**identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {}), "models": {}})
+        for folder, campaign in campaigns.items()
+    }
+
+
+def fingerprint(scale: str) -> str:
+    """Hash of campaigns and golden flights."""
+    golden = (ROOT / "tests" / "golden" / "digests.json").read_text(encoding="utf-8")
+    return hashlib.sha256(canonical([identities(scale), golden]).encode()).hexdigest()[:16]
+
+
+def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
+    """Entry of a study in a folder, from its study.json.
+
+    Raises:
+        ValueError: It is not the study of the paper at one of the scales, or its flights are not complete.
+    """
+    scale = study["scale"]
+    if study["study"] != "paper" or scale not in COMMANDS:
+        raise ValueError(f"holds study {study['study']} at scale {scale}; allowed: paper at {', '.join(COMMANDS)}")
+    for folder, identity in identities(scale).items():
+        campaign = study["campaigns"][folder]
+        there = held(out / folder, "identity")
+        if there is None or canonical({**there, "models": {}}) != identity:
+            raise ValueError(f"campaign {campaign['name']} is not that of scale {scale} here")
+        if campaign["done"] < campaign["total"]:
+            raise ValueError(f"campaign {campaign['name']}: {campaign['done']} of {campaign['total']} runs are flown")
+    (program,) = [line.removeprefix("Program: ") for line in study["provenance"] if line.startswith("Program: ")]
+    ledgers = [[one["name"], needs(one), short(one["digest"])] for one in study["campaigns"].values()]
+    return {"program": program.removesuffix("."), "fingerprint": fingerprint(scale), "ledgers": ledgers}
+
+
+def needs(campaign: Mapping[str, Any]) -> str:
+    """What must be the same, besides the packages, for a ledger with the same digest."""
+    python = campaign["versions"].get("python")  # of faults in instructions alone
+    return ", ".join(
+        [*([f"Python {python}"] if python else []), *(["models"] if any(campaign["models"].values()) else [])]
+    )
+
+
+ABOUT = """\
+`make reproduce` ends with a digest of each ledger (`mavfi campaign digest DIR` prints one in full). Everyone gets \
+these on any x86-64 machine with the packages of `requirements.lock` and with what is named, too: faults in \
+instructions depend on the version of Python, and an autoencoder that was trained on another generation of processors \
+(another BLAS) has other last digits."""
+
+
+def block(found: Mapping[str, Any]) -> str:
+    """Digests as a Markdown table with a column for each scale, and what they are good for."""
+    scales = [scale for scale in COMMANDS if scale in found]
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for scale in scales:
+        for name, needed, digest in found[scale]["ledgers"]:
+            rows.setdefault((name, needed), {})[scale] = f"`{digest}`"
+    grid = markdown_grid(
+        ["ledger", "with the same", *(f"`{COMMANDS[scale]}`" for scale in scales)],
+        [[*key, *(row.get(scale, "") for scale in scales)] for key, row in rows.items()],
+    )
+    flown = "; ".join(f"scale {scale} by {found[scale]['program']}" for scale in scales)
+    return f"{ABOUT}\n\n{grid}\n\nFlown at {flown}."
+
+
+def write(found: Mapping[str, Any], docs: Path = DOCS) -> None:
+    """Keep the digests."""
+    (docs / FILE).parent.mkdir(exist_ok=True)
+    (docs / FILE).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
