@@ -66,7 +66,7 @@ class InstructionSampling(Config):
     scheme: Literal["uniform", "stratified"] = Field(
         "uniform", description="over dynamic instructions, or by value class and source line with weights"
     )
-    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors, recovery of an arm")
+    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm; recovery")
     share: Literal["kernel", "stage"] = Field(
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
     )

@@ -17,7 +17,7 @@ def failures(
     as_csv: Annotated[bool, typer.Option("--csv", help="The table as comma-separated values.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Compare settings by failures per flight hour: upset rate x instructions x harm, detectors included.
+    """Compare settings by failures per flight hour: upset rate x instructions x harm, of detectors and recovery too.
 
     Harm is the increase in mission failures per fault. Needs a campaign with instruction faults in which the golden
     runs of every arm are counted, e.g. failure_rate.

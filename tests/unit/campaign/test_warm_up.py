@@ -88,7 +88,8 @@ def test_only_detectors_with_faults_need_models(compiled):
             if campaign.arms:
                 (watched[campaign.sampling.kernels],) = ([arm.detector for arm in campaign.arms.values()],)
             assert plan_of(campaign, dict.fromkeys(campaign.arms, "model"), {}).count()
-    assert watched == {(name,): [name] for name in ("gaussian", "autoencoder")} | {("acceptance",): ["recommended"]}
+    own = {(name,): [name] for name in ("gaussian", "autoencoder")} | {("acceptance",): ["recommended"]}
+    assert watched == own | {("recovery",): ["gaussian", "autoencoder", "recommended"]}
 
 
 def test_a_detector_without_a_shipped_model_is_left_out():
@@ -121,7 +122,9 @@ def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, mon
     for task in compiled:
         task.compile()
     arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
-    assert arms == [(("gaussian",), "gaussian"), (("autoencoder",), "autoencoder"), (("acceptance",), "recommended")]
+    detectors = {("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"], ("acceptance",): ["recommended"]}
+    watched = {("recovery",): ["gaussian", "autoencoder", "recommended"]}
+    assert arms == [(kernels, *own) for kernels, own in (detectors | watched).items()]
     assert warm_up.is_compiled(load_campaign("failure_rate"))
 
 

@@ -2,8 +2,8 @@
 
 The paper's rates are conditional on one fault per mission.  They cannot compare schemes that execute different numbers
 of instructions: idle instructions added by a scheme lower the share of harmful faults but save no mission (Schirmeier,
-Borchert, Spinczyk, DSN 2015).  The absolute number of failures can.  Detectors are therefore counted, injected and
-summed like other kernels, and recomputations count towards their kernels.
+Borchert, Spinczyk, DSN 2015).  The absolute number of failures can.  Detectors and recovery are therefore counted,
+injected and summed like other kernels, and recomputations count towards their kernels.
 """
 
 import math

@@ -21,7 +21,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, POINTS, Table
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
-from mavfi.states import GUARDS, PLANNERS
+from mavfi.states import GUARDS, PLANNERS, RECOVERY
 
 INSTRUCTION = "instruction"
 
@@ -42,7 +42,8 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
 
     Harm is measured against the golden run of the same arm and mission.  `success` names the column for the success of
     injected runs: "success" (as flown) or "success_if_ended".  Settings without instruction counts and kernels without
-    faults are omitted.
+    faults are omitted; faults for which a mission executes no instruction are not counted.  A kernel that executes none
+    in any mission, e.g. recovery without an alarm, has no harm, and the ids of its runs without an instruction.
     """
     golden = {(row["arm"], row["world"]): row["success"] for row in runs.golden.where("judged")}
     found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = {}
@@ -51,30 +52,31 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
         counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
         for (kernel,), part in own.groups("kernel").items():
             known = [row for row in part if (row["arm"], row["world"]) in golden]
+            known = [row for row in known if row["has_site"] or counts.get(kernel) == 0]
             if kernel in counts and known:
                 before = [golden[row["arm"], row["world"]] for row in known]
                 harm = paired_difference(before, [row[success] for row in known], [row["world"] for row in known])
-                kernels = found.setdefault((environment, setting), {})
-                kernels[kernel] = [row["run_id"] for row in known], Exposed(counts[kernel], Estimate(*harm))
+                one = Exposed(counts[kernel], Estimate(*harm) if counts[kernel] else Estimate(0.0, 0.0, 0.0))
+                found.setdefault((environment, setting), {})[kernel] = [row["run_id"] for row in known], one
     return found
 
 
 def payoff(
     runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()
 ) -> Estimate | None:  # fmt: skip
-    """Failures per flight hour under a detector minus those without: of kernels, and of the detector itself.
+    """Failures per flight hour under a detector minus those without: of kernels, and of detector and recovery.
 
     Args:
         runs: A campaign with instruction faults.
         environment: Environment.
         setting: A setting with a detector.
         upset: Upsets per instruction.
-        kernels: Only these kernels beside the detector; all if empty.
+        kernels: Only these kernels beside detector and recovery; all if empty.
 
     Returns:
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
-    pairs = against_fi(runs).where("judged", level=INSTRUCTION, environment=environment, setting=setting)
+    pairs = against_fi(runs).where("judged", "has_site", level=INSTRUCTION, environment=environment, setting=setting)
     shared = {name for name in pairs.values("kernel") if name not in GUARDS and (not kernels or name in kernels)}
     parts = []
     for kernel, (_, one) in exposed(runs).get((environment, setting), {}).items():
@@ -113,6 +115,17 @@ def uncounted(runs: Runs) -> list[str]:
     return [setting for setting in every if setting not in counted]
 
 
+def idle(runs: Runs) -> list[str]:
+    """Kernels without exposure, in words: they execute no instruction in the golden runs of a setting."""
+    return [
+        f"{kernel} under {setting} in {environment}: 0 instructions in golden runs, so no fault is drawn and none fails"
+        + (" (there is no alarm to respond to)" if kernel == RECOVERY else "")
+        for (environment, setting), kernels in exposed(runs).items()
+        for kernel, (_, one) in kernels.items()
+        if not one.instructions
+    ]
+
+
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
@@ -123,14 +136,14 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
         for kernel, (ids, one) in kernels.items():
             numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
-            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids), **numbers}
+            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids) if one.instructions else 0, **numbers}
         whole = sum(one.instructions for one in parts)
         total = total_failures(parts, upset)
         harm = total.times(1 / (whole * upset)) if whole else Estimate(0.0, 0.0, 0.0)
         base = every.get((environment, FI))
         alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
         against = total.value / alone if setting != FI and alone > 0 else None
-        every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
+        every_id = [run_id for ids, one in kernels.values() if one.instructions for run_id in ids]
         yield {**own, "kernel": ALL, "run_id": every_id, "n": len(every_id), "against": against,
                **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
 
@@ -149,11 +162,15 @@ def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
     return replace(runs, frame=frame)
 
 
-def _harm(own: Runs) -> Rate:
+def _harm(own: Runs) -> Rate | None:
+    if not own.first("n"):
+        return None
     return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
 
 
-def _coverage(own: Runs) -> Rate:
+def _coverage(own: Runs) -> Rate | None:
+    if not own.first("n"):
+        return None
     value, low, high = (1 - own.first(name) for name in ("harm", "harm_high", "harm_low"))
     return Rate(own.first("n"), value, low, high)
 
@@ -180,11 +197,11 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         for setting in uncounted(runs)
     ]
     return [
-        *left_out,
+        *left_out, *idle(runs),
         *verdicts, *([_DIFFERENCE] if verdicts else []),
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
-        "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, not the "
-        "failures without a fault",
+        "setting, recomputations, detector and recovery included) x harm; [95 % interval of the harm]; faults alone, "
+        "not the failures without a fault",
         "harm: missions lost by the fault against the golden run of the same setting, in pairs, [95 % interval: "
         "MOVER], n = faults; coverage = 1 – harm rewards idle instructions and compares nothing (Schirmeier et al., "
         "DSN 2015): compare failures",
