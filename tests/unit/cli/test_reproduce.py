@@ -1,5 +1,6 @@
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +15,7 @@ from mavfi.campaign.store import Store
 from mavfi.campaign.study import load_study
 from mavfi.cli import run
 from mavfi.cli.progress import StudyBar
+from mavfi.cli.reproduce import FLIGHTS
 from mavfi.cli.study_parts import study_parts
 from mavfi.reports.study_report import study_report
 from tests.unit.campaign.fakes import HOST, small
@@ -55,6 +57,11 @@ def study(folder, **changes):
 def digest_of(folder):
     with Store.open(folder) as store:
         return store.digest()
+
+
+def test_the_page_of_the_papers_study_has_five_flights_of_each_campaign():
+    assert FLIGHTS == 5 * len(load_study("paper").campaigns)
+    assert f"and {FLIGHTS} flights: " in (Path(__file__).parents[3] / "docs/studies.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
