@@ -1,7 +1,10 @@
 """Time of detection and recovery relative to that of the kernels, measured on this machine in one process.
 
-The paper's Table II.  The publications that a detector checks are recorded in flight and replayed to it afterwards,
-several times and in blocks, since a timer around each call would take longer than the call.
+The paper's Table II.  The time of detection is also divided by the compute time that the platform's latencies give the
+pipeline, as if the detector were as fast on the platform as here (docs/models.md).
+
+The publications that a detector checks are recorded in flight and replayed to it afterwards, several times and in
+blocks, since a timer around each call would take longer than the call.
 """
 
 import json
@@ -44,6 +47,7 @@ class Cost:
         recovery: Time of repeated steps, and of saving and restoring memory for them (s).
         shown: Number of publications that the detector checked.
         recomputed: Recomputations / computations, both in the platform's modelled time.
+        compute: Compute time of the pipeline with the platform's latencies, without recomputations (s).
     """
 
     kernels: float
@@ -51,6 +55,7 @@ class Cost:
     recovery: Mapping[str, float]
     shown: int
     recomputed: float
+    compute: float
 
 
 class _Clock:
@@ -110,11 +115,12 @@ def cost(mission: MissionSpec, name: str, profile: str, models_dir: Path | None 
     states, shown = loop.taps.watched, list[tuple[State, int]]()
     loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
     meta = loop.fly().log.meta
+    recomputed, computed = (sum(meta[key].values()) for key in ("recompute_us", "compute_us"))
     watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
     kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
     return Cost(
-        kernels, _detection(detector, watched), _recovery(clock, repeated), len(watched),
-        sum(meta["recompute_us"].values()) / sum(meta["compute_us"].values()),
+        kernels, _detection(detector, watched), _recovery(clock, repeated), len(watched), recomputed / computed,
+        1e-6 * (computed - recomputed),
     )  # fmt: skip
 
 
@@ -192,7 +198,8 @@ def measure(
 
     Returns:
         `processor`, `missions`, and `rows`: environment, arm, stage, and medians over flights of `detection` and
-        `recovery` as shares of the kernels' time; `flights` has both of each flight, in order of seed.
+        `recovery` as shares of the kernels' time, and of `detection_modelled`, the time of detection as a share of the
+        modelled compute time; `flights` has the three of each flight, in order of seed.
 
     Raises:
         BadInputError: No arm has a detector, or a mission cannot be flown.
@@ -219,9 +226,12 @@ def measure(
 
 
 def _shares(costs: Iterable[Cost], stage: str) -> dict[str, Any]:
-    found = [(one.detection[stage] / one.kernels, one.recovery[stage] / one.kernels) for one in costs]
-    detection, recovery = zip(*found, strict=True)
-    return {"detection": statistics.median(detection), "recovery": statistics.median(recovery), "flights": found}
+    found = [
+        (one.detection[stage] / one.kernels, one.recovery[stage] / one.kernels, one.detection[stage] / one.compute)
+        for one in costs
+    ]
+    medians = map(statistics.median, zip(*found, strict=True))
+    return dict(zip(("detection", "recovery", "detection_modelled"), medians, strict=True)) | {"flights": found}
 
 
 def save(measured: Mapping[str, Any], directory: Path) -> Path:

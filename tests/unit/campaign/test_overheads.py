@@ -9,7 +9,10 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
 
-ROW = {"environment": "sparse", "arm": "gaussian", "stage": "all", "detection": 0.01, "recovery": 0.02}
+ROW = {
+    "environment": "sparse", "arm": "gaussian", "stage": "all", "detection": 0.01, "recovery": 0.02,
+    "detection_modelled": 0.0005,
+}  # fmt: skip
 MEASURED = {"processor": "a processor", "missions": 2, "rows": [ROW]}
 
 
@@ -35,8 +38,9 @@ def test_modelled_shares_by_hand_next_to_the_papers():
     assert found["all"]["paper_detection"] is found["all"]["paper_recompute"] is None, "it gives the sum alone"
     assert found["all"]["measured_detection"] is None, "nothing was measured"
     notes = table(watched_runs(), "overheads_as_in_the_paper").notes
-    assert any(note.startswith("columns measured are empty: ") for note in notes), "elsewhere it may have been measured"
-    assert any(note.startswith("detection is not modelled: no latency of a detector") for note in notes)
+    assert any("detection, modelled, are empty: " in note for note in notes), "elsewhere it may have been measured"
+    assert found["all"]["modelled_detection"] is found["all"]["modelled_sum"] is None
+    assert not any("repeats it" in note for note in notes)
 
 
 def test_the_papers_autoencoder_has_one_row_for_all_stages():
@@ -52,16 +56,28 @@ def test_measured_values_are_compared_with_modelled_ones():
     assert found["all"]["measured_detection"] == 0.01 and found["all"]["measured_recovery"] == 0.02
     assert found["all"]["measured_sum"] == pytest.approx(0.03)
     assert found["control"]["measured_sum"] is None
-    assert "one process on a processor" in "\n".join(own.notes)
+    assert found["all"]["modelled_detection"] == 0.0005
+    assert found["all"]["modelled_sum"] == pytest.approx(0.0005 + 200 / 1000), "with the modelled recovery"
+    assert found["control"]["modelled_detection"] is None
+    notes = "\n".join(own.notes)
+    assert "one process on a processor" in notes and "as fast on the platform as here" in notes
 
 
-def test_medians_of_flights_are_divided_by_the_time_of_the_kernels(monkeypatch):
+def test_a_measurement_without_modelled_detection_says_how_to_get_it():
+    older = {key: value for key, value in ROW.items() if key != "detection_modelled"}
+    own = table(watched_runs(overheads={**MEASURED, "rows": [older]}), "overheads_as_in_the_paper")
+    found = {row["stage"]: row for row in own.entries()}
+    assert found["all"]["measured_detection"] == 0.01 and found["all"]["modelled_detection"] is None
+    assert any("mavfi bench overheads DIR repeats it" in note for note in own.notes)
+
+
+def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_modelled_one(monkeypatch):
     flights = iter([2.0, 2.0, 4.0, 8.0])  # the first one compiles
 
     def cost(scenario, name, profile, models_dir):
         kernels = next(flights)
         return overheads.Cost(
-            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0
+            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0, 10 * kernels
         )
 
     monkeypatch.setattr(overheads, "cost", cost)
@@ -69,6 +85,8 @@ def test_medians_of_flights_are_divided_by_the_time_of_the_kernels(monkeypatch):
     found = overheads.measure(campaign(), 3, progress=lambda *done: shown.append(done))
     assert [row["stage"] for row in found["rows"]] == ["perception", "planning", "control", "all"]
     assert found["rows"][0]["detection"] == pytest.approx(0.1) and found["rows"][0]["recovery"] == pytest.approx(0.2)
+    assert found["rows"][0]["detection_modelled"] == pytest.approx(0.01)
+    assert [len(flight) for flight in found["rows"][0]["flights"]] == [3, 3, 3]
     assert shown == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
 
 
@@ -109,6 +127,7 @@ def test_a_flight_is_measured_by_stage():
 
     found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
     assert found.kernels > 0 and found.shown > 1000
+    assert found.compute > 10, "modelled: a map takes 0.28 s, and there are several a second"
     assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
     assert found.detection["control"] > found.detection["planning"], "it publishes most"
     assert found.recovery["all"] == pytest.approx(sum(found.recovery[stage] for stage in overheads.STAGES[:-1]))

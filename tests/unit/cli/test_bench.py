@@ -12,7 +12,8 @@ from tests.unit.campaign.fakes import DETECTOR, small
 @pytest.fixture
 def ledger(tmp_path, monkeypatch):
     def cost(scenario, name, profile, models_dir):
-        return overheads.Cost(1.0, dict.fromkeys(overheads.STAGES, 0.25), dict.fromkeys(overheads.STAGES, 0.5), 7, 0.0)
+        detection, recovery = (dict.fromkeys(overheads.STAGES, spent) for spent in (0.25, 0.5))
+        return overheads.Cost(1.0, detection, recovery, 7, 0.0, 50.0)
 
     monkeypatch.setattr(overheads, "cost", cost)
     run_campaign(small(missions=2, faults=3), tmp_path, executor=LocalExecutor(1))
@@ -24,6 +25,7 @@ def test_measured_overheads_are_written_and_shown(ledger, capsys):
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert {row["stage"] for row in rows} == set(overheads.STAGES)
     assert all(row["measured_detection"] == 0.25 and row["measured_sum"] == 0.75 for row in rows)
+    assert all(row["modelled_detection"] == 0.005 <= row["modelled_sum"] for row in rows)
     assert len(overheads.load(ledger)["rows"]) == 2 * len(overheads.STAGES), "two environments"
     assert run(["report", str(ledger), "--view", "overheads_as_in_the_paper"]) == 0
     assert "25 %" in capsys.readouterr().out
