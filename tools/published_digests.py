@@ -71,16 +71,13 @@ def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
 def needs(campaign: Mapping[str, Any]) -> str:
     """What must be the same, besides the packages, for a ledger with the same digest."""
     python = campaign["versions"].get("python")  # of faults in instructions alone
-    return ", ".join(
-        [*([f"Python {python}"] if python else []), *(["models"] if any(campaign["models"].values()) else [])]
-    )
+    return f"Python {python}" if python else ""
 
 
 ABOUT = """\
 `make reproduce` ends with a digest of each ledger (`mavfi campaign digest DIR` prints one in full). Everyone gets \
-these on any x86-64 machine with the packages of `requirements.lock` and with what is named, too: faults in \
-instructions depend on the version of Python, and an autoencoder that was trained on another generation of processors \
-(another BLAS) has other last digits."""
+these on any x86-64 machine with the packages of `requirements.lock`; faults in instructions depend on the version of \
+Python, too."""
 
 
 def block(found: Mapping[str, Any]) -> str:

@@ -16,6 +16,7 @@ from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
 from mavfi.numerics.jit import kernel_jit, short_jit
 from mavfi.numerics.lent import content_of
+from mavfi.numerics.portable import call_portably
 from mavfi.numerics.stored import Stored, load
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ SOURCE = "autoencoder"
 INPUT_LIMIT = 10.0
 """Inputs are clamped to this many training peaks: otherwise one huge input would disturb all outputs."""
 WEIGHT_DIGITS = 8
-"""Significant digits of the stored weights; further digits depend on the linear algebra library of the machine."""
+"""Significant digits of the stored weights; further digits may depend on the version of the linear algebra library."""
 REMEMBERED = 64
 """Vectors whose reconstruction errors are remembered."""
 _TRAINING_STREAM = 4
@@ -293,7 +294,7 @@ def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file
     """
     scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
     inputs = sample.vectors[representative(sample, largest_class)] / scale
-    network = export(train_network(inputs, hidden_layers, epochs, learning_rate), scale)
+    network = export(call_portably(train_network, inputs, hidden_layers, epochs, learning_rate), scale)
     errors = all_residuals(sample.vectors, network)
     usual = np.maximum(errors.max(axis=0), 1.0 / scale)
     if margin is None:

@@ -67,7 +67,7 @@ def flown(monkeypatch, tmp_path):
     run_campaign(campaign, tmp_path, executor=LocalExecutor(1))
     monkeypatch.setattr("mavfi.campaign.study.Study.campaigns_at", lambda *_: {".": campaign})
     described = {
-        "name": "small", "digest": "d" * 64, "versions": {"python": "3.11"}, "models": {"gaussian": "a"}, "done": 2,
+        "name": "small", "digest": "d" * 64, "versions": {"python": "3.11"}, "done": 2,
         "total": 2,
     }  # fmt: skip
     return tmp_path, {
@@ -77,13 +77,13 @@ def flown(monkeypatch, tmp_path):
 
 def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):
     found = published_digests.of_study(*flown)
-    assert found["ledgers"] == [["small", "Python 3.11, models", "d" * 16]] and found["program"] == "mavfi 1"
+    assert found["ledgers"] == [["small", "Python 3.11", "d" * 16]] and found["program"] == "mavfi 1"
     table = published_digests.block({"quick": found})
     assert "| ledger | with the same | `make reproduce` |" in table and table.endswith(
         "Flown at scale quick by mavfi 1."
     )
-    bare = {"name": "small", "versions": {"numba": "1"}, "models": {"recommended": ""}}
-    assert published_digests.needs(bare) == "", "rules are not trained"
+    bare = {"name": "small", "versions": {"numba": "1"}}
+    assert published_digests.needs(bare) == ""
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""Calls of libraries whose results depend on the processor: in a process that takes their oldest code for x86-64.
+
+NumPy, its BLAS and the C library choose code by the processor, and sum in another order or round once less on newer
+ones.  A long iteration, as training is, carries such last digits into the first.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+from mavfi.errors import MachineError
+
+OLDEST = {
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512DQ",
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3,X86_V4,AVX512_ICL",
+}
+"""Environment variables that let a process take code without FMA and AVX."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def call_portably(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+    """The result of an importable function, the same on every x86-64 processor; arguments and result are pickled.
+
+    Raises:
+        MachineError: The process ended without a result.
+    """
+    done = subprocess.run(
+        [sys.executable, "-P", "-W", "ignore", "-m", __name__],
+        input=pickle.dumps((sys.path, pickle.dumps((function, args, kwargs)))), env={**os.environ, **OLDEST},
+        capture_output=True, check=False,
+    )  # fmt: skip
+    if done.returncode != 0:
+        said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2] or f"status {done.returncode}"
+        raise MachineError(f"{function.__name__}: its process failed ({said})")
+    result: R = pickle.loads(done.stdout)
+    return result
+
+
+def _answer() -> None:
+    paths, call = pickle.load(sys.stdin.buffer)
+    sys.path[:] = paths
+    function, args, kwargs = pickle.loads(call)
+    answer: Any = pickle.dumps(function(*args, **kwargs))
+    sys.stdout.buffer.write(answer)
+
+
+if __name__ == "__main__":
+    _answer()
