@@ -4,7 +4,7 @@ python -m tools.build_leaderboard out/bench [quick|paper]
 
 Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  A bench without the paper's detectors
 or without faults in instructions leaves engineers.md and README.md as they are; sections of the page that it did not
-fly remain, with their date.
+fly remain, with their date, and count in the summary at the head of the page.
 """
 
 import csv
@@ -21,6 +21,7 @@ from mavfi.campaign.bench import FOLDER, ROWS, load_bench
 from mavfi.errors import BadInputError
 from mavfi.reports.text import rate
 from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, fill
+from tools.only_lost import with_summary
 
 NAME = "mavfi-bench-1"
 COMMAND = "make bench-detectors"
@@ -221,8 +222,10 @@ def main(arguments: list[str]) -> int:
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = _PARTS.sub("", page)  # of the command for a detector of one's own: the page has all parts
-        titles = {part.title for part in load_bench(NAME).parts.values()} | SCORED
+        known = load_bench(NAME)
+        titles = {part.title for part in known.parts.values()} | SCORED
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "", titles)
+        page = with_summary(page, known)
         freeze(bench, scale)
         publish(page, scale)
     except (BadInputError, OSError) as error:
