@@ -1,5 +1,6 @@
 """State estimation from IMU, position fixes and compass, for missions without access to the true state."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,10 @@ from mavfi.states import ODOMETRY, Stage, State, floats, new_state
 AT_REST = filtering.Spread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
 """Initial uncertainty: before take-off the vehicle is at rest and level."""
 IN_FLIGHT = filtering.Spread(velocity=2.0, tilt=0.3, force_bias=0.05, rate_bias=0.005)
+READ_BACK = filtering.Spread(velocity=0.2, tilt=0.03, force_bias=0.002, rate_bias=0.0002)
+"""After a restart with the last output, which is some control periods old."""
+_MOVED = 1.0
+"""Standard deviation of the position then (m): the first fix corrects it."""
 PATIENCE = 10
 """Consecutive rejected fixes (1 s at 10 Hz) after which the filter is re-initialized to the fix."""
 _ODOMETRY_WIDTH = 19
@@ -100,6 +105,18 @@ class StateEstimator(Remembers):
         values[10:13] = memory.sample[3:] - memory.nominal[13:]
         values[13:] = memory.nominal[10:]
         return estimate
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Continue from the last estimate, less certain; the last fix is older than that."""
+        estimate = last.get(self.writes[0])
+        values = np.full(1, np.nan) if estimate is None else floats(estimate.header, _ODOMETRY_WIDTH)
+        if not np.isfinite(values).all():
+            return ()
+        memory, noise = self.memory.filter, self._noise._replace(position=_MOVED)
+        filtering.align(memory.nominal, memory.covariance, np.append(values[:3], 0.0), noise, READ_BACK)
+        memory.nominal[:10], memory.nominal[10:] = values[:10], values[13:]
+        memory.time_us, memory.aligned = time_us, True
+        return ("sensor.position",)
 
     def mark(self) -> None:
         """Save the current memory for `rollback`."""

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from mavfi.pipeline.control import Tracker
+from mavfi.pipeline.estimation import StateEstimator
 from mavfi.pipeline.perception import CollisionCheck
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.trajectories import TrajectoryGenerator
 from mavfi.pipeline.waypoints import SetpointGenerator
-from mavfi.states import floats
+from mavfi.states import ODOMETRY, floats, new_state
+from tests.reference.kernels.estimation import AIRSIM
 from tests.unit.pipeline.parts import (
     AUTOPILOTS,
     config,
@@ -21,6 +23,7 @@ from tests.unit.pipeline.parts import (
     trajectory,
     waypoint,
 )  # fmt: skip
+from tests.unit.pipeline.test_estimation import Flight, fix
 
 TICK = 20_000
 
@@ -190,3 +193,26 @@ def test_a_trajectory_that_was_given_up_is_not_flown_again():
     back.receive(odometry(), 3 * TICK)
     assert back.step(3 * TICK) == [] and back.memory.now.last_seq == 3
     assert SetpointGenerator(config()).resume(last(trajectory(seq=4, epoch=3), hold), 3 * TICK) == ()
+
+
+def test_the_estimator_goes_on_from_its_last_estimate_and_takes_the_next_fix():
+    flown = Flight()
+    flown.hover(200)
+    (said,) = flown.step(imu=None)
+    back = Flight()
+    back.time_us = flown.time_us + TICK
+    assert back.kernel.resume(last(said, fix(x=50.0)), back.time_us) == ("sensor.position",), "older than the estimate"
+    (again,) = back.step()
+    np.testing.assert_array_equal(floats(again.header, 19)[[*range(10), *range(13, 19)]],
+                                  floats(said.header, 19)[[*range(10), *range(13, 19)]])  # fmt: skip
+    (moved,) = back.step(fix(x=1.3))
+    assert moved.header["x"][0] == pytest.approx(1.3, abs=0.01), "it may have moved meanwhile"
+    assert np.abs(floats(moved.header, 6)[3:]).max() < 0.1
+    assert back.hover(500)[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_an_estimate_that_is_no_number_is_not_read_back():
+    broken = new_state(ODOMETRY["estimator"])
+    broken.header["vx"] = np.inf
+    kernel = StateEstimator(AIRSIM)
+    assert kernel.resume(last(broken), TICK) == () and kernel.same(StateEstimator(AIRSIM).save())
