@@ -100,7 +100,10 @@ for _spec in _KERNEL_TABLE:
 _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
 _CODES = (*(f"measure_{name}" for name in _MESSAGES), "note_vehicle", "judge")
 DETECTORS: dict[str, tuple[str, ...]] = {
-    "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3])),
+    "acceptance": (
+        *(f"judge_{name}" for name in (*_MESSAGES, "estimate")),
+        *(f"note_{name}" for name in (*_MESSAGES[:3], "estimate", "fix")),
+    ),
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
     "physics_gate": ("judge_gate",),

@@ -7,8 +7,10 @@ import pytest
 
 from mavfi.config import LocalizationConfig, parse
 from mavfi.errors import BadInputError
+from mavfi.faults.fault import MemoryFault
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
@@ -153,6 +155,50 @@ def test_a_struck_estimate_is_repaired_by_running_the_filter_again():
     assert flight.log.injections[0].activated
     assert [alarm.outcome for alarm in flight.log.alarms] == ["repaired"]
     assert flight.log.digest() == flown()[0].log.digest()
+
+
+def watched(autopilot, fault, *recorders):
+    """A flight under the acceptance test, with the recovery that goes with it."""
+    scenario = mission(autopilot, localization="estimator", dead_node="readback")
+    detector, _ = detector_for(scenario, "acceptance", "paper")
+    recovery = Recovery(grain="message", same_twice="escalate")
+    return fly(scenario, fault, detector, recovery=recovery, recorders=recorders)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize(("field", "bit"), [("x", 52), ("z", 63), ("vy", 62), ("qz", 61), ("qw", 63)])
+def test_a_struck_estimate_violates_its_rule_and_is_sent_again(field, bit, autopilot):
+    log = watched(autopilot, fault(ESTIMATE, field, 5.0, bit)).log
+    assert [(alarm.fields, alarm.action, alarm.outcome) for alarm in log.alarms] == [
+        ((f"{ESTIMATE}.{field}",), "resend", "repaired")
+    ]
+    assert (log.rows == flown(autopilot)[0].log.rows).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize(("word", "bit"), [(0, 56), (2, 63), (4, 60), (10, 62)])
+def test_a_filter_that_remembers_nonsense_is_restarted_where_it_was(word, bit, autopilot):
+    seen = Seen(ESTIMATE)
+    struck = MemoryFault("state_estimation", "filter.nominal", word, "f8", 5_000_000, bit)
+    flight = watched(autopilot, struck, seen)
+    assert [alarm.action for alarm in flight.log.alarms] == ["resend", "recompute", "restart"]
+    assert {alarm.state for alarm in flight.log.alarms} == {ESTIMATE}
+    assert flight.log.status is MissionStatus.SUCCESS
+    truth = dict(zip(np.round(1e6 * flight.log.column("time")), flight.log.columns("x", "y", "z"), strict=True))
+    said = [(floats(state.header, 3), truth[time]) for time, state in seen.rows[ESTIMATE] if time in truth]
+    assert max(np.linalg.norm(estimate - there) for estimate, there in said) < 0.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("figures", [{"position_noise": 1.0}, {"imu_noise": 100.0}, {"heading_noise": 0.3},
+                                     {"imu_noise": 0.0, "position_noise": 0.0, "heading_noise": 0.0}])  # fmt: skip
+def test_the_rule_of_the_estimate_knows_the_noise_of_its_sensors(figures):
+    scenario = estimating("published", **figures)
+    detector, _ = detector_for(scenario, "acceptance", "paper")
+    log = fly(scenario, detector=detector).log
+    assert [alarm for alarm in log.alarms if alarm.state == ESTIMATE] == []
 
 
 @pytest.mark.slow

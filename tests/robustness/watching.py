@@ -15,7 +15,7 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.words import change, words_of
 from mavfi.states import WATCHING
-from tests.robustness.tapes import AUTOPILOTS, flip_array
+from tests.robustness.tapes import FLIGHTS, flip_array
 
 LENGTH = 250
 """Publications on a tape."""
@@ -34,9 +34,9 @@ class Watched:
     events: list
 
 
-def published(autopilot, seed=3):
+def published(autopilot, localization="truth", seed=3):
     """The publications of a flight, and its scenario."""
-    scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=autopilot))
+    scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=autopilot, localization=localization))
     world = EnvironmentConfig(name="yard", generator="tests.robustness.tapes:yard")
     loop = new_loop(scenario.model_copy(update={"environment": world}))
     events = []
@@ -46,18 +46,20 @@ def published(autopilot, seed=3):
 
 
 def record_watching():
-    """Tapes of every detector with injectable memory, in both profiles of detector and autopilot."""
+    """Tapes of every detector with injectable memory, in both profiles of detector and autopilot; with an estimator of
+    the acceptance test, which then remembers more."""
     tapes = []
-    for autopilot in AUTOPILOTS:
-        scenario, events = published(autopilot)
-        for whole in (name for name in WATCHING if name in detector_names()):
+    for autopilot, localization in FLIGHTS:
+        scenario, events = published(autopilot, localization)
+        every = [name for name in WATCHING if name in detector_names()]
+        for whole in every if localization == "truth" else ["acceptance"]:
             for profile in ("paper", "tuned") if whole in of_monitored_fields() else ("paper",):
                 detector, _ = detector_for(scenario, whole, profile)
                 names = [name for name in WATCHING if part_of(detector, name) is not None]
                 detector.start()
-                every = len(events) // (INSTANTS + 1)
+                apart = len(events) // (INSTANTS + 1)
                 for place, (state, time_us) in enumerate(events):
-                    if place and place % every == 0:
+                    if place and place % apart == 0:
                         seen = events[place : place + LENGTH]
                         tapes += [Watched(name, autopilot, detector, detector.memory(), seen) for name in names]
                     detector.check(state, time_us)

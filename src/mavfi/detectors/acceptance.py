@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import following, known, rules
+from mavfi.detectors import estimates, following, known, rules
 from mavfi.detectors.detector import Alarm, AtOnce
 from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
@@ -120,6 +120,9 @@ class Functions:
     note_status: Compiled = known.note_status
     note_path: Compiled = known.note_path
     note_trajectory: Compiled = known.note_trajectory
+    judge_estimate: Compiled = estimates.judge_estimate
+    note_estimate: Compiled = estimates.note_estimate
+    note_fix: Compiled = estimates.note_fix
 
 
 PLAIN = Functions()
@@ -139,6 +142,7 @@ class AcceptanceTest:
         functions: Compiled code in use.
         record: Limits and memory, see `known.KNOWN`. Shape (1,).
         blocks: Points of trajectories, see `known`. Shape (KEPT, capacity, 11).
+        estimates: Rule of the estimated odometry and what it remembers.
     """
 
     source, needs_limits = SOURCE, True
@@ -148,8 +152,10 @@ class AcceptanceTest:
         self.record = known.new_record(limits)
         self._accepted = self.record["accepted"]
         self.held = limits.held
+        self.estimates = estimates.Estimates(limits)
         unread = () if limits.held else (_TRACKING,)
-        self.states = frozenset((*RULES, *_POSITIONS)).difference(unread)
+        self.states = frozenset((*RULES, *_POSITIONS, *self.estimates.states)).difference(unread)
+        self._untimed = [name for name in _POSITIONS if name not in self.estimates.states]
         self._calls: dict[str, Compiled] = {}
         self._stepwise, self._at_once = False, AtOnce()
         self.start()
@@ -166,6 +172,7 @@ class AcceptanceTest:
         self.judge_waypoint = entry(
             functions.judge_waypoint, header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
         )
+        self.estimates.use(functions.judge_estimate, functions.note_estimate, functions.note_fix)
         self._calls = {}
         if functions == PLAIN and is_compiled(_admit_command):
             places = {name: lent(own) for name, own in header.items()}
@@ -184,7 +191,7 @@ class AcceptanceTest:
         self._at_once.clear()
         if self._stepwise:
             return
-        self._at_once.update(dict.fromkeys(_POSITIONS, self._latest.append))
+        self._at_once.update(dict.fromkeys(self._untimed, self._latest.append))
         for name, call in self._calls.items():
             own = (self._own.address, self._latest) if name == _WAYPOINT else (self._own.address,)
             self._at_once[name] = partial(call, *own)
@@ -216,6 +223,7 @@ class AcceptanceTest:
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         known.forget(self.record)
+        self.estimates.start()
         self.blocks = np.zeros((known.KEPT, known.CAPACITY, rules.POINT_WIDTH))
         self._latest = [new_state(ODOMETRY["truth"]).header]
         self.candidate: State | None = None
@@ -250,8 +258,10 @@ class AcceptanceTest:
         name = state.spec.name
         if name in _POSITIONS:
             self._latest[:] = [state.header]
-        elif name in RULES:
+        if name in RULES:
             RULES[name].note(self, state, time_us)
+        elif name in self.estimates.states:
+            self.estimates.accept(state, time_us)
 
     def make_room(self, count: int) -> None:
         """Grow the blocks to hold trajectories of `count` points."""
@@ -269,12 +279,13 @@ class AcceptanceTest:
         stored = zip(own["blocks"][: known.used(int(own["stored"]), 0, known.KEPT)], own["counts"], strict=False)
         trajectories = tuple(self.blocks[place, :count].tobytes() for place, count in stored)
         vehicle = floats(self.odometry, _VEHICLE_FLOATS).tobytes()
-        return self.record.view(np.uint8)[known.MEMORY].tobytes(), vehicle, trajectories
+        return self.record.view(np.uint8)[known.MEMORY].tobytes(), vehicle, trajectories, self.estimates.memory()
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
         self.start()
-        content, vehicle, trajectories = memory
+        content, vehicle, trajectories, estimate = memory
+        self.estimates.restore(estimate)
         self.record.view(np.uint8)[known.MEMORY] = np.frombuffer(content, np.uint8)
         floats(self.odometry, _VEHICLE_FLOATS)[:] = np.frombuffer(vehicle)
         for place, points in enumerate(trajectories):
@@ -289,7 +300,8 @@ class AcceptanceTest:
         stored = known.used(int(self.record[0]["stored"]), 0, known.KEPT)
         places = zip(self.record[0]["blocks"][:stored], self.record[0]["counts"], strict=False)
         points = {f"trajectories[{index}]": self.blocks[place, :count] for index, (place, count) in enumerate(places)}
-        return {**known.named(self.record), "vehicle": floats(self.odometry, _VEHICLE_FLOATS), **points}
+        vehicle = {"vehicle": floats(self.odometry, _VEHICLE_FLOATS)}
+        return {**known.named(self.record), **vehicle, **points, **self.estimates.arrays()}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""
@@ -346,6 +358,14 @@ def _judge_waypoint(test: AcceptanceTest, state: State, now: int) -> int:
     return int(test.judge_waypoint(state.header, bytes_of(test.odometry), test.record, test.blocks))
 
 
+def _judge_estimate(test: AcceptanceTest, state: State, now: int) -> int:
+    return test.estimates.check(state, now)
+
+
+def _note_estimate(test: AcceptanceTest, state: State, now: int) -> None:
+    test.estimates.accept(state, now)
+
+
 def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
     """Record a header other than the one checked last: checking it makes it the candidate."""
     test.check(state, now)
@@ -354,6 +374,7 @@ def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
 
 
 RULES: dict[str, Rule] = {
+    ODOMETRY["estimator"]: Rule(_judge_estimate, _note_estimate),
     _STATUS: Rule(_judge_status, _note_status),
     "planning.path": Rule(_judge_path, _note_path),
     "planning.trajectory": Rule(_judge_trajectory, _note_trajectory),

@@ -63,6 +63,8 @@ class MissionLimits:
         tracker_slowdown: Loop time of the tracker / reference time that it advances.
         camera_range: Range of the camera (m).
         repeated: Whether the collision check repeats alarms until they are answered.
+        fix_noise: Standard deviations of a fix (m, rad), as the estimator assumes them; None = the odometry is the
+            truth.
     """
 
     v_max: float
@@ -84,6 +86,7 @@ class MissionLimits:
     camera_range: float = 20.0
     repeated: bool = False
     arena: tuple[Corner, Corner] = UNKNOWN_ARENA
+    fix_noise: tuple[float, float] | None = None
 
     def numbers(self) -> np.ndarray:
         """Limits as the record read by compiled rules. Shape (1,)."""

@@ -8,6 +8,7 @@ from mavfi.config import parse
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import load_detector, mission_keys
+from mavfi.hosts.loop.compose import noise_of
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.platforms.compute import latency, stage_latency
@@ -66,6 +67,7 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
     """Limits of a mission's publications, as rule-based detectors check them."""
     autopilot, platform = scenario.autopilot, scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
+    noise = noise_of(scenario.localization)
     p, i, d = (max(map(abs, gains)) for gains in (autopilot.gain_p, autopilot.gain_i, autopilot.gain_d))
     return MissionLimits(
         v_max=scenario.v_max, a_max=scenario.a_max, arena=(_corner(world.arena_lower), _corner(world.arena_upper)),
@@ -77,6 +79,7 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
         command_limit=autopilot.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
         slowdown_cap=autopilot.slowdown_cap, tracker_slowdown=platform.tracker_slowdown,
         camera_range=scenario.camera.range, repeated=autopilot.alarm == "repeated",
+        fix_noise=None if noise is None else (noise.position, noise.heading),
     )  # fmt: skip
 
 

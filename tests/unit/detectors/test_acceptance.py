@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from mavfi.detectors import following, known, load_detector, rules
 from mavfi.detectors.acceptance import PLAIN, RULES, SOURCE, AcceptanceTest, Functions
+from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
@@ -238,10 +239,9 @@ def test_one_value_that_breaks_a_rule_is_a_hard_alarm_that_names_it(autopilot, c
 
 
 def test_every_consumed_state_but_map_and_cloud_has_a_rule_and_every_rule_a_mutant():
-    assert set(RULES) == {
-        name for name, spec in STATES.items() if spec.stage in ("planning", "control") or spec.acted_on
-    }  # fmt: skip
-    assert {good(autopilot)[case][0].spec.name for autopilot, case, *_ in MUTANTS} == set(RULES)
+    ours = {name for name, spec in STATES.items() if spec.stage in ("planning", "control") or spec.acted_on}
+    assert set(RULES) == {*ours, ESTIMATE}, "those of the estimate are in test_estimates"
+    assert {good(autopilot)[case][0].spec.name for autopilot, case, *_ in MUTANTS} == ours
 
 
 def test_repeated_alarms_are_recognized_by_the_epoch_of_the_last_trajectory():

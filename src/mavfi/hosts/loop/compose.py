@@ -133,12 +133,12 @@ def pipeline_config(
         control_period_us=CONTROL_PERIOD_US, tracker_slowdown=scenario.platform.tracker_slowdown,
         map_latency=1e-6 * stage_latency(scenario.platform, Stage.PERCEPTION),
         plan_latency=1e-6 * stage_latency(scenario.platform, Stage.PLANNING),
-        velocity_lag=1.0 / scenario.vehicle.velocity_gain, noise=_noise(scenario.localization), rewindable=rewindable,
+        velocity_lag=1.0 / scenario.vehicle.velocity_gain, noise=noise_of(scenario.localization), rewindable=rewindable,
         functions=functions,
     )  # fmt: skip
 
 
-def _noise(config: configs.LocalizationConfig) -> Noise | None:
+def noise_of(config: configs.LocalizationConfig) -> Noise | None:
     """Noise parameters of the estimator: the sensors' noise, bounded below by the resolution of its 4 ms steps."""
     if config.kind == "truth":
         return None

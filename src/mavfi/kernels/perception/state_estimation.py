@@ -27,7 +27,8 @@ GATE = 30.0
 """Largest squared innovation of an accepted fix."""
 
 _POSITION, _VELOCITY, _ATTITUDE, _FORCE_BIAS, _RATE_BIAS = 0, 3, 6, 9, 12
-_LARGEST_FORCE, _LARGEST_RATE = 160.0, 35.0
+LARGEST_FORCE, LARGEST_RATE = 160.0, 35.0
+"""Range of the sensor by axis: 16 g (m/s^2) and 2000 deg/s (rad/s) of an MPU-6000."""
 _LONGEST_STEP = 0.1
 _LEAST_VARIANCE = 1e-12
 _LARGEST_POSITION = 1e6
@@ -64,13 +65,13 @@ class Spread(NamedTuple):
 
 @kernel_jit
 def usable_sample(sample: np.ndarray) -> bool:
-    """Whether a sample is within the sensor's range: 16 g and 2000 deg/s (MPU-6000); NaN is not.
+    """Whether a sample is within the sensor's range; NaN is not.
 
     Args:
         sample: Specific force (m/s^2) and rates (rad/s). Shape (6,).
     """
     for axis in range(3):
-        if not (abs(sample[axis]) <= _LARGEST_FORCE and abs(sample[3 + axis]) <= _LARGEST_RATE):
+        if not (abs(sample[axis]) <= LARGEST_FORCE and abs(sample[3 + axis]) <= LARGEST_RATE):
             return False
     return True
 
