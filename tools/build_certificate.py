@@ -32,7 +32,9 @@ def blocks() -> tuple[str, str]:
     table, sentence = certificate_table(found), verdict_line(found)
     columns, rows = shown(table)
     notes = "\n".join(f"- {note}" for note in table.notes)
-    return sentence, f"{sentence}\n\n{markdown_grid([column.heading for column in columns], rows)}\n\n{notes}"
+    same = f"; {plan.cpu}; " in PAGE.read_text(encoding="utf-8").partition("\n## ")[0]
+    chosen = "" if same else f" Chosen with times on {plan.cpu}; the study above was timed on another processor."
+    return sentence, f"{sentence}{chosen}\n\n{markdown_grid([column.heading for column in columns], rows)}\n\n{notes}"
 
 
 def main() -> int:
