@@ -126,7 +126,7 @@ clients: setup  ## install other people's programs that tests use: Betaflight, M
 coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling
 
-detector-cost: setup  ## what detection costs against the kernels; writes the table in docs/models.md (N=5 SEEDS=2)
+detector-cost: setup  ## what detection costs against the kernels; writes the table in docs/models.md (N=5 SEEDS=2 MODELS=folder ONLY="pca duplicate")
 	@$(BIN)/python -m benchmarks.detectors
 
 machine-level: setup  ## faults in instructions at machine and at IR level; writes the table in docs/fault-model.md (N=400)

@@ -1,12 +1,16 @@
 import json
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mavfi.campaign import overheads
 from mavfi.campaign.analysis import table
 from mavfi.campaign.config import Campaign
+from mavfi.detectors.baselines.library import score_once
 from mavfi.errors import BadInputError
+from mavfi.mission import MissionSpec
+from mavfi.states import floats, new_state
 from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
 
 ROW = {
@@ -121,10 +125,86 @@ def test_timed_methods_do_what_they_did():
     assert clock.calls["pid", "step"] == 2 and clock.step("pid") == clock.seconds["pid", "step"] / 2
 
 
+class Counting:
+    """A model of a library, whose scores take time."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def scores(self, inputs, slots):
+        self.asked += 1
+        return np.zeros(len(inputs))
+
+
+class OfLibrary:
+    """A detector that scores each input once, as those of libraries do."""
+
+    def __init__(self):
+        self.judge = Counting()
+
+    def start(self):
+        pass
+
+    def check(self, state, time_us):
+        score_once(self.judge, 0, floats(state.header, 3).tobytes())
+
+    def accept(self, state, time_us):
+        pass
+
+
+def published(count):
+    """Publications of way-points, each twice."""
+    states = [new_state("planning.waypoint") for _ in range(2 * count)]
+    for number, state in enumerate(states):
+        state.header["x"] = number // 2
+    return [(state, 0) for state in states]
+
+
+def test_every_replay_computes_the_scores_of_its_inputs_as_a_flight_does():
+    detector = OfLibrary()
+    for replays in (1, 2):
+        overheads.replay(detector, published(3))
+        assert detector.judge.asked == 3 * replays
+
+
+def test_a_long_replay_is_not_repeated(monkeypatch):
+    times, calls = {"planning": 0.3, "all": 2.5}, []
+
+    def replay(detector, own):
+        calls.append(len(own))
+        return times["all" if len(own) > 4 else "planning"]
+
+    monkeypatch.setattr(overheads, "replay", replay)
+    status = (new_state("perception.collision_status"), 0)
+    found = overheads._detection(OfLibrary(), [*published(2), status], {"planning": 0.5})
+    assert calls == [1] * 5 + [4] * 5 + [5]
+    assert found == {"perception": 0.3, "planning": 0.8, "control": 0.0, "all": 3.0}
+
+
+def test_steps_that_are_computed_again_are_detection_and_not_kernels():
+    clock, now = overheads._Clock(), iter(range(100))
+    kernel = SimpleNamespace(name="waypoint", stage="planning", step=lambda time_us: [time_us])
+    clock.timed(kernel, "step")
+    verify = clock.timed_verification(lambda kernel, first, time_us: (kernel.step(next(now)), 7))
+    kernel.step(1)
+    before = dict(clock.seconds)
+    assert verify(kernel, [], 2) == ([0], 7) and verify(kernel, [], 2) == ([1], 7)
+    assert dict(clock.seconds) == before and clock.calls["waypoint", "step"] == 1
+    assert clock.again["planning"] > 0.0 and clock.verified == 2
+
+
+@pytest.mark.slow
+def test_a_flight_with_duplicated_steps_is_measured():
+    found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "duplicate", "paper")
+    assert found.shown > 1000 and found.recomputed > 0
+    assert 0 < found.detection["all"] < found.kernels
+    assert sum(found.detection[name] for name in overheads.STAGES[:-1]) == pytest.approx(
+        found.detection["all"], rel=0.1
+    )
+
+
 @pytest.mark.slow
 def test_a_flight_is_measured_by_stage():
-    from mavfi.mission import MissionSpec
-
     found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
     assert found.kernels > 0 and found.shown > 1000
     assert found.compute > 10, "modelled: a map takes 0.28 s, and there are several a second"
