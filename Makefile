@@ -161,7 +161,9 @@ hit-detectors: setup  ## inject faults in detectors, copies and recovery, write 
 	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
 	@$(BIN)/mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
-	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions
+	@$(BIN)/mavfi campaign run failure_rate --scale paper --out out/failure-rate
+	@$(BIN)/mavfi bench detectors --part instruction --scale paper --out out/bench-instruction --workers $(JOBS) $(foreach name,gaussian gaussian@tuned autoencoder autoencoder@all limits cusum conformal checksum recommended,--scheme "$(subst @, ,$(name))")
+	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions out/failure-rate out/bench-instruction/instruction
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

@@ -1,15 +1,22 @@
-"""Writes docs/generated/hit-detectors.md, faults in detectors, in copies and in recovery, from campaigns' ledgers.
+r"""Writes docs/generated/hit-detectors.md, faults in detectors, in copies and in recovery, from campaigns' ledgers.
 
 mavfi campaign run detector_memory --scale paper --out out/detector-memory
 mavfi campaign run replicas --scale paper --out out/replicas
 mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
-python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions
+mavfi campaign run failure_rate --scale paper --out out/failure-rate
+mavfi bench detectors --part instruction --scale paper --out out/bench-instruction
+python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions \
+    out/failure-rate out/bench-instruction/instruction
+
+The last two, or any others with faults in kernels, say whether detectors pay for their own instructions.
 """
 
 import sys
 from pathlib import Path
 
+from mavfi.api import load
+from tools import detector_payoff
 from tools.campaign_page import page, section
 from tools.markers import GENERATED
 
@@ -37,16 +44,19 @@ RECOVERY = (
 VIEWS = ("by_target", "outcomes")
 
 
-def content(memory: Path, copies: Path, every: Path, recovery: Path) -> str:
-    """The page, from the ledgers of its four campaigns."""
+def content(memory: Path, copies: Path, every: Path, recovery: Path, *kernels: Path) -> str:
+    """The page, from the ledgers of its four campaigns, and of others with faults in kernels."""
     first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
     rest = (
         (copies, "## Instructions of detectors, alone and in copies", INSTRUCTIONS),
         (every, "## Instructions of every detector", EVERY),
         (recovery, "## Instructions of recovery", RECOVERY),
     )
-    return "\n".join([first, *(section(ledger, title, text, ("failures_per_hour",)) for ledger, title, text in rest)])
+    pages = [first, *(section(ledger, title, text, ("failures_per_hour",)) for ledger, title, text in rest)]
+    if kernels:
+        pages.append(detector_payoff.section([load(copies), load(every)], [load(ledger) for ledger in kernels]))
+    return "\n".join(pages)
 
 
 if __name__ == "__main__":
-    (GENERATED / "hit-detectors.md").write_text(content(*map(Path, sys.argv[1:5])), encoding="utf-8")
+    (GENERATED / "hit-detectors.md").write_text(content(*map(Path, sys.argv[1:])), encoding="utf-8")

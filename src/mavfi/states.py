@@ -98,10 +98,10 @@ for _spec in _KERNEL_TABLE:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
 _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
-_RULES = (*(f"judge_{name}" for name in (*_MESSAGES, "estimate")), "note_estimate", "note_fix")
+_ESTIMATE = ("judge_estimate", "note_estimate", "note_fix")
 _CODES = (*(f"measure_{name}" for name in _MESSAGES), "note_vehicle", "judge")
 DETECTORS: dict[str, tuple[str, ...]] = {
-    "acceptance": (*_RULES, *(f"note_{name}" for name in _MESSAGES[:3])),
+    "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3]), *_ESTIMATE),
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
     "physics_gate": ("judge_gate",),

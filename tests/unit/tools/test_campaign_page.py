@@ -1,5 +1,6 @@
 """Pages of campaigns: the header, findings and tables of a ledger, under a command that there is."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.hosts.loop.recovery import BACK_OFF, MOST_RESTARTS, RESTART_US
 from tests.unit.campaign.analysis.test_failure_views import campaign as failures
 from tests.unit.campaign.analysis.test_scheme_views import lasting_scenario
-from tools import campaign_page, hit_detectors, lasting_faults, protected_kernels, sensor_faults
+from tools import campaign_page, detector_payoff, hit_detectors, lasting_faults, protected_kernels, sensor_faults
 from tools.markers import ROOT
 
 
@@ -44,14 +45,19 @@ def test_the_page_of_faults_in_detectors_has_a_section_for_each_of_its_campaigns
         "## Instructions of detectors, alone and in copies", *tables, "## Instructions of every detector", *tables,
         "## Instructions of recovery", *tables,
     ]  # fmt: skip
-    assert page.count("| sparse | fi | pid |") == 3
+    assert page.count("| sparse | fi | pid |") == 3 and detector_payoff.TITLE not in page
+    named = {**failures().campaign, "arms": {"gaussian": {"detector": "gaussian", "profile": "paper", "mission": {}}}}
+    monkeypatch.setattr(hit_detectors, "load", lambda ledger: replace(failures(), campaign=named))
+    assert detector_payoff.TITLE in hit_detectors.content(memory, copies, every, recovery, Path("kernels"))
 
 
 def test_the_campaigns_of_faults_in_detectors_are_those_of_its_target():
     lines = (ROOT / "Makefile").read_text(encoding="utf-8").split("\nhit-detectors: setup")[1].split("\n\n")[0]
     flown = [line.split()[3] for line in lines.splitlines() if "campaign run" in line]
-    assert flown == ["detector_memory", "replicas", "detector_instructions", "recovery_instructions"]
+    assert flown == ["detector_memory", "replicas", "detector_instructions", "recovery_instructions", "failure_rate"]
     outs = [line.split("--out ")[1] for line in lines.splitlines() if "campaign run" in line]
+    assert "bench detectors --part instruction --scale paper --out out/bench-instruction " in lines
+    outs.append("out/bench-instruction/instruction")
     assert f"python -m tools.hit_detectors {' '.join(outs)}" in lines
     assert load_campaign("detector_instructions").sampling.level == "instruction"
 

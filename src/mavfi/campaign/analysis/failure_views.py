@@ -76,17 +76,42 @@ def payoff(
     Returns:
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
+    changed = changes(runs, environment, setting, kernels) if (environment, setting) in exposed(runs) else {}
+    parts = [*changed.values(), *own_parts(runs, environment, setting)]
+    return total_failures([one for _, one in parts], upset) if changed else None
+
+
+def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
+    """What the faults in a setting's own detector and recovery cause, each with the number of faults."""
+    kernels = exposed(runs).get((environment, setting), {})
+    return [(len(ids), one) for kernel, (ids, one) in kernels.items() if kernel in GUARDS]
+
+
+def changes(
+    runs: Runs, environment: str, setting: str, kernels: Collection[str] = ()
+) -> dict[str, tuple[int, Exposed]]:  # fmt: skip
+    """Change of the harm of faults in kernels by a setting, in pairs with the same fault, with the number of pairs.
+
+    Args:
+        runs: A campaign with instruction faults in kernels.
+        environment: Environment.
+        setting: A setting with a detector.
+        kernels: Only these kernels; all if empty.
+
+    Returns:
+        By kernel; instructions are those of the setting's golden runs or, where these were not counted, of those
+        without an arm.
+    """
     pairs = against_fi(runs).where("judged", "has_site", level=INSTRUCTION, environment=environment, setting=setting)
-    shared = {name for name in pairs.values("kernel") if name not in GUARDS and (not kernels or name in kernels)}
-    parts = []
-    for kernel, (_, one) in exposed(runs).get((environment, setting), {}).items():
-        if kernel in GUARDS:
-            parts.append(one)
-        elif kernel in shared:
-            own = pairs.where(kernel=kernel)
+    golden = runs.golden.where(environment=environment)
+    counts = {arm: instructions_per_hour(golden.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
+    found = {}
+    for (kernel, arm), own in pairs.groups("kernel", "arm").items():
+        instructions = (counts[arm] or counts[""]).get(kernel)
+        if kernel not in GUARDS and (not kernels or kernel in kernels) and instructions is not None:
             harm = paired_difference(own["fi_success"], own["dr_success"], own["world"])
-            parts.append(Exposed(one.instructions, Estimate(*harm)))
-    return total_failures(parts, upset) if shared else None
+            found[kernel] = len(own), Exposed(instructions, Estimate(*harm))
+    return found
 
 
 def payoffs(runs: Runs, upset: float) -> list[str]:
@@ -96,14 +121,15 @@ def payoffs(runs: Runs, upset: float) -> list[str]:
         whole = payoff(runs, environment, setting, upset) if setting != FI else None
         planner = payoff(runs, environment, setting, upset, tuple(PLANNERS))
         if whole is not None:
-            text = f"{_verdict(whole)} over all kernels and its own instructions"
+            text = f"{verdict(whole)} over all kernels and its own instructions"
             if planner is not None:
-                text += f"; {_verdict(planner)} over the planner and its own instructions"
+                text += f"; {verdict(planner)} over the planner and its own instructions"
             found.append(f"does {setting} pay in {environment}? {text}")
     return found
 
 
-def _verdict(found: Estimate) -> str:
+def verdict(found: Estimate) -> str:
+    """Whether a difference of failures per flight hour is below zero, and the difference."""
     word = "yes" if found.high < 0 else "no" if found.low > 0 else "undecided at this n"
     return f"{word}, {found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour"
 
