@@ -10,7 +10,7 @@ SPENT = dict.fromkeys(STAGES, 0.002)
 
 
 def cost(seconds, kernels=0.1, shown=100):
-    return Cost(kernels, {**SPENT, "all": seconds}, SPENT, shown, 0.005)
+    return Cost(kernels, {**SPENT, "all": seconds}, SPENT, shown, 0.005, 1.0)
 
 
 def test_a_row_has_medians_and_extremes_of_flights():
