@@ -40,7 +40,7 @@ def test_the_digests_of_the_readme_are_those_of_what_this_program_flies(scale):
 
 
 @QUICK
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_campaign_of_scale_quick_has_the_digest_of_the_readme(tmp_path):
     campaign = load_study("paper").campaigns_at("quick")["states"]
     run_campaign(campaign, tmp_path, executor=LocalExecutor(2))
