@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 # When make began, if there is no $(VENV) yet: the time of set-up counts from here.
 BEGUN := $(if $(wildcard $(BIN)/python),,$(shell date +%s))
 CODE := src tests examples benchmarks tools
-# The summary at the end says which tests were skipped, and why; without it a missing program passes unseen.
+# The summary lists skipped tests with their reasons: otherwise a missing program goes unnoticed.
 PYTEST := $(BIN)/python -m pytest -rfEs
 
 # One thread per process: sums keep their order, and two workers do not fight for two cores.
@@ -37,7 +37,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@# bytecode is written when a module is first imported: most modules of the packages never are
 	@$(BIN)/python -m pip install -qq --no-compile --requirement requirements.lock
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
-	@# shown by `mavfi reproduce`; of an environment that was there before, the time of a part would pass for that of all
+	@# shown by `mavfi reproduce`; only for a new environment: an update takes a part of the time
 	@$(if $(BEGUN),echo $$(( $$(date +%s) - $(BEGUN) )) > $(VENV)/setup-seconds)
 	@touch $@
 
@@ -162,8 +162,8 @@ hit-detectors: setup  ## inject faults in detectors, copies and recovery, write 
 	@$(BIN)/mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
 	@$(BIN)/mavfi campaign run failure_rate --scale paper --out out/failure-rate
-	@$(BIN)/mavfi bench detectors --part instruction --scale paper --out out/bench-instruction --workers $(JOBS) $(foreach name,gaussian gaussian@tuned autoencoder autoencoder@all limits cusum conformal checksum recommended,--scheme "$(subst @, ,$(name))")
-	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions out/failure-rate out/bench-instruction/instruction
+	@$(BIN)/mavfi bench detectors --part instruction --scale paper --out out/bench-paper --workers $(JOBS)
+	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions out/failure-rate out/bench-paper/instruction
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

@@ -17,11 +17,11 @@ from mavfi.states import PLANNERS
 
 TITLE = "## Does a detector pay for its own instructions?"
 TEXT = (
-    "Failures per flight hour that faults in a detector's instructions cause, less those that it prevents when the "
-    "same faults strike kernels with and without it: below zero it pays. All kernels include the map, whose many "
-    "instructions decide the width; the planner is the kernel whose death loses missions. What is prevented comes from "
-    "the campaign that has most faults in kernels under the same detector. Copies prevent what one detector does, and "
-    "cause what N of them do."
+    "Failures per flight hour caused by faults in the detector's own instructions, minus failures prevented by the "
+    "detector, in pairs of runs with the same fault in a kernel; below zero the detector pays. All kernels: dominated "
+    "by the map with its many instructions. Planner: the kernel whose death loses missions. Prevented failures are "
+    "those of the campaign with most faults in kernels under the same detector. N copies prevent as many failures as "
+    "one and expose N times its instructions."
 )
 Scheme = tuple[str, str, tuple[tuple[str, Any], ...]]
 """Detector, profile if there is a choice, and keys of the mission without the number of copies."""
@@ -74,7 +74,7 @@ def section(hit: Sequence[Runs], kernels: Sequence[Runs]) -> str:
             if not found:
                 missing[setting] = scheme
     head = [
-        "| setting | environment | over | failures per flight hour, caused less prevented | pays | faults in it "
+        "| setting | environment | over | failures per flight hour, caused - prevented | pays | faults in it "
         "| faults in kernels |",
         "| --- | --- | --- | ---: | --- | ---: | ---: |",
     ]

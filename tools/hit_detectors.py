@@ -5,9 +5,9 @@ mavfi campaign run replicas --scale paper --out out/replicas
 mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
 mavfi campaign run failure_rate --scale paper --out out/failure-rate
-mavfi bench detectors --part instruction --scale paper --out out/bench-instruction
+mavfi bench detectors --part instruction --scale paper --out out/bench-paper
 python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions \
-    out/failure-rate out/bench-instruction/instruction
+    out/failure-rate out/bench-paper/instruction
 
 The last two, or any others with faults in kernels, say whether detectors pay for their own instructions.
 """

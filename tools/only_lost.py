@@ -20,10 +20,10 @@ BEGIN, END = "<!-- only-lost:begin -->", "<!-- only-lost:end -->"
 _HEAD = re.compile(rf"\n*{BEGIN}.*?{END}", re.DOTALL)
 _SECTION = "\n## "
 _NOTE = (
-    "**Missions that only the scheme lost**, of those flown with a fault under it, over all parts below: they succeed "
-    "without the scheme, and fail with it. Golden flights are counted where only the scheme loses them, but not among "
-    "those flown; at level instruction only faults that meet the same value are compared. Per cent, [95 % interval: "
-    "Wilson, flights in one world taken as independent]."
+    "**Missions lost by the scheme alone** / missions with a fault under the scheme, over all parts below: success "
+    "without the scheme, failure with it. Golden flights lost by the scheme alone count as lost, but are not in the "
+    "denominator; at level instruction only faults in the same value are compared. Per cent, [95 % interval: Wilson, "
+    "flights in one world taken as independent]."
 )
 Counts = dict[str, dict[str, tuple[int, int]]]
 """Lost and flown missions by scheme and group of parts."""

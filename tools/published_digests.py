@@ -1,7 +1,7 @@
 """Digests of the study of the paper, by scale: kept in docs/results/digests.json, shown in README.md.
 
-A fingerprint of what decides them is kept, too: its campaigns, and the golden flights of the tests.  A test compares it
-with that of the program, so that the digests of another program are not left standing.
+With them is stored a fingerprint of the campaigns and of the golden flights of the tests.  A test compares it with that
+of the program: outdated digests fail.
 """
 
 import hashlib
@@ -75,9 +75,9 @@ def needs(campaign: Mapping[str, Any]) -> str:
 
 
 ABOUT = """\
-`make reproduce` ends with a digest of each ledger (`mavfi campaign digest DIR` prints one in full). Everyone gets \
-these on any x86-64 machine with the packages of `requirements.lock`; faults in instructions depend on the version of \
-Python, too."""
+`make reproduce` ends with a digest of each ledger (`mavfi campaign digest DIR` prints one in full). They are \
+the same on all x86-64 machines with the packages of `requirements.lock`; those of faults in instructions also depend \
+on the version of Python."""
 
 
 def block(found: Mapping[str, Any]) -> str:
@@ -88,7 +88,7 @@ def block(found: Mapping[str, Any]) -> str:
         for name, needed, digest in found[scale]["ledgers"]:
             rows.setdefault((name, needed), {})[scale] = f"`{digest}`"
     grid = markdown_grid(
-        ["ledger", "with the same", *(f"`{COMMANDS[scale]}`" for scale in scales)],
+        ["ledger", "depends on", *(f"`{COMMANDS[scale]}`" for scale in scales)],
         [[*key, *(row.get(scale, "") for scale in scales)] for key, row in rows.items()],
     )
     flown = "; ".join(f"scale {scale} by {found[scale]['program']}" for scale in scales)

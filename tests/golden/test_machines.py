@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mavfi.numerics.portable import BASELINE
 from tests.architecture.source import ROOT
 
 FLIGHTS = """
@@ -68,21 +69,16 @@ and after, among them addresses; then campaigns, and a client program of AirSim 
 PROGRAM = ROOT / "tests" / "unit" / "bridges" / "airsim" / "programs" / "everything.py"
 CAMPAIGNS = slice(3 + 3 * 5 * 3, 3 + 3 * 5 * 3 + 2)
 """Lines of campaigns, after those of flights and faults."""
-OLDER_LIBRARIES = {
-    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512DQ",
-    "OPENBLAS_CORETYPE": "Nehalem",
-    "NPY_DISABLE_CPU_FEATURES": "X86_V3,X86_V4,AVX512_ICL",
-}
 OLDER_CODE = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 ELSEWHERE = {"LANG": "C", "LC_ALL": "C", "PATH": "/usr/bin:/bin", "TZ": "Asia/Kathmandu", "PYTHONHASHSEED": "1"}
 MACHINES = {
-    "C library without FMA": {"GLIBC_TUNABLES": OLDER_LIBRARIES["GLIBC_TUNABLES"]},
+    "C library without FMA": {"GLIBC_TUNABLES": BASELINE["GLIBC_TUNABLES"]},
     "C library without AVX-512": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX512VL,-AVX512DQ"},
     "BLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
     "BLAS for Skylake-X": {"OPENBLAS_CORETYPE": "SkylakeX"},
-    "older libraries": OLDER_LIBRARIES,
+    "older libraries": BASELINE,
     "elsewhere": ELSEWHERE,
-    "all of it, and code for any x86-64": {**OLDER_LIBRARIES, **OLDER_CODE, **ELSEWHERE},
+    "all of it, and code for any x86-64": {**BASELINE, **OLDER_CODE, **ELSEWHERE},
 }
 LAST = list(MACHINES)[-1]
 IN_CI = ("C library without FMA", "C library without AVX-512")

@@ -14,8 +14,8 @@ ASSUMED: Mapping[tuple[str, str], tuple[float, float, float]] = {
     ("local", "memory"): (2.0, 0.7, 2500.0),
     ("local", "instruction"): (0.56, 0.27, 6400.0),
 }
-"""Wall time of a golden run and of an injected run (s), and bytes per run, by host and level: means of the study of the
-paper (docs/results/study.md) with two workers on two processors; of memory, means of an earlier version."""
+"""Wall time of a golden run and of an injected run (s), and bytes per run, by host and level: means of a study
+at scale paper with two workers on two processors; level memory: means of an earlier version."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from mavfi.cli.study_report import PAGE, TABLES
 
 COMPILATION, FITTING = "compilation", "fitting"
 COMPILED_S, TRAINING_S, FITTED_S, TIMED_S = 9.6, 1.2, 19.0, 0.4
-"""Time of a processor for a task of compilation, a training flight, the models of a training, and a timed flight (s).
+"""CPU time of a compilation task, a training flight, the fits of a training, and a timed flight (s).
 
-These and the next ones are those of docs/results/study.md (where the time goes), as are the times assumed of runs."""
+These and the next ones were measured on one machine; they are weights of the progress bar and appear in no result."""
 FIXED_S, TABULATED_S, SHOWN_S = 20.0, 0.013, 8.7
-"""The same for tables and figures without runs (estimated), for each run in them, and for a flight of the page (s)."""
+"""CPU time of tables and figures without runs (estimated), of each run in them, and of a flight of the page (s)."""
 UNKNOWN_S = 1.0
 """Time of a run on a host for which nothing is assumed (s)."""
 

@@ -1,8 +1,8 @@
-"""Rule of the estimated odometry: it moves as its IMU can say, or goes towards a fix of the position.
+"""Rule of the estimated odometry: its motion stays within the IMU's range and the corrections by position fixes.
 
-The rule is that of an error-state Kalman filter with gated fixes, whatever its inputs: also a filter that goes wrong
-with its sensors violates nothing, since a recomputation from the same inputs would not help.  Only flights with an
-estimator have this rule and its memory.
+The limits are those of an error-state Kalman filter with gated fixes, for arbitrary inputs: sensor failures do not
+violate the rule, since recomputation from the same inputs would not repair them.  Only flights with an estimator have
+this rule and its memory.
 """
 
 import math
@@ -30,15 +30,15 @@ In golden flights of both profiles in four environments, also with 0.001 to 20 t
 to 100 times that of the IMU, the largest are 0.32 m/s and 0.01 rad.
 """
 _SETTLING_US = 3_000_000
-"""Time after a new start of the filter at a fix in which further fixes may correct velocity and attitude by any amount:
-it does not know them then."""
+"""Time after re-initialization at a fix in which further fixes may correct velocity and attitude by any amount: the
+filter has no information on them."""
 _NEVER = -(1 << 62)
 RECORD = np.dtype([
     ("jump", "f8"), ("turn", "f8"), ("lower", "f8", (3,)), ("upper", "f8", (3,)), ("speed", "f8"),
     ("last", "f8", (WIDTH,)), ("time_us", "i8"), ("aligned_us", "i8"), ("fix", "f8", (4,)),
 ])  # fmt: skip
 """Limits: the largest correction of position (m) and attitude (rad) by a fix, flight box (m), speed (m/s).  Memory: the
-last published estimate, its time, that of the filter's last new start in flight (us), the last fix (m, rad)."""
+last published estimate, its time, time of the last re-initialization in flight (us), the last fix (m, rad)."""
 _REMEMBERED = ("last", "time_us", "aligned_us", "fix")
 
 
@@ -46,8 +46,8 @@ _REMEMBERED = ("last", "time_us", "aligned_us", "fix")
 def judge_estimate(content: np.ndarray, now: int, record: np.ndarray) -> int:
     """Index of the field of an estimate that violates the rule, or -1.
 
-    Finite; a unit quaternion; the first one in the flight box at a possible speed; later ones continue the last one as
-    far as range of the IMU and corrections by fixes allow, or lie where a fix puts them.
+    See docs/models.md: finite values, unit quaternion; flight box and speed for the first estimate; IMU range and
+    corrections by fixes for later ones.
 
     Args:
         content: Bytes of the header: position (m), velocity (m/s), quaternion.  Shape (>= 80,), uint8.
@@ -88,7 +88,7 @@ def _first(new: np.ndarray, record: np.ndarray) -> int:
 
 @kernel_jit
 def _moved(new: np.ndarray, elapsed: float, record: np.ndarray) -> int:
-    """Axis along which an estimate is neither where the last velocity leads nor at the last fix, or -1."""
+    """Axis along which a position is near neither the one predicted from the last velocity nor the last fix, or -1."""
     own = record[0]
     reach = own["jump"] + 0.5 * _ACCELERATION * elapsed**2
     for axis in range(3):
@@ -100,7 +100,7 @@ def _moved(new: np.ndarray, elapsed: float, record: np.ndarray) -> int:
 
 @kernel_jit
 def _accelerated(new: np.ndarray, elapsed: float, record: np.ndarray) -> int:
-    """Column of a velocity that changes by more than the IMU can say and a fix corrects, or -1."""
+    """Column of a velocity that changes by more than the IMU's range and a fix allow, or -1."""
     for axis in range(VELOCITY, ATTITUDE):
         if not abs(new[axis] - record[0]["last"][axis]) <= _VELOCITY_JUMP + _ACCELERATION * elapsed:
             return axis
@@ -109,13 +109,13 @@ def _accelerated(new: np.ndarray, elapsed: float, record: np.ndarray) -> int:
 
 @kernel_jit
 def _settling(new: np.ndarray, now: int, record: np.ndarray) -> bool:
-    """Whether the filter has just started anew at a fix, or does so with this estimate."""
+    """Whether the filter was re-initialized at a fix within `_SETTLING_US`, or is with this estimate."""
     return _aligned(new, record) or now - record[0]["aligned_us"] <= _SETTLING_US
 
 
 @kernel_jit
 def _aligned(new: np.ndarray, record: np.ndarray) -> bool:
-    """Whether an estimate is at the last fix, bit for bit: only a filter that starts there is."""
+    """Whether a position is bit-identical to the last fix, as only that of a re-initialized filter is."""
     for axis in range(3):
         if new[axis] != record[0]["fix"][axis]:
             return False
@@ -124,7 +124,7 @@ def _aligned(new: np.ndarray, record: np.ndarray) -> bool:
 
 @kernel_jit
 def _turned(new: np.ndarray, last: np.ndarray) -> int:
-    """The component of a quaternion that differs most from the last one: a filter does not change the sign of all."""
+    """The component of a quaternion that differs most from the last one; a filter never negates all of it."""
     found, largest = ATTITUDE, -1.0
     for axis in range(ATTITUDE, WIDTH):
         change = abs(new[axis] - last[axis])

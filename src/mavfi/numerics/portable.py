@@ -1,7 +1,7 @@
-"""Calls of libraries whose results depend on the processor: in a process that takes their oldest code for x86-64.
+"""Calls of libraries whose results depend on the processor, in a process with their baseline code paths for x86-64.
 
-NumPy, its BLAS and the C library choose code by the processor, and sum in another order or round once less on newer
-ones.  A long iteration, as training is, carries such last digits into the first.
+NumPy, its BLAS and the C library dispatch by processor: order of summation and fused multiply-add differ.  Iterations
+such as training amplify these differences.
 """
 
 import os
@@ -13,12 +13,12 @@ from typing import Any, ParamSpec, TypeVar
 
 from mavfi.errors import MachineError
 
-OLDEST = {
+BASELINE = {
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512DQ",
     "OPENBLAS_CORETYPE": "Nehalem",
     "NPY_DISABLE_CPU_FEATURES": "X86_V3,X86_V4,AVX512_ICL",
 }
-"""Environment variables that let a process take code without FMA and AVX."""
+"""Environment variables that disable FMA and AVX in these libraries."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -32,7 +32,7 @@ def call_portably(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -
     """
     done = subprocess.run(
         [sys.executable, "-P", "-W", "ignore", "-m", __name__],
-        input=pickle.dumps((sys.path, pickle.dumps((function, args, kwargs)))), env={**os.environ, **OLDEST},
+        input=pickle.dumps((sys.path, pickle.dumps((function, args, kwargs)))), env={**os.environ, **BASELINE},
         capture_output=True, check=False,
     )  # fmt: skip
     if done.returncode != 0:

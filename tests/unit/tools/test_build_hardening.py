@@ -114,7 +114,7 @@ def test_times_and_all_faults_are_judged():
     assert [row["met"] for row in found.values()] == ["yes", "yes", "", "yes", "yes"]
     assert found["`mavfi harden`"]["measured"] == "53 s"
     assert found["protected code of a kernel, from the cache"]["measured"] == "0.40 s (rrt, the slowest)"
-    assert found["the same, built anew once per machine"]["measured"] == "2.5 s (pid, the slowest)"
+    assert found["the same, without a cache: once per machine"]["measured"] == "2.5 s (pid, the slowest)"
     assert found["every bit of every dynamic instruction of walk and mean_square"]["measured"] == "5 crash, 15 detected"
     late = {"advice_s": 61.0, "build_s": {"pid": 1.2}, "without_addresses": {"walk": {"detected": 9, "sdc": 1}}}
     late["exhaustive"] = {"walk": {"detected": 9, "hang": 1}}

@@ -56,8 +56,8 @@ def test_the_campaigns_of_faults_in_detectors_are_those_of_its_target():
     flown = [line.split()[3] for line in lines.splitlines() if "campaign run" in line]
     assert flown == ["detector_memory", "replicas", "detector_instructions", "recovery_instructions", "failure_rate"]
     outs = [line.split("--out ")[1] for line in lines.splitlines() if "campaign run" in line]
-    assert "bench detectors --part instruction --scale paper --out out/bench-instruction " in lines
-    outs.append("out/bench-instruction/instruction")
+    assert "bench detectors --part instruction --scale paper --out out/bench-paper " in lines
+    outs.append("out/bench-paper/instruction")
     assert f"python -m tools.hit_detectors {' '.join(outs)}" in lines
     assert load_campaign("detector_instructions").sampling.level == "instruction"
 

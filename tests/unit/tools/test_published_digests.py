@@ -79,9 +79,7 @@ def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):
     found = published_digests.of_study(*flown)
     assert found["ledgers"] == [["small", "Python 3.11", "d" * 16]] and found["program"] == "mavfi 1"
     table = published_digests.block({"quick": found})
-    assert "| ledger | with the same | `make reproduce` |" in table and table.endswith(
-        "Flown at scale quick by mavfi 1."
-    )
+    assert "| ledger | depends on | `make reproduce` |" in table and table.endswith("Flown at scale quick by mavfi 1.")
     bare = {"name": "small", "versions": {"numba": "1"}}
     assert published_digests.needs(bare) == ""
 

@@ -112,8 +112,8 @@ def _detection_modelled(own: Runs) -> float | None:
 
 
 def _sum_modelled(own: Runs) -> float | None:
-    parts = _detection_modelled(own), _modelled(own)
-    return None if None in parts else sum(part for part in parts if part is not None)
+    detection, recovery = _detection_modelled(own), _modelled(own)
+    return None if detection is None or recovery is None else detection + recovery
 
 
 def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
