@@ -147,7 +147,7 @@ def test_a_false_alarm_at_the_estimate_is_recomputed_at_once_to_the_same_value()
     assert flight.log.meta["recompute_us"]["perception"] == 0
 
 
-def test_a_struck_estimate_is_repaired_by_running_the_filter_again():
+def test_a_corrupted_estimate_is_repaired_by_running_the_filter_again():
     number = 1250
     detector = Scripted(ESTIMATE, number, "perception")
     at = 1e-6 * flown()[1][ESTIMATE][number - 1][0]
@@ -168,7 +168,7 @@ def watched(autopilot, fault, *recorders):
 @pytest.mark.slow
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize(("field", "bit"), [("x", 52), ("z", 63), ("vy", 62), ("qz", 61), ("qw", 63)])
-def test_a_struck_estimate_violates_its_rule_and_is_sent_again(field, bit, autopilot):
+def test_a_corrupted_estimate_violates_its_rule_and_is_sent_again(field, bit, autopilot):
     log = watched(autopilot, fault(ESTIMATE, field, 5.0, bit)).log
     assert [(alarm.fields, alarm.action, alarm.outcome) for alarm in log.alarms] == [
         ((f"{ESTIMATE}.{field}",), "resend", "repaired")
@@ -181,8 +181,8 @@ def test_a_struck_estimate_violates_its_rule_and_is_sent_again(field, bit, autop
 @pytest.mark.parametrize(("word", "bit"), [(0, 56), (2, 63), (4, 60), (10, 62)])
 def test_a_filter_that_remembers_nonsense_is_restarted_where_it_was(word, bit, autopilot):
     seen = Seen(ESTIMATE)
-    struck = MemoryFault("state_estimation", "filter.nominal", word, "f8", 5_000_000, bit)
-    flight = watched(autopilot, struck, seen)
+    corrupted = MemoryFault("state_estimation", "filter.nominal", word, "f8", 5_000_000, bit)
+    flight = watched(autopilot, corrupted, seen)
     assert [alarm.action for alarm in flight.log.alarms] == ["resend", "recompute", "restart"]
     assert {alarm.state for alarm in flight.log.alarms} == {ESTIMATE}
     assert flight.log.status is MissionStatus.SUCCESS

@@ -105,9 +105,9 @@ def test_what_a_filter_publishes_passes_whatever_its_sensors_say(case):
 )  # fmt: skip
 def test_one_value_that_no_filter_says_is_a_hard_alarm_that_names_it(field, value):
     detector, state, now = flying()
-    struck = state.copy()
-    struck.header[field] = value
-    alarm = detector.check(struck, now)
+    corrupted = state.copy()
+    corrupted.header[field] = value
+    alarm = detector.check(corrupted, now)
     assert alarm is not None and (alarm.source, alarm.stage, alarm.hard) == (SOURCE, "perception", True)
     assert alarm.fields == (f"{ESTIMATE}.{field}",) and alarm.score > 1.0
     assert detector.check(state, now) is None, "its copy"
@@ -116,18 +116,18 @@ def test_one_value_that_no_filter_says_is_a_hard_alarm_that_names_it(field, valu
 @pytest.mark.parametrize("field", NAMES[WIDTH:])
 def test_what_no_consumer_reads_has_no_rule(field):
     detector, state, now = flying()
-    struck = state.copy()
-    struck.header[field] = np.nan
-    assert detector.check(struck, now) is None
+    corrupted = state.copy()
+    corrupted.header[field] = np.nan
+    assert detector.check(corrupted, now) is None
 
 
 def test_a_turn_that_leaves_the_quaternion_of_length_one_is_found_and_its_sign_is_none():
     detector, state, now = flying()
     values = floats(state.header, WIDTH)[ATTITUDE:]
     for turned, fine in ((-values, True), (values * (1, -1, -1, -1), False), (values[[3, 1, 2, 0]], False)):
-        struck = state.copy()
-        floats(struck.header, WIDTH)[ATTITUDE:] = turned
-        assert (detector.check(struck, now) is None) == fine
+        corrupted = state.copy()
+        floats(corrupted.header, WIDTH)[ATTITUDE:] = turned
+        assert (detector.check(corrupted, now) is None) == fine
 
 
 def test_the_longer_nothing_is_published_the_farther_it_may_move():
@@ -191,8 +191,8 @@ def test_it_reads_the_estimate_in_its_other_rules_too():
 def test_flights_without_an_estimator_have_neither_rule_nor_memory_of_it():
     detector = AcceptanceTest(LIMITS["published"])
     kept = detector.memory()
-    struck = message(ESTIMATE, [np.nan] * WIDTH)
-    assert detector.check(struck, 0) is None and FIX not in detector.states
+    corrupted = message(ESTIMATE, [np.nan] * WIDTH)
+    assert detector.check(corrupted, 0) is None and FIX not in detector.states
     detector.accept(message(FIX, HERE), 0)
     assert detector.memory() == kept and not any(name.startswith("estimate.") for name in detector.arrays())
 
@@ -201,9 +201,9 @@ def test_compiled_rules_agree_with_plain_python(monkeypatch):
     last, now = hovering()[-1]
     events = [*filtered(600, **FLIGHTS["fixes elsewhere, until it believes them"])[:-1], *hovering()[-1:]]
     for number, (field, value) in enumerate([("x", 10.6), ("vy", 9.0), ("qz", -0.3), ("qx", np.nan), ("qy", 1e-9)]):
-        struck = last.copy()
-        struck.header[field] = value
-        events += [(struck, now + STEP_US * (2 * number + 1)), (last, now + STEP_US * (2 * number + 2))]
+        corrupted = last.copy()
+        corrupted.header[field] = value
+        events += [(corrupted, now + STEP_US * (2 * number + 1)), (last, now + STEP_US * (2 * number + 2))]
     compiled = alarms(events)
     assert len(compiled) > 5, "and those at the sound ones that follow"
     for name, found in list(vars(estimates).items()):
