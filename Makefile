@@ -154,7 +154,7 @@ real-logs: setup  ## judge recorded flights of other vehicles, write docs/genera
 
 sensors: setup  ## fly missions with failing sensors and motors, write docs/generated/sensors.md
 	@$(BIN)/mavfi campaign run sensors --scale paper --out out/sensors
-	@$(BIN)/python -m tools.sensor_faults out/sensors
+	@$(BIN)/python -m tools.campaign_pages sensors out/sensors
 
 hit-detectors: setup  ## inject faults in detectors, copies and recovery, write docs/generated/hit-detectors.md
 	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
@@ -167,11 +167,11 @@ hit-detectors: setup  ## inject faults in detectors, copies and recovery, write 
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting
-	@$(BIN)/python -m tools.lasting_faults out/lasting
+	@$(BIN)/python -m tools.campaign_pages lasting out/lasting
 
 protected: setup  ## fly protected kernels with a detector and restarts, write docs/generated/protected.md
 	@$(BIN)/mavfi campaign run protected --scale paper --out out/protected
-	@$(BIN)/python -m tools.protected_kernels out/protected
+	@$(BIN)/python -m tools.campaign_pages protected out/protected
 
 firmware: setup  ## fly register faults in a flight controller's firmware, write docs/generated/firmware.md (N=400)
 	@for pattern in hover square; do $(BIN)/python -m tools.firmware_faults fly $$pattern --count $(or $(N),400) && $(BIN)/python -m tools.firmware_faults check $$pattern || exit 1; done

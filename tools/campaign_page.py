@@ -7,7 +7,7 @@ from mavfi.api import load, table
 from mavfi.campaign.analysis.findings import findings
 from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.text import header
-from tools.markers import GENERATED, banner
+from tools.markers import banner
 
 
 def page(ledger: Path, command: str, title: str, text: str, views: Iterable[str]) -> str:
@@ -35,10 +35,3 @@ def section(ledger: Path, heading: str, text: str, views: Iterable[str]) -> str:
         *(f"{markdown_table(table(runs, name))}\n" for name in views),
     ]  # fmt: skip
     return "\n".join(lines).rstrip() + "\n"
-
-
-def write(name: str, ledger: Path, title: str, text: str, views: Iterable[str]) -> None:
-    """Write a page to docs/generated; `make NAME` regenerates it.  Other arguments and errors as of `page`."""
-    path = GENERATED / f"{name}.md"
-    path.write_text(page(ledger, f"make {name}", title, text, views), encoding="utf-8")
-    print(f"wrote {path.name}")
