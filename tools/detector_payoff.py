@@ -25,7 +25,7 @@ TEXT = (
 )
 Scheme = tuple[str, str, tuple[tuple[str, Any], ...]]
 """Detector, profile if there is a choice, and keys of the mission without the number of copies."""
-Parts = Mapping[str, tuple[int, Exposed]]
+Parts = Mapping[str, tuple[int, tuple[Exposed, ...]]]
 
 
 class Source(NamedTuple):
@@ -64,8 +64,8 @@ def section(hit: Sequence[Runs], kernels: Sequence[Runs]) -> str:
                 continue
             found = _found(kernels, environment, scheme)
             for place, source in found.items():
-                parts = [*source.parts.values(), *own]
-                word, _, rest = verdict(total_failures([one for _, one in parts], upset)).partition(", ")
+                parts = [*(part for _, found in source.parts.values() for part in found), *(one for _, one in own)]
+                word, _, rest = verdict(total_failures(parts, upset)).partition(", ")
                 faults = f"{sum(count for count, _ in own)} ({_name(runs)})", f"{source.faults} ({source.campaign})"
                 rows.append(
                     f"| `{setting}` | {environment} | {place} | {rest.partition(' failures')[0]} | {word} | "
@@ -124,7 +124,8 @@ def _name(runs: Runs) -> str:
 def _notes(missing: Mapping[str, Scheme]) -> list[str]:
     """What has to be flown for settings without a verdict."""
     known = [
-        "- failures without a fault are not in the difference; a campaign of a bench does not count the instructions "
+        "- failures without a fault are not in the difference: pairs count whose missions succeed without one under "
+        "both settings; a campaign of a bench does not count the instructions "
         "of its arms: those of flights without a detector are taken",
         "- `recommended` includes the restart policy `readback`, which needs no detector and brings back what is lost "
         "to a planner that died (table of the planner's instructions in the [leaderboard](leaderboard.md))",

@@ -63,9 +63,10 @@ def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError(f"campaign {campaign['name']} is not that of scale {scale} here")
         if campaign["done"] < campaign["total"]:
             raise ValueError(f"campaign {campaign['name']}: {campaign['done']} of {campaign['total']} runs are flown")
-    (program,) = [line.removeprefix("Program: ") for line in study["provenance"] if line.startswith("Program: ")]
+    if not study.get("programs"):
+        raise ValueError("does not say which program flew it; needed: a study of `mavfi reproduce`")
     ledgers = [[one["name"], needs(one), short(one["digest"])] for one in study["campaigns"].values()]
-    return {"program": program.removesuffix("."), "fingerprint": fingerprint(scale), "ledgers": ledgers}
+    return {"program": "; then ".join(study["programs"]), "fingerprint": fingerprint(scale), "ledgers": ledgers}
 
 
 def needs(campaign: Mapping[str, Any]) -> str:

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -58,6 +59,24 @@ def test_mcnemar_counts_discordant_pairs_and_is_the_binomial_test(pairs):
 
 def test_mcnemar_against_the_closed_form():
     assert mcnemar([True] * 8 + [False], [False] * 8 + [True]).p_value == pytest.approx(2 * (1 + 9) / 2**9)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 7)), max_size=40))
+def test_mcnemar_of_worlds_is_the_enumeration_of_their_signs(pairs):
+    first, second, world = ([pair[place] for pair in pairs] for place in range(3))
+    sums = [sum(int(a) - int(b) for a, b, other in pairs if other == one) for one in set(world)]
+    every = [abs(sum(s * d for s, d in zip(signs, sums, strict=True)))
+             for signs in itertools.product((-1, 1), repeat=len(sums))]  # fmt: skip
+    expected = sum(one >= abs(sum(sums)) for one in every) / len(every)
+    assert mcnemar(first, second, world).p_value == pytest.approx(expected)
+
+
+def test_faults_of_one_world_are_no_independent_pairs():
+    lost, saved = [True] * 30, [False] * 30
+    assert mcnemar(lost, saved, ["w"] * 30).p_value == 1.0, "one world shows nothing"
+    assert mcnemar(lost, saved, [index // 6 for index in range(30)]).p_value == pytest.approx(2 / 2**5)
+    many = mcnemar(lost * 40, saved * 40, [index // 3 for index in range(1200)]).p_value
+    assert math.isclose(many, 2 / 2**400, rel_tol=1e-9)
 
 
 @given(st.integers(0, 50), st.floats(0.1, 100))

@@ -140,6 +140,8 @@ def cost(mission: MissionSpec, name: str, profile: str, models_dir: Path | None 
     loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
     meta = loop.fly().log.meta
     recomputed, computed = (sum(meta[key].values()) for key in ("recompute_us", "compute_us"))
+    if not computed > recomputed:
+        raise BadInputError(f"platform {scenario.platform.name}: latency_us: all are 0; allowed: one above 0 at least")
     watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
     kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
     return Cost(
@@ -284,6 +286,7 @@ def load(directory: Path) -> dict[str, Any]:
     path = directory / FILE
     try:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found["processor"], found["missions"]
         {(row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"]) for row in found["rows"]}
     except FileNotFoundError:
         return {}

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
 from mavfi.config import Config, Name, load
+from mavfi.errors import BadInputError
 
 
 class Section(Config):
@@ -55,9 +56,17 @@ class Study(Config):
         """Campaigns by ledger folder, at a scale.
 
         Raises:
-            BadInputError: A campaign does not exist or does not define the scale.
+            BadInputError: A campaign does not exist, does not define the scale, or is in two folders.
         """
         found = {folder: load_campaign(name) for folder, name in self.campaigns.items()}
+        named: dict[str, str] = {}
+        for folder, campaign in found.items():
+            other = named.setdefault(campaign.name, folder)
+            if other != folder:
+                raise BadInputError(
+                    f"study {self.name}: campaigns: {folder}: {campaign.name!r} is also in {other}; allowed: each "
+                    "once, since the files of its results bear its name"
+                )
         sizes = self.scales.get(scale, {})
         return {
             folder: campaign.resized(sizes[folder]) if folder in sizes else campaign.at_scale(scale)

@@ -34,8 +34,10 @@ class _Stage:
     name: str
     scenario: Scenario
 
-    def compile(self) -> None:
+    def compile(self) -> bool:
+        """Compile it; whether that was possible."""
         compile_stage(self.name, self.scenario)
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +49,10 @@ class _Detector:
     profile: str
     trained_for: str
 
-    def compile(self) -> None:
+    def compile(self) -> bool:
         with suppress(BadInputError):
             detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for)
+        return True  # the code of any model is small
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +61,15 @@ class _Mission:
 
     campaign: Campaign
 
-    def compile(self) -> None:
+    def compile(self) -> bool:
         campaign = self.campaign
         scenarios = scenarios_of(campaign, arms_of(campaign))
         try:
             models = model_hashes(campaign, scenarios, None)
         except BadInputError:  # no model is shipped: the campaign compiles it
-            return
+            return False
         warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
+        return True
 
 
 _Task = _Stage | _Detector | _Mission
@@ -89,13 +93,16 @@ def compile_ahead(
         MavfiError: A worker was lost.
     """
     left = _not_compiled(campaigns)
-    rounds, done = _rounds(left), 0
+    rounds, done, incomplete = _rounds(left), 0, set()
     for tasks in rounds:
-        for _ in map_each(executor, _compile, tasks):
+        for task, compiled in map_each(executor, _compile, tasks):
+            if isinstance(task, _Mission) and not compiled:
+                incomplete.add(task.campaign.name)
             done += 1
             progress(done, sum(map(len, rounds)))
     for campaign in left:
-        _done(campaign).touch()
+        if campaign.name not in incomplete:
+            _done(campaign).touch()
 
 
 def tasks_ahead(campaigns: Iterable[Campaign]) -> int:
@@ -132,8 +139,8 @@ def _rounds(campaigns: Sequence[Campaign]) -> list[list[_Task]]:
     ]
 
 
-def _compile(task: _Task) -> None:
-    task.compile()
+def _compile(task: _Task) -> bool:
+    return task.compile()
 
 
 def _scenarios(campaign: Campaign) -> Iterator[tuple[Arm, Scenario]]:

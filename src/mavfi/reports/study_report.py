@@ -98,31 +98,40 @@ class StudyReport:
         ]
 
     @property
+    def programs(self) -> list[str]:
+        """The programs that flew the study, with their commits; empty if it was not flown by `mavfi reproduce`."""
+        return list(dict.fromkeys(run["program"] or "not recorded" for run in self.steps.runs))
+
+    @property
     def provenance(self) -> list[str]:
-        """Lines on where and when the study was flown, how long it took, with which versions, and what it gave."""
+        """Lines on where, when, by which program and with which versions the study was flown, and how long it took."""
         runs, whole = self.steps.runs, sum(self.steps.seconds.values()) / 60
         lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
         if runs:
             again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
             set_up = ", set-up included" if SET_UP in self.steps.seconds else ""
             lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min{set_up}.")
-        programs = dict.fromkeys(run["program"] or "not recorded" for run in runs)
-        lines += [f"Program: {'; then '.join(programs)}."] if programs else []
+        lines += [f"Program: {'; then '.join(self.programs)}."] if runs else []
         flown_with: dict[str, str] = {}
         for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
             known = flown_with.get(name, text)
             flown_with[name] = known if text in known.split(" and ") else f"{known} and {text}"
-        lines.append(f"Versions: {', '.join(versions({'versions': flown_with}))}.")
-        for folder, flown in self.campaigns.items():
-            lines.append(f"Digest of the ledger in {folder} ({flown.campaign['name']}): {flown.campaign['digest']}.")
-        return lines
+        return [*lines, f"Versions: {', '.join(versions({'versions': flown_with}))}."]
+
+    @property
+    def digests(self) -> list[str]:
+        """A line for the ledger of each campaign."""
+        return [
+            f"Digest of the ledger in {folder} ({flown.campaign['name']}): {flown.campaign['digest']}."
+            for folder, flown in self.campaigns.items()
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: name, campaigns by folder, sections, times."""
         campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
         sections = [section.to_json() for section in self.sections]
         data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
-                                      "provenance": self.provenance,
+                                      "programs": self.programs, "provenance": [*self.provenance, *self.digests],
                                       **{table.name: table.to_json() for table in self.times}})  # fmt: skip
         return data
 
@@ -256,7 +265,7 @@ def stored_study(folder: Path) -> tuple[Study, str] | None:
 
 def _markdown(found: StudyReport, today: str, scale: str) -> str:
     parts = [f"# Study {found.study.name}", f"Report of {today}, scale {scale}."]
-    parts.append("\n".join(f"- {line}" for line in found.provenance))
+    parts.append("\n".join(f"- {line}" for line in (*found.provenance, *found.digests)))
     for part in found.sections:
         parts += [f"# {part.section.title}", part.section.text]
         parts += [f"![{name}]({name})\n\n{text}" for name, text in part.captions.items()]

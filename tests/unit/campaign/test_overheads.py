@@ -1,4 +1,5 @@
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from mavfi.campaign import overheads
 from mavfi.campaign.analysis import table
 from mavfi.campaign.config import Campaign
+from mavfi.config import config_root
 from mavfi.detectors.baselines.library import score_once
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
@@ -103,7 +105,7 @@ def test_measured_shares_are_kept_with_the_ledger(tmp_path):
     assert overheads.load(tmp_path) == {}
     overheads.save(MEASURED, tmp_path)
     assert overheads.load(tmp_path) == MEASURED
-    for damaged in ("{", "[]", json.dumps({"rows": [{}]})):
+    for damaged in ("{", "[]", json.dumps({"rows": [{}]}), json.dumps({"rows": MEASURED["rows"]})):
         (tmp_path / overheads.FILE).write_text(damaged)
         with pytest.raises(BadInputError, match="overheads.json: is not a file of measured overheads"):
             overheads.load(tmp_path)
@@ -204,6 +206,17 @@ def test_a_flight_with_duplicated_steps_is_measured():
 
 
 @pytest.mark.slow
+def test_a_platform_without_latencies_has_no_time_to_compare_with(tmp_path):
+    shipped = (config_root() / "platforms" / "i9-9940x.yaml").read_text(encoding="utf-8")
+    instant = re.sub(r"(\w+): \d+(?=[,}])", r"\1: 0", shipped).replace("i9-9940x", "instant")
+    (tmp_path / "instant.yaml").write_text(instant, encoding="utf-8")
+    mission = MissionSpec(
+        environment="sparse", platform=str(tmp_path / "instant.yaml"), trained_for="published/i9-9940x"
+    )
+    with pytest.raises(BadInputError, match="platform instant: latency_us: all are 0; allowed: one above 0"):
+        overheads.cost(mission, "gaussian", "paper")
+
+
 def test_a_flight_is_measured_by_stage():
     found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
     assert found.kernels > 0 and found.shown > 1000

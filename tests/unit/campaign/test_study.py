@@ -55,3 +55,8 @@ def test_sizes_of_a_study_come_before_those_of_its_campaigns():
 def test_wrong_studies_are_refused(change, message):
     with pytest.raises(BadInputError, match=message):
         study(**change)
+
+
+def test_a_campaign_is_in_one_folder_of_a_study():
+    with pytest.raises(BadInputError, match="campaigns: again: 'table1' is also in first; allowed: each once"):
+        study(campaigns={"first": "table1", "again": "table1"}).campaigns_at("quick")

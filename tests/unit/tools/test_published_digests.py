@@ -71,7 +71,7 @@ def flown(monkeypatch, tmp_path):
         "total": 2,
     }  # fmt: skip
     return tmp_path, {
-        "study": "paper", "scale": "quick", "campaigns": {".": described}, "provenance": ["Program: mavfi 1."]
+        "study": "paper", "scale": "quick", "campaigns": {".": described}, "programs": ["mavfi 1"]
     }  # fmt: skip
 
 
@@ -90,6 +90,7 @@ def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):
         ({"study": "mine"}, "holds study mine at scale quick"),
         ({"scale": "large"}, "holds study paper at scale large"),
         ({"campaigns": {".": {"name": "small", "done": 1, "total": 2}}}, "small: 1 of 2 runs are flown"),
+        ({"programs": []}, "does not say which program flew it"),
     ],
 )
 def test_another_or_an_incomplete_study_is_refused(flown, change, message):

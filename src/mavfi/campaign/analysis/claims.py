@@ -70,8 +70,8 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
             "p: two-sided, by the test in the row; randomization of worlds: random signs of the differences of worlds, "
             "or, of groups of different worlds, worlds shuffled; flights of one world are not taken as independent",
-            "exact sign test, for measured overheads: of flights on which both detectors are timed, or of environments "
-            "and stages, each taken as independent; none: the output of a model, which has no p",
+            "exact sign test, for measured overheads: of timed golden flights, each taken as independent; none: the "
+            "output of a model, which has no p",
             "[95 % interval]: of rates Wilson's, n reduced by the design effect of worlds; of other means a bootstrap "
             "of worlds",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",

@@ -81,8 +81,9 @@ class Estimate:
     high: float
 
     def times(self, factor: float) -> "Estimate":
-        """The estimate scaled by a non-negative factor."""
-        return Estimate(factor * self.value, factor * self.low, factor * self.high)
+        """The estimate scaled by a factor."""
+        low, high = sorted((factor * self.low, factor * self.high))
+        return Estimate(factor * self.value, low, high)
 
 
 def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
@@ -110,11 +111,6 @@ class Exposed:
 
     instructions: float
     harm: Estimate
-
-    @property
-    def coverage(self) -> float:
-        """Share of harmless faults, 1 - harm: rewards idle instructions, so not a valid comparison of schemes."""
-        return 1.0 - self.harm.value
 
     def failures(self, upset: float) -> Estimate:
         """Failures per flight hour at an upset probability per instruction; the interval reflects the harm only."""

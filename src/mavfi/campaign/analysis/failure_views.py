@@ -1,6 +1,7 @@
 """Failures per flight hour by setting and kernel, from campaigns with instruction faults."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -40,12 +41,21 @@ def instructions_per_hour(golden: Runs) -> dict[str, float]:
 def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
     """Kernels in the fault space, by environment and setting, each with the ids of its runs with a fault.
 
-    Harm is measured against the golden run of the same arm and mission.  `success` names the column for the success of
-    injected runs: "success" (as flown) or "success_if_ended".  Settings without instruction counts and kernels without
-    faults are omitted; faults for which a mission executes no instruction are not counted.  A kernel that executes none
-    in any mission, e.g. recovery without an alarm, has no harm, and the ids of its runs without an instruction.
+    Harm is measured against the golden run of the same arm and mission.  An upset affects every instruction with the
+    same probability, but faults are drawn within missions: they have the weight of the instructions that the golden run
+    of their mission executes.  `success` names the column for the success of injected runs: "success" (as flown) or
+    "success_if_ended".  Settings without instruction counts and kernels without faults are omitted; faults for which a
+    mission executes no instruction are not counted.  A kernel that executes none in any mission, e.g. recovery without
+    an alarm, has no harm, and the ids of its runs without an instruction.
     """
-    golden = {(row["arm"], row["world"]): row["success"] for row in runs.golden.where("judged")}
+    if ("exposed", success) not in runs.memo:
+        runs.memo["exposed", success] = _exposed(runs, success)
+    found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = runs.memo["exposed", success]
+    return found
+
+
+def _exposed(runs: Runs, success: str) -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
+    golden = _golden(runs)
     found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = {}
     faulty = runs.injected.where("judged", level=INSTRUCTION)
     for (environment, setting, arm), own in faulty.groups("environment", "setting", "arm").items():
@@ -54,11 +64,28 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
             known = [row for row in part if (row["arm"], row["world"]) in golden]
             known = [row for row in known if row["has_site"] or counts.get(kernel) == 0]
             if kernel in counts and known:
-                before = [golden[row["arm"], row["world"]] for row in known]
-                harm = paired_difference(before, [row[success] for row in known], [row["world"] for row in known])
-                one = Exposed(counts[kernel], Estimate(*harm) if counts[kernel] else Estimate(0.0, 0.0, 0.0))
+                harm = Estimate(0.0, 0.0, 0.0)
+                if counts[kernel]:
+                    worlds, before = [row["world"] for row in known], [golden[arm, row["world"]] for row in known]
+                    weights = _weights(runs, kernel, [one["run_id"] for one in before], worlds)
+                    after = [row[success] for row in known]
+                    harm = Estimate(*paired_difference([one["success"] for one in before], after, worlds, weights))
+                one = Exposed(counts[kernel], harm)
                 found.setdefault((environment, setting), {})[kernel] = [row["run_id"] for row in known], one
     return found
+
+
+def _golden(runs: Runs) -> dict[tuple[str, str], dict[str, Any]]:
+    """Judged golden runs by arm and world."""
+    return {(row["arm"], row["world"]): row for row in runs.golden.where("judged")}
+
+
+def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[str]) -> list[float] | None:
+    """Weight of each fault: instructions of its golden run / faults of its world; None = these are not counted."""
+    faults = Counter(worlds)
+    executed = [runs.records[run_id].counts.get(kernel, {}).get("instructions", 0) for run_id in golden]
+    found = [number / faults[world] for number, world in zip(executed, worlds, strict=True)]
+    return found if any(found) else None
 
 
 def payoff(
@@ -77,8 +104,9 @@ def payoff(
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
     changed = changes(runs, environment, setting, kernels) if (environment, setting) in exposed(runs) else {}
-    parts = [*changed.values(), *own_parts(runs, environment, setting)]
-    return total_failures([one for _, one in parts], upset) if changed else None
+    parts = [part for _, found in changed.values() for part in found]
+    own = [one for _, one in own_parts(runs, environment, setting)]
+    return total_failures([*parts, *own], upset) if changed else None
 
 
 def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
@@ -89,8 +117,12 @@ def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exp
 
 def changes(
     runs: Runs, environment: str, setting: str, kernels: Collection[str] = ()
-) -> dict[str, tuple[int, Exposed]]:  # fmt: skip
-    """Change of the harm of faults in kernels by a setting, in pairs with the same fault, with the number of pairs.
+) -> dict[str, tuple[int, tuple[Exposed, ...]]]:  # fmt: skip
+    """Change of the failures by faults in kernels under a setting, in pairs with the same fault.
+
+    A pair counts if the mission succeeds without a fault in both settings: what a detector loses by false alarms is no
+    failure by a fault.  I' h' - I h has two parts: the change of harm, I' (h' - h), and the harm in instructions that
+    only the setting executes, (I' - I) h.
 
     Args:
         runs: A campaign with instruction faults in kernels.
@@ -99,18 +131,30 @@ def changes(
         kernels: Only these kernels; all if empty.
 
     Returns:
-        By kernel; instructions are those of the setting's golden runs or, where these were not counted, of those
-        without an arm.
+        By kernel the number of pairs and the parts; instructions are those of the setting's golden runs or, where these
+        were not counted, of those without an arm.
     """
     pairs = against_fi(runs).where("judged", "has_site", level=INSTRUCTION, environment=environment, setting=setting)
-    golden = runs.golden.where(environment=environment)
-    counts = {arm: instructions_per_hour(golden.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
+    golden, flown = _golden(runs), runs.golden.where(environment=environment)
+    counts = {arm: instructions_per_hour(flown.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
     found = {}
-    for (kernel, arm), own in pairs.groups("kernel", "arm").items():
-        instructions = (counts[arm] or counts[""]).get(kernel)
-        if kernel not in GUARDS and (not kernels or kernel in kernels) and instructions is not None:
-            harm = paired_difference(own["fi_success"], own["dr_success"], own["world"])
-            found[kernel] = len(own), Exposed(instructions, Estimate(*harm))
+    for (kernel, arm), every in pairs.groups("kernel", "arm").items():
+        both = [world for world in every.values("world")
+                if all(golden.get((one, world), {}).get("success") for one in ("", arm))]  # fmt: skip
+        own, counted = every.where(pl.col("world").is_in(both)), arm if counts[arm] else ""
+        instructions, alone = counts[counted].get(kernel), counts[""].get(kernel, 0.0)
+        if kernel in GUARDS or (kernels and kernel not in kernels) or instructions is None or not len(own):
+            continue
+
+        def lost(first: Sequence[bool], second: Sequence[bool], arm: str) -> Estimate:
+            ids = [golden[arm, world]["run_id"] for world in own["world"]]  # noqa: B023 - called in this iteration
+            weights = _weights(runs, kernel, ids, own["world"])  # noqa: B023
+            return Estimate(*paired_difference(first, second, own["world"], weights))  # noqa: B023
+
+        parts = [Exposed(instructions, lost(own["fi_success"], own["dr_success"], counted))]
+        if alone and instructions != alone:
+            parts.append(Exposed(instructions - alone, lost([True] * len(own), own["fi_success"], "")))
+        found[kernel] = len(own), tuple(parts)
     return found
 
 
@@ -165,7 +209,7 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
             yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids) if one.instructions else 0, **numbers}
         whole = sum(one.instructions for one in parts)
         total = total_failures(parts, upset)
-        harm = total.times(1 / (whole * upset)) if whole else Estimate(0.0, 0.0, 0.0)
+        harm = total_failures(parts, 1.0).times(1 / whole) if whole else Estimate(0.0, 0.0, 0.0)
         base = every.get((environment, FI))
         alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
         against = total.value / alone if setting != FI and alone > 0 else None
@@ -194,21 +238,15 @@ def _harm(own: Runs) -> Rate | None:
     return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
 
 
-def _coverage(own: Runs) -> Rate | None:
-    if not own.first("n"):
-        return None
-    value, low, high = (1 - own.first(name) for name in ("harm", "harm_high", "harm_low"))
-    return Rate(own.first("n"), value, low, high)
-
-
 def _estimate(key: str, heading: str) -> Measure:
     names = (key, f"{key}_low", f"{key}_high")
     return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
 
 
 _DIFFERENCE = (
-    "does a setting pay: its failures per flight hour less those of fi, of kernels in pairs with the same fault, [95 % "
-    "interval: MOVER]; the kernel with most instructions decides the width"
+    "does a setting pay: its failures per flight hour less those of fi, of kernels in pairs with the same fault whose "
+    "missions succeed without one in both settings, [95 % interval: MOVER]; the kernel with most instructions decides "
+    "the width"
 )
 
 
@@ -228,9 +266,9 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations, detector and recovery included) x harm; [95 % interval of the harm]; faults alone, "
         "not the failures without a fault",
-        "harm: missions lost by the fault against the golden run of the same setting, in pairs, [95 % interval: "
-        "MOVER], n = faults; coverage = 1 – harm rewards idle instructions and compares nothing (Schirmeier et al., "
-        "DSN 2015): compare failures",
+        "harm: missions lost by the fault against the golden run of the same setting, in pairs, each mission with the "
+        "weight of its instructions, [95 % interval: MOVER], n = faults; coverage, 1 – harm, rewards idle instructions "
+        "and compares nothing (Schirmeier et al., DSN 2015): compare failures",
         f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, which scales "
         f"all rows alike: {fit.value:g} FIT/Mbit ({fit.low:g} to {fit.high:g}) x {upsets.unprotected_mbit:g} Mbit x "
         f"{upsets.visible:g} visible at {altitude.value:g} m ({altitude.low:g} to {altitude.high:g}), "
@@ -248,7 +286,6 @@ _VIEW = View(
         Measure("against", "against fi", "number .2f ×", lambda own: own.first("against"), hidden=True),
         Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
         Measure("n", "faults", NUMBER, lambda own: own.first("n")), Measure("harm", "harm (points)", POINTS, _harm),
-        Measure("coverage", "coverage", "percent with interval", _coverage),
         _estimate("ended", "failures, dead node ends mission"),
     ),
     where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),

@@ -65,12 +65,15 @@ def _effects(runs: Runs) -> list[str]:
     own = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
     if not len(own):
         return []
-    masked, silent = (m.rate_of(own, pl.col("effect") == name) for name in ("masked", "sdc"))
-    died = m.rate_of(own, ~pl.col("effect").is_in(("masked", "sdc")))
-    rest = f", {_percent(died)} end in a crash or a hang" if died.successes else ""
-    what = "flight" if runs.has_missions else "output"
+    masked, silent, *others = (
+        m.rate_of(own, pl.col("effect").is_in(names))
+        for names in (("masked",), ("sdc",), ("detected",), KERNEL_DUE, ("not_activated",))
+    )
+    what = "are detected by protected code", "end in a crash or a hang", "do not reach their site"
+    rest = "".join(f", {_percent(rate)} {words}" for rate, words in zip(others, what, strict=True) if rate.successes)
+    result = "flight" if runs.has_missions else "output"
     return [
-        f"{_percent(masked)} of {len(own)} faults leave the {what} as it was, bit for bit, "
+        f"{_percent(masked)} of {len(own)} faults leave the {result} as it was, bit for bit, "
         f"{_percent(silent)} change it silently{rest}."
     ]
 

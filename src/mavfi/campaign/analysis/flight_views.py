@@ -183,7 +183,7 @@ register(
         notes=lambda runs: (
             "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
             "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
-            "p: McNemar's exact test: newly lost against saved by the detector",
+            f"p: {m.PAIRED_TEST}; newly lost against saved by the detector",
             f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
             "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
@@ -202,7 +202,7 @@ register(
         where=lambda runs: named_populations(
             runs.injected.where("judged", pl.col("golden_success").is_not_null(), setting=FI)
         ),
-        total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
+        total=TOTAL, notes=lambda _: (f"p: {m.PAIRED_TEST}", ONE_FAULT),
         applies=lambda runs: of_states(runs) or _compared(runs),
     ),
 )  # fmt: skip

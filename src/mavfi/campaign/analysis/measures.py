@@ -34,6 +34,8 @@ POPULATIONS = {
     "mantissa": "mantissa", "length": "lengths of lists", ALL_BITS: "all bits",
 }  # fmt: skip
 """Display names of populations."""
+PAIRED_TEST = "McNemar's exact test, all pairs of a world with the same random sign"
+"""Name of the test of success in pairs, see `pairs.mcnemar`."""
 SLOWER = 0.05  # relative increase in flight time above which a success counts as slower
 SYSTEMATIC = 0.9
 """Share of flights above which alarms of one state at one instant are systematic, i.e. not due to the mission."""
@@ -245,12 +247,12 @@ def recovery_of(own: Runs) -> pairs.Recovery | None:
 
 def discordant(own: Runs) -> pairs.Paired:
     """McNemar's test of fi against the arm."""
-    return pairs.mcnemar(own["fi_success"], own["dr_success"])
+    return pairs.mcnemar(own["fi_success"], own["dr_success"], own["world"])
 
 
 def against_golden(own: Runs) -> pairs.Paired:
     """McNemar's test of the golden run against the run with a fault."""
-    return pairs.mcnemar(own["golden_success"], own["success"])
+    return pairs.mcnemar(own["golden_success"], own["success"], own["world"])
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:

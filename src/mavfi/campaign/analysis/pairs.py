@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from mavfi.campaign.analysis.statistics import Part, cluster_sums, exact_bounds, percentiles, resample, score_bounds
 
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """McNemar's exact test on pairs."""
+    """McNemar's exact test on pairs, with random signs of whole worlds."""
 
     n: int  # pairs
     first_only: int  # pairs in which only the first succeeds
@@ -36,27 +35,41 @@ class Recovery:
     regained: int  # of these, those in which the method succeeds
 
 
-def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
-    """McNemar's exact test of equal success rates of two settings, given their success in each pair."""
-    first_only = sum(a and not b for a, b in zip(first, second, strict=True))
-    second_only = sum(b and not a for a, b in zip(first, second, strict=True))
-    discordant = first_only + second_only
-    p_value = float(scipy.stats.binomtest(first_only, discordant, 0.5).pvalue) if discordant else 1.0
-    return Paired(len(first), first_only, second_only, p_value)
+def mcnemar(first: Sequence[bool], second: Sequence[bool], world: Sequence[object] | None = None) -> Paired:
+    """Exact test of equal success rates of two settings, given their success in each pair.
+
+    Pairs of one world (None = each in its own) are not independent: the signs of their differences change together
+    (Fisher's randomization test).  With one pair per world it is McNemar's exact test.
+    """
+    pairs = list(zip(first, second, strict=True))
+    first_only, second_only = sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
+    worlds = range(len(pairs)) if world is None else world
+    sums = cluster_sums(worlds, [float(a) - float(b) for a, b in pairs])[:, 0]
+    return Paired(len(pairs), first_only, second_only, _of_random_signs([round(one) for one in sums]))
+
+
+def _of_random_signs(differences: Sequence[int]) -> float:
+    """Probability of a sum at least as far from 0 as the given one, if each term has a random sign."""
+    chances = np.ones(1)  # of the sums -reach to reach, in steps of 1
+    for size in filter(None, map(abs, differences)):
+        chances = 0.5 * (np.pad(chances, (0, 2 * size)) + np.pad(chances, (2 * size, 0)))
+    distance = np.abs(np.arange(len(chances)) - len(chances) // 2)
+    return float(min(1.0, chances[distance >= abs(sum(differences))].sum()))
 
 
 def paired_difference(
-    first: Sequence[bool], second: Sequence[bool], world: Sequence[object]
+    first: Sequence[bool], second: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
 ) -> tuple[float, float, float]:
     """Difference of two success rates in the same missions, first - second, with MOVER's interval: estimate, low, high.
 
     It is the difference between the shares of pairs in which only the first and only the second succeeds.  Each share
     has Wilson's interval for the effective number of pairs; their correlation is that of multinomial shares.  Without
-    discordant pairs the interval keeps the width of these two.  At least one pair is required.
+    discordant pairs the interval keeps the width of these two.  At least one pair is required; weights (None = equal)
+    have a sum above 0.
     """
     one, other = np.asarray(first, bool), np.asarray(second, bool)
-    ones = np.ones(len(one))
-    a, b = (Part.of(only.astype(np.float64), ones, world) for only in (one & ~other, other & ~one))
+    weights = np.ones(len(one)) if weight is None else np.asarray(weight, np.float64)
+    a, b = (Part.of(only.astype(np.float64), weights, world) for only in (one & ~other, other & ~one))
     (a_low, a_high), (b_low, b_high) = score_bounds(a.rate, a.effective), score_bounds(b.rate, b.effective)
     odds = a.rate * b.rate / max((1 - a.rate) * (1 - b.rate), 1e-300)
     together = -float(np.sqrt(min(odds, 1.0)))

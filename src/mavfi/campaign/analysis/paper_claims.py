@@ -92,6 +92,9 @@ def _lost(select: pl.Expr | None = None, setting: str = FI) -> Callable[[Runs], 
         own = own if select is None else own.where(select)
         golden = pl.col("golden_success")
         found = within_worlds(own.adding(value=golden), own.adding(value=SUCCESS), pl.col("value"))
+        if found is not None:  # the golden run of a world is one flight, whatever its number of faults
+            rate = m.golden_rate(own)
+            found = replace(found, first=Mean(rate.rate or 0.0, rate.n, (rate.low or 0.0, rate.high or 0.0)))
         return tested(found, "golden", _WORDS[setting], more=True, what="success")
 
     return test
@@ -104,7 +107,10 @@ def _above_golden(value: pl.Expr, what: str, select: pl.Expr | None = None) -> C
         own = _faults(runs).where("golden_success", *(() if select is None else (select,))).adding(value=value)
         known = own.where(pl.col("value").is_not_null())
         found = within_worlds(known, known.adding(value=pl.lit(0.0)), pl.col("value"))
-        return tested(found, "fault", "golden", more=True, what=what)
+        if found is None:
+            return tested(found, "fault", "golden", more=True, what=what)
+        here = f"{what}: {PERCENT.text(found.first, 'fault')}, {found.worlds} worlds"
+        return Evidence(here, found.p_value, found.difference > 0, found.behind)
 
     return test
 

@@ -97,7 +97,7 @@ def _shown(
         headings=("environment", heading), applies=applies,
         notes=lambda _: (
             note, f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the "
-            "same world", "p: McNemar's exact test of success with the fault and without it, in the same missions; not "
+            "same world", f"p: {m.PAIRED_TEST}; success with the fault and without it, in the same missions; not "
             "corrected for the number of rows", ONE_FAULT,
         ),
     )  # fmt: skip

@@ -11,14 +11,13 @@ from mavfi.campaign.analysis.paper_views import leading_faults
 from mavfi.campaign.analysis.platform_views import compared
 from mavfi.campaign.analysis.redundancy_views import TMR, band, between, ratio
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.worlds import between_worlds
+from mavfi.campaign.analysis.worlds import within_worlds
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.platforms.redundancy import shipped_designs
 
 PLATFORMS = "platforms"
 FAST, SLOW = "i9-9940x", "cortex-a57"
-"""Parts of the campaign."""
-_BETWEEN = "worlds shuffled between the platforms"
+"""Parts of the campaign, with the same worlds."""
 _MODEL = "none: a model without chance"
 
 
@@ -30,7 +29,7 @@ def _of_golden(column: str, what: str, unit: Unit) -> Callable[[Runs], Evidence]
 
     def test(runs: Runs) -> Evidence:
         own = compared(runs).where(setting=GOLDEN)
-        found = between_worlds(own.where(environment=SLOW), own.where(environment=FAST), pl.col(column))
+        found = within_worlds(own.where(environment=SLOW), own.where(environment=FAST), pl.col(column), by="seed")
         return tested(found, SLOW, FAST, more=True, what=what, unit=unit)
 
     return test
@@ -42,7 +41,7 @@ def _times_as_long(factor: float) -> Callable[[Runs], Evidence]:
     def test(runs: Runs) -> Evidence:
         own = compared(runs).where(setting=FI)
         scaled = own.where(environment=FAST).adding(flight_time_s=factor * pl.col("flight_time_s"))
-        found = between_worlds(own.where(environment=SLOW), scaled, pl.col("flight_time_s"))
+        found = within_worlds(own.where(environment=SLOW), scaled, pl.col("flight_time_s"), by="seed")
         return tested(found, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", unit=_SECONDS)
 
     return test
@@ -51,7 +50,7 @@ def _times_as_long(factor: float) -> Callable[[Runs], Evidence]:
 def _same_trend(runs: Runs) -> Evidence:
     """Test of the share of faults that harm."""
     own = leading_faults(runs).where(setting=FI)
-    found = between_worlds(own.where(environment=SLOW), own.where(environment=FAST), HURT)
+    found = within_worlds(own.where(environment=SLOW), own.where(environment=FAST), HURT, by="seed")
     return tested(found, SLOW, FAST, more=True, what="fails or > 5 % longer")
 
 
@@ -79,18 +78,18 @@ def _of_redundancy() -> Iterable[Claim]:
 
 def _of_platforms() -> Iterable[Claim]:
     yield Claim(
-        "slow_platform_time", "Flights on the Cortex-A57 take longer (115 s : 322 s)", "VI-D", PLATFORMS, _BETWEEN,
+        "slow_platform_time", "Flights on the Cortex-A57 take longer (115 s : 322 s)", "VI-D", PLATFORMS, WITHIN,
         _of_golden("flight_time_s", "mean flight time", _SECONDS),
     )  # fmt: skip
     yield Claim(
         "slow_platform_energy", "Flights on the Cortex-A57 need more energy (61.7 kJ : 177.1 kJ)", "VI-D", PLATFORMS,
-        _BETWEEN, _of_golden("energy_j", "mean energy", _KILOJOULES),
+        WITHIN, _of_golden("energy_j", "mean energy", _KILOJOULES),
     )  # fmt: skip
     factor = float(paper.figure("platforms_worst", quantity="flight_time_ratio"))
     text = f"With a fault, flights on the Cortex-A57 take at least {factor:g} times as long (the paper: the worst)"
-    yield Claim("slow_platform_ratio", text, "VI-D", PLATFORMS, _BETWEEN, _times_as_long(factor))
+    yield Claim("slow_platform_ratio", text, "VI-D", PLATFORMS, WITHIN, _times_as_long(factor))
     yield Claim(
-        "platforms_alike", "Faults harm alike on both platforms", "VI-D", PLATFORMS, _BETWEEN, equality(_same_trend)
+        "platforms_alike", "Faults harm alike on both platforms", "VI-D", PLATFORMS, WITHIN, equality(_same_trend)
     )
 
     def shorter(setting: str, other: str) -> Callable[[Runs], Evidence]:

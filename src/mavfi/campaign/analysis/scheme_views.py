@@ -87,7 +87,7 @@ def _lost_by(test: pl.Expr | str, key: str, heading: str, *where: pl.Expr) -> Me
 def _mcnemar(own: Runs) -> Paired:
     """Missions with the fault, without and with the scheme."""
     pairs = own.where(kind=PAIR)
-    return mcnemar(pairs["success"], pairs["dr_success"])
+    return mcnemar(pairs["success"], pairs["dr_success"], pairs["world"])
 
 
 def _ranking(runs: Runs) -> list[str]:
@@ -98,7 +98,7 @@ def _ranking(runs: Runs) -> list[str]:
         if first in arms and second in arms:
             other = arms[second].select("world", "target", "index", second=pl.col("dr_success"))
             both = arms[first].join(other, on=["world", "target", "index"])
-            test = mcnemar(both["dr_success"].to_list(), both["second"].to_list())
+            test = mcnemar(both["dr_success"].to_list(), both["second"].to_list(), both["world"].to_list())
             found.append(
                 f"{first} against {second}: missions that only one of them flies to the end {test.first_only} : "
                 f"{test.second_only} of {test.n}, p = {test.p_value:.2g}"
@@ -147,7 +147,7 @@ _HARM_NOTE = (
     "the scheme; late, in time: of missions that succeed > 5 % later with the fault, those that are at most 5 % late "
     "under the scheme"
 )
-_TEST_NOTE = "p: McNemar's exact test of missions with the fault: those that succeed with and without the scheme"
+_TEST_NOTE = f"p: {m.PAIRED_TEST}; missions with the fault that succeed with and without the scheme"
 _NOTES_OF_PAIRS = (_LOST_NOTE, _HARM_NOTE.format(" with the fault"), ONE_FAULT)
 _NOTES_OF_SCHEMES = (
     _LOST_NOTE, _HARM_NOTE.format(", golden ones included,"),

@@ -33,13 +33,14 @@ def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> T
 
 
 def time_table(campaigns: Mapping[str, Runs]) -> Table:
-    """Number of runs and worker time by campaign and in total, separately for golden and other runs."""
+    """Number of runs and worker time by campaign and in total; those together include null runs."""
     rows = [_row(str(runs.campaign["name"]), [runs]) for runs in campaigns.values()]
     rows.append(_row("all", list(campaigns.values())))
     return Table(
         "times", "Where the time goes: workers of the campaigns", _COLUMNS, rows,
         notes=(
-            "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
+            "time of worker processes, added over workers: with two workers about twice the wall time; together: null "
+            "runs, too; golden runs "
             "include the counting of instructions, and those with a fault start at checkpoints of golden runs",
         ),
     )  # fmt: skip
@@ -55,9 +56,9 @@ _COLUMNS = (
 
 def _row(name: str, parts: list[Runs]) -> tuple[object, ...]:
     golden = [wall for runs in parts for wall in runs.golden["wall_s"] if wall is not None]
+    faulty = [wall for runs in parts for wall in runs.injected["wall_s"] if wall is not None]
     every = [wall for runs in parts for wall in runs["wall_s"] if wall is not None]
-    faulty, faulty_s = len(every) - len(golden), sum(every) - sum(golden)
     return (
         name, len(golden), sum(golden) / 60, sum(golden) / len(golden) if golden else None,
-        faulty, faulty_s / 60, faulty_s / faulty if faulty else None, sum(every) / 60,
+        len(faulty), sum(faulty) / 60, sum(faulty) / len(faulty) if faulty else None, sum(every) / 60,
     )  # fmt: skip

@@ -51,12 +51,13 @@ class Difference:
     behind: tuple[str, ...]  # ids of the runs with a value
 
 
-def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
+def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world") -> Difference | None:
     """Compare two groups of runs in the same worlds, with random signs of each world's difference.
 
-    Runs with a null value are excluded; None if the groups share no world.
+    `by` names the column that identifies the world.  Runs with a null value are excluded; None if the groups share no
+    world.
     """
-    one, other = _by_world(first, value), _by_world(second, value)
+    one, other = _by_world(first, value, by), _by_world(second, value, by)
     shared = [world for world in one if world in other]
     if not shared:
         return None
@@ -160,9 +161,9 @@ def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.nda
     return difference
 
 
-def _by_world(runs: Runs, value: pl.Expr) -> dict[str, list[float]]:
-    rows = runs.frame.select("world", value=value.cast(pl.Float64)).drop_nulls()
-    parts = rows.partition_by("world", maintain_order=True, as_dict=True)
+def _by_world(runs: Runs, value: pl.Expr, by: str = "world") -> dict[str, list[float]]:
+    rows = runs.frame.select(by, value=value.cast(pl.Float64)).drop_nulls()
+    parts = rows.partition_by(by, maintain_order=True, as_dict=True)
     return {str(world): part["value"].to_list() for (world,), part in parts.items()}
 
 

@@ -134,7 +134,7 @@ def headline_of_study(study: StudyReport) -> Headline:
     lines = [
         f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
         f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
-        *study.provenance[: -len(campaigns)],
+        *study.provenance,
     ]
     return Headline("study", f"Study {study.study.name}", lines, study.findings)
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.campaign.analysis import table
-from mavfi.campaign.analysis.failure_rate import find_upsets, upsets_per_instruction
+from mavfi.campaign.analysis.failure_rate import Range, find_upsets, upsets_per_instruction
 from mavfi.campaign.analysis.failure_views import exposed, failure_table, payoff, payoffs, summary
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
@@ -80,7 +80,7 @@ def test_recovery_that_executes_nothing_has_no_exposure_and_says_so():
     own = with_recovery({"instructions": 0, "calls": 0, "lines": []}, NOWHERE)
     rows = rows_of(own)
     recovery = rows["dr_gaussian", "recovery"]
-    assert (recovery["instructions"], recovery["n"], recovery["harm"], recovery["coverage"]) == (0, 0, None, None)
+    assert (recovery["instructions"], recovery["n"], recovery["harm"]) == (0, 0, None)
     assert (recovery["failures"].value, recovery["failures"].low, recovery["failures"].high) == (0, 0, 0)
     assert rows["dr_gaussian", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["failures"].value == 0
     [note] = [note for note in table(own, "failures_per_hour").notes if "0 instructions" in note]
@@ -88,11 +88,36 @@ def test_recovery_that_executes_nothing_has_no_exposure_and_says_so():
     assert not any("0 instructions" in note for note in table(campaign(), "failures_per_hour").notes)
 
 
-def test_coverage_has_the_interval_and_n_of_the_harm():
-    for row in table(campaign(), "failures_per_hour").entries():
-        harm, coverage = row["harm"], row["coverage"]
-        assert (coverage.n, coverage.rate) == (row["n"], 1 - harm.rate)
-        assert (coverage.low, coverage.high) == (1 - harm.high, 1 - harm.low) and coverage.low < coverage.high
+def test_a_mission_counts_by_the_instructions_that_it_executes():
+    many, one = ({"pid": {"instructions": number, "calls": 1, "lines": []}} for number in (99, 1))
+    own = [golden(seed, replace(GOLDEN, flight_time_s=1800.0, counts=own)) for seed, own in enumerate((many, one))]
+    own += [injected(0, flown(), INSTRUCTION, target="pid", index=index) for index in range(3)]
+    own.append(injected(1, flown(False), INSTRUCTION, target="pid", index=3))  # the only instruction of this mission
+    [row, whole] = table(runs(*own), "failures_per_hour").entries()
+    assert row["harm"].rate == pytest.approx(0.01) and row["n"] == 4
+    assert whole["failures"].value == pytest.approx(upsets_per_instruction(find_upsets()).value), "1 of 100 in an hour"
+
+
+def test_missions_that_a_detector_loses_without_a_fault_are_no_failures_by_faults():
+    own = []
+    for seed in range(10):
+        false_alarm = replace(counted("pid", "gaussian"), status="success" if seed else "collision")
+        own += [golden(seed, counted("pid")), golden(seed, false_alarm, arm="gaussian")]
+        own.append(injected(seed, flown(), INSTRUCTION, target="pid"))
+        own.append(injected(seed, flown(seed > 0), INSTRUCTION, arm="gaussian", target="pid"))
+        own.append(injected(seed, flown(seed > 0), IN_DETECTOR, arm="gaussian", target="gaussian"))
+    assert payoff(runs(*own), "sparse", "dr_gaussian", 1.0).value == 0.0
+
+
+def test_instructions_that_only_a_setting_executes_count_with_their_harm():
+    own, twice = [], {"pid": {"instructions": 20, "calls": 1, "lines": []}}
+    for seed in range(10):  # half of the faults lose the mission with and without the detector
+        own += [golden(seed, counted("pid")), golden(seed, replace(counted("pid"), counts=twice), arm="gaussian")]
+        own += [injected(seed, flown(seed >= 5), INSTRUCTION, arm=arm, target="pid") for arm in ("", "gaussian")]
+    rows = rows_of(runs(*own))
+    difference = rows["dr_gaussian", "pid"]["failures"].value - rows["fi", "pid"]["failures"].value
+    upset = upsets_per_instruction(find_upsets()).value
+    assert payoff(runs(*own), "sparse", "dr_gaussian", upset).value == pytest.approx(difference) == 10 * upset
 
 
 def test_the_faults_of_a_row_are_behind_its_cells():
@@ -106,7 +131,7 @@ def test_the_faults_of_a_row_are_behind_its_cells():
 
 def test_a_detector_that_looks_better_by_coverage_fails_more_often():
     rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
-    assert rows["dr_gaussian"]["coverage"].rate > rows["fi"]["coverage"].rate
+    assert rows["dr_gaussian"]["harm"].rate < rows["fi"]["harm"].rate
     assert rows["dr_gaussian"]["failures"].value > rows["fi"]["failures"].value
 
 
@@ -169,6 +194,12 @@ def test_upset_rates_of_ones_own_scale_all_rows_alike():
     assert summary(own, base)[0].startswith("Failures per flight hour, sparse: fi ")
 
 
+def test_without_upsets_nothing_fails_and_harm_remains():
+    none = find_upsets().model_copy(update={"fit_per_mbit": Range(value=0, low=0, high=0)})
+    rows = {row["setting"]: row for row in failure_table(campaign(), none).entries() if row["kernel"] == "all"}
+    assert rows["fi"]["failures"].value == 0.0 and rows["fi"]["harm"].rate == pytest.approx(0.4)
+
+
 def test_the_assumptions_and_their_sources_are_printed():
     notes = "\n".join(table(campaign(), "failures_per_hour").notes)
     assert "JESD89A" in notes and "IEC 61508" in notes and "assumed" in notes and "coverage" in notes
@@ -180,3 +211,13 @@ def test_a_dead_kernel_counts_as_a_failure_if_it_ends_the_mission():
     row = table(runs(*own), "failures_per_hour").entries()[0]
     assert row["failures"].value == 0
     assert row["ended"].value == pytest.approx(20 * 0.75 * upsets_per_instruction(find_upsets()).value)
+
+
+def test_false_alarms_are_no_effect_of_a_fault_in_the_detector():
+    slow = replace(counted("pid", "gaussian"), flight_time_s=2400.0)
+    own = []
+    for fault in (IN_DETECTOR, INSTRUCTION):
+        masked = replace(slow, injections=flown().injections)
+        own.append(runs(golden(1, counted("pid")), golden(1, slow, arm="gaussian"),
+                        injected(1, masked, fault, arm="gaussian", target=fault.kernel)))  # fmt: skip
+    assert [found.injected.first("inflation") for found in own] == [0.0, pytest.approx(1 / 3)]

@@ -77,6 +77,12 @@ def test_flights_that_end_in_a_crash_have_a_share_with_interval():
     assert any(line.endswith(", 50.0 % [9.5, 90.5] end in a crash or a hang.") for line in findings(own))
 
 
+def test_a_detected_fault_is_no_crash():
+    own = runs(golden(1), injected(1, died("detected")), golden(2), injected(2, flown()))
+    [line] = [line for line in findings(own) if "silently" in line]
+    assert line.endswith("50.0 % [9.5, 90.5] change it silently, 50.0 % [9.5, 90.5] are detected by protected code.")
+
+
 def test_nothing_flown_says_nothing():
     assert (views_for(Runs.of([])), findings(Runs.of([]))) == ([], [])
     assert findings(runs(golden(1))) == []
