@@ -23,7 +23,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting hit-detectors protected firmware hardening pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all machines lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors single-rules airsim clients coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs sensors lasting detector-faults protected firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -156,14 +156,15 @@ sensors: setup  ## fly missions with failing sensors and motors, write docs/gene
 	@$(BIN)/mavfi campaign run sensors --scale paper --out out/sensors
 	@$(BIN)/python -m tools.campaign_pages sensors out/sensors
 
-hit-detectors: setup  ## inject faults in detectors, copies and recovery, write docs/generated/hit-detectors.md
+detector-faults: setup  ## inject faults in detectors, copies and recovery, write docs/generated/detector-faults.md
 	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
 	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
 	@$(BIN)/mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
 	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
 	@$(BIN)/mavfi campaign run failure_rate --scale paper --out out/failure-rate
 	@$(BIN)/mavfi bench detectors --part instruction --scale paper --out out/bench-paper --workers $(JOBS)
-	@$(BIN)/python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions out/failure-rate out/bench-paper/instruction
+	@$(BIN)/mavfi bench detectors --part instruction --out out/bench-quick --workers $(JOBS)
+	@$(BIN)/python -m tools.detector_faults out/detector-memory out/replicas out/detector-instructions out/recovery-instructions out/failure-rate out/bench-paper/instruction out/bench-quick/instruction
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

@@ -29,12 +29,13 @@ def blocks() -> tuple[str, str]:
     found, plan = certification_of(json.loads(CERTIFICATE.read_text(encoding="utf-8"))), load_plan(PLAN)
     if found.plan != plan.digest:
         raise BadInputError(f"{CERTIFICATE.name}: of plan {found.plan[:12]}, this is {plan.digest[:12]}; certify it")
-    table, sentence = certificate_table(found), verdict_line(found)
+    table, verdict = certificate_table(found), verdict_line(found)
     columns, rows = shown(table)
     notes = "\n".join(f"- {note}" for note in table.notes)
     same = f"; {plan.cpu}; " in PAGE.read_text(encoding="utf-8").partition("\n## ")[0]
     chosen = "" if same else f" Chosen with times on {plan.cpu}; the study above was timed on another processor."
-    return sentence, f"{sentence}{chosen}\n\n{markdown_grid([column.heading for column in columns], rows)}\n\n{notes}"
+    sentence = f"The shipped plan{verdict.removeprefix('The plan')}{chosen}"
+    return sentence, f"{sentence}\n\n{markdown_grid([column.heading for column in columns], rows)}\n\n{notes}"
 
 
 def main() -> int:

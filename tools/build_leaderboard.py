@@ -43,9 +43,7 @@ PAPERS_OTHER = "autoencoder"
 SCORED = {"Detection at fixed rates of false alarms", "False alarms by regime"}
 """Sections that combine parts: a scheme that was not flown again keeps its rows."""
 _OF = re.compile(r"\d of \d")
-_MOVED = (
-    'Where a cell says "of", only faults count that hit the same value: the scheme\'s false alarms move the others. '
-)
+_MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others. '
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _PARTS = re.compile(r"(?: --(?:part|level) \S+)+")

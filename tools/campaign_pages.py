@@ -28,12 +28,12 @@ PAGES = {
         "one). Every duration has the same draws of field, instant and bit, so rows differ by the duration alone. How "
         "they are injected: [fault model](../fault-model.md#a-fault-is-data-an-injection-is-an-event); the schemes: "
         "[models](../models.md#recommended).\n\n"
-        "*twice*: a second fault while a recovery runs; the resent or recomputed value is hit as well. *for ever*: to "
-        "the end of the flight. *intermittent*: the same, in a fifth of the publications. `recommended` restarts a "
-        "node at most five times, away for 2.4 s together; after that, wrong values of a fault that still lasts pass. "
-        "`hover`, `hold` and `back` are `recommended` with that degraded mode: it gives the mission up and keeps the "
-        "vehicle in the air. All three are entered by the same alarm and give up the goal: their rows can differ only "
-        "where one of them then loses the vehicle.",
+        "*twice*: a second fault while a recovery runs; the resent or recomputed value is corrupted as well. *for "
+        "ever*: to the end of the flight. *intermittent*: the same, in a fifth of the publications. `recommended` "
+        "restarts a node at most five times, away for 2.4 s together; after that, wrong values of a fault that still "
+        "lasts pass. `hover`, `hold` and `back` are `recommended` with that degraded mode: it gives the mission up "
+        "and keeps the vehicle in the air. All three are entered by the same alarm and give up the goal: their rows "
+        "can differ only where one of them then loses the vehicle.",
         ("schemes", "schemes_by_duration", "schemes_by_target"),
     ),
     "protected": Page(

@@ -48,16 +48,16 @@ def scheme_of(arm: Mapping[str, Any]) -> Scheme:
     return detector, profile, tuple(sorted(mission.items()))
 
 
-def section(hit: Sequence[Runs], kernels: Sequence[Runs]) -> str:
+def section(detectors: Sequence[Runs], kernels: Sequence[Runs]) -> str:
     """The section of a page.
 
     Args:
-        hit: Campaigns with faults in detectors.
+        detectors: Campaigns with faults in detectors.
         kernels: Campaigns with faults in kernels.
     """
     upset = upsets_per_instruction(find_upsets()).value
     rows, missing = [], dict[str, Scheme]()
-    for runs in hit:
+    for runs in detectors:
         for environment, setting, scheme in _settings(runs):
             own = own_parts(runs, environment, setting)
             if not own:
@@ -78,7 +78,7 @@ def section(hit: Sequence[Runs], kernels: Sequence[Runs]) -> str:
         "| faults in kernels |",
         "| --- | --- | --- | ---: | --- | ---: | ---: |",
     ]
-    flown = [f"- faults in kernels: {' · '.join(_told(runs.campaign))}" for runs in kernels]
+    flown = [f"- faults in kernels: {' · '.join(_described(runs.campaign))}" for runs in kernels]
     return "\n".join([TITLE, "", TEXT, "", *flown, "", *head, *dict.fromkeys(rows), "", *_notes(missing)]) + "\n"
 
 
@@ -111,7 +111,7 @@ def _found(kernels: Iterable[Runs], environment: str, scheme: Scheme) -> dict[st
     return found
 
 
-def _told(campaign: Mapping[str, Any]) -> Iterator[str]:
+def _described(campaign: Mapping[str, Any]) -> Iterator[str]:
     """Campaign and digest, in the words of the other sections' headers."""
     yield campaign["title"]
     yield next(line for line in header(campaign) if "digest" in line)

@@ -9,7 +9,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.hosts.loop.recovery import BACK_OFF, MOST_RESTARTS, RESTART_US
 from tests.unit.campaign.analysis.test_failure_views import campaign as failures
 from tests.unit.campaign.analysis.test_scheme_views import lasting_scenario
-from tools import campaign_page, campaign_pages, detector_payoff, hit_detectors
+from tools import campaign_page, campaign_pages, detector_faults, detector_payoff
 from tools.campaign_pages import PAGES, content, main
 from tools.markers import ROOT
 
@@ -49,8 +49,8 @@ def test_the_page_of_faults_in_detectors_has_a_section_for_each_of_its_campaigns
     memory, copies, every, recovery = (Path(name) for name in ("memory", "copies", "every", "recovery"))
     flown = {memory: lasting_scenario(), **dict.fromkeys((copies, every, recovery), failures())}
     monkeypatch.setattr(campaign_page, "load", flown.__getitem__)
-    monkeypatch.setattr(hit_detectors, "VIEWS", ("schemes_by_duration",))
-    page = hit_detectors.content(memory, copies, every, recovery)
+    monkeypatch.setattr(detector_faults, "VIEWS", ("schemes_by_duration",))
+    page = detector_faults.content(memory, copies, every, recovery)
     titles = [line for line in page.splitlines() if line.startswith("#")]
     tables = ["## Failures per flight hour by setting and kernel"]
     assert titles[0] == "# Faults in detectors"
@@ -60,18 +60,19 @@ def test_the_page_of_faults_in_detectors_has_a_section_for_each_of_its_campaigns
     ]  # fmt: skip
     assert page.count("| sparse | fi | pid |") == 3 and detector_payoff.TITLE not in page
     named = {**failures().campaign, "arms": {"gaussian": {"detector": "gaussian", "profile": "paper", "mission": {}}}}
-    monkeypatch.setattr(hit_detectors, "load", lambda ledger: replace(failures(), campaign=named))
-    assert detector_payoff.TITLE in hit_detectors.content(memory, copies, every, recovery, Path("kernels"))
+    monkeypatch.setattr(detector_faults, "load", lambda ledger: replace(failures(), campaign=named))
+    assert detector_payoff.TITLE in detector_faults.content(memory, copies, every, recovery, Path("kernels"))
 
 
 def test_the_campaigns_of_faults_in_detectors_are_those_of_its_target():
-    lines = (ROOT / "Makefile").read_text(encoding="utf-8").split("\nhit-detectors: setup")[1].split("\n\n")[0]
+    lines = (ROOT / "Makefile").read_text(encoding="utf-8").split("\ndetector-faults: setup")[1].split("\n\n")[0]
     flown = [line.split()[3] for line in lines.splitlines() if "campaign run" in line]
     assert flown == ["detector_memory", "replicas", "detector_instructions", "recovery_instructions", "failure_rate"]
     outs = [line.split("--out ")[1] for line in lines.splitlines() if "campaign run" in line]
     assert "bench detectors --part instruction --scale paper --out out/bench-paper " in lines
-    outs.append("out/bench-paper/instruction")
-    assert f"python -m tools.hit_detectors {' '.join(outs)}" in lines
+    assert "bench detectors --part instruction --out out/bench-quick " in lines
+    outs += ["out/bench-paper/instruction", "out/bench-quick/instruction"]
+    assert f"python -m tools.detector_faults {' '.join(outs)}" in lines
     assert load_campaign("detector_instructions").sampling.level == "instruction"
 
 

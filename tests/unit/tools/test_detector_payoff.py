@@ -16,7 +16,7 @@ PLANNER = replace(INSTRUCTION, kernel="rrt_connect", entry="plan_rrt_connect")
 PLANNED = {"rrt_connect": {"instructions": 50, "calls": 1, "lines": []}}
 
 
-def hit(*arms, lost=0, seeds=10):
+def in_detectors(*arms, lost=0, seeds=10):
     """Faults in a detector with several copies, of which the golden runs count the instructions."""
     own = []
     for seed in range(seeds):
@@ -25,7 +25,7 @@ def hit(*arms, lost=0, seeds=10):
             own.append(golden(seed, counted("gaussian"), arm=arm))
             own.append(injected(seed, flown(seed >= lost), IN_DETECTOR, arm=arm, target="gaussian"))
     known = {arm: {**GAUSSIAN, "mission": {"copies": number + 1}} for number, arm in enumerate(arms)}
-    return runs(*own, name="hit", arms=known)
+    return runs(*own, name="detectors", arms=known)
 
 
 def planner(name, arm, seeds, saved=True):
@@ -48,29 +48,33 @@ def cells(text):
 
 def test_copies_prevent_what_one_detector_does_and_cause_their_own_failures():
     one = replace_about(campaign(), name="kernels", arms={"gaussian": GAUSSIAN})
-    rows = cells(section([hit("x1", "x2", lost=2)], [one]))
+    rows = cells(section([in_detectors("x1", "x2", lost=2)], [one]))
     whole = payoff(campaign(), "sparse", "dr_gaussian", UPSET)
     assert [row[0] for row in rows] == ["`dr_x1`", "`dr_x2`"] and {row[2] for row in rows} == {"all kernels"}
     assert rows[0][3] == f"{whole.value:+.1e} [{whole.low:+.1e}, {whole.high:+.1e}]", "as in one campaign"
-    assert rows[0][5:] == ["10 (hit)", "10 (kernels)"]
-    assert "- faults in kernels: " in section([hit("x1")], [one]) and "digest" in section([hit("x1")], [one])
+    assert rows[0][5:] == ["10 (detectors)", "10 (kernels)"]
+    assert "- faults in kernels: " in section([in_detectors("x1")], [one]) and "digest" in section(
+        [in_detectors("x1")], [one]
+    )
 
 
 @pytest.mark.parametrize(("saved", "word"), [(True, "yes"), (False, "undecided at this n")])
 def test_without_counts_of_the_arm_those_of_plain_flights_are_taken(saved, word):
-    (row,) = cells(section([hit("x1", seeds=300)], [planner("bench", "of another name", 60, saved)]))
+    (row,) = cells(section([in_detectors("x1", seeds=300)], [planner("bench", "of another name", 60, saved)]))
     assert (row[2], row[4], row[6]) == ("the planner", word, "60 (bench)")
     prevented = -100 * UPSET if saved else 0.0  # 50 instructions in half an hour
     assert float(row[3].split()[0]) == pytest.approx(prevented, rel=0.05)
 
 
 def test_the_campaign_with_most_faults_counts():
-    (row,) = cells(section([hit("x1")], [planner("small", "a", 5), planner("large", "b", 20), planner("mid", "c", 9)]))
+    (row,) = cells(
+        section([in_detectors("x1")], [planner("small", "a", 5), planner("large", "b", 20), planner("mid", "c", 9)])
+    )
     assert row[6] == "20 (large)"
 
 
 def test_a_detector_that_nobody_flew_with_faults_in_kernels_has_no_verdict_but_a_command():
-    text = section([hit("x1")], [planner("bench", "a", 5).where(setting="fi")])
+    text = section([in_detectors("x1")], [planner("bench", "a", 5).where(setting="fi")])
     assert cells(text) == [] and "no verdict: `dr_x1`; needed: " in text and "--part instruction" in text
 
 

@@ -30,7 +30,7 @@ _HEALS_WITH_MEMORY = (
     "a map or a path that an earlier one did, nor a kernel that died"
 )
 _SHIFTED = (
-    "a fault names its call by number: after a false alarm, which repeats calls, it hits another value with the "
+    "a fault names its call by number: after a false alarm, which repeats calls, it is in another value with the "
     "detector than without; such pairs are in brought back and in newly lost alike"
 )
 STATE, MEMORY, INSTRUCTION, SENSOR = "state", "memory", "instruction", "sensor"

@@ -1,4 +1,4 @@
-r"""Writes docs/generated/hit-detectors.md, faults in detectors, in copies and in recovery, from campaigns' ledgers.
+r"""Writes docs/generated/detector-faults.md, faults in detectors, in copies and in recovery, from campaigns' ledgers.
 
 mavfi campaign run detector_memory --scale paper --out out/detector-memory
 mavfi campaign run replicas --scale paper --out out/replicas
@@ -6,10 +6,11 @@ mavfi campaign run detector_instructions --scale paper --out out/detector-instru
 mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
 mavfi campaign run failure_rate --scale paper --out out/failure-rate
 mavfi bench detectors --part instruction --scale paper --out out/bench-paper
-python -m tools.hit_detectors out/detector-memory out/replicas out/detector-instructions out/recovery-instructions \
-    out/failure-rate out/bench-paper/instruction
+mavfi bench detectors --part instruction --out out/bench-quick
+python -m tools.detector_faults out/detector-memory out/replicas out/detector-instructions out/recovery-instructions \
+    out/failure-rate out/bench-paper/instruction out/bench-quick/instruction
 
-The last two, or any others with faults in kernels, say whether detectors pay for their own instructions.
+The last three, or any others with faults in kernels, say whether detectors pay for their own instructions.
 """
 
 import sys
@@ -22,7 +23,7 @@ from tools.markers import GENERATED
 
 MEMORY = (
     "One bit of what a detector remembers between publications flips, drawn by exposure over all that it stores. "
-    "`_x2`, `_x3`: two or three copies that vote, of which the first is hit "
+    "`_x2`, `_x3`: two or three copies that vote, of which the first is injected "
     "([copies](../models.md#recommended)). A detector may lose a mission, or delay it by needless recomputation; no "
     "mission has another fault."
 )
@@ -46,7 +47,7 @@ VIEWS = ("by_target", "outcomes")
 
 def content(memory: Path, copies: Path, every: Path, recovery: Path, *kernels: Path) -> str:
     """The page, from the ledgers of its four campaigns, and of others with faults in kernels."""
-    first = page(memory, "make hit-detectors", "Faults in detectors", MEMORY, VIEWS)
+    first = page(memory, "make detector-faults", "Faults in detectors", MEMORY, VIEWS)
     rest = (
         (copies, "## Instructions of detectors, alone and in copies", INSTRUCTIONS),
         (every, "## Instructions of every detector", EVERY),
@@ -59,4 +60,4 @@ def content(memory: Path, copies: Path, every: Path, recovery: Path, *kernels: P
 
 
 if __name__ == "__main__":
-    (GENERATED / "hit-detectors.md").write_text(content(*map(Path, sys.argv[1:])), encoding="utf-8")
+    (GENERATED / "detector-faults.md").write_text(content(*map(Path, sys.argv[1:])), encoding="utf-8")
