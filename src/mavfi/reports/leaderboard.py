@@ -46,7 +46,7 @@ def beside_published(own: Table, published: Sequence[Mapping[str, str]], bench: 
         The table; published cells of columns that did not exist then are empty.
     """
     first = own.columns[0].heading
-    known = set(own.column(own.columns[0].key))
+    known = dict.fromkeys(own.column(own.columns[0].key))
     others = [row for row in published if first in row and row[first] not in known]
     if not others or own.keys != 1:
         return own
