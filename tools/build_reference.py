@@ -51,7 +51,7 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `null` | null fault: the whole way through the injector, with an empty mask |
 | `state:planning.waypoint` | one bit of one field of one publication |
 | `state:planning.waypoint.x` | of this field |
-| `state:planning.trajectory.x[3]` | of this element |
+| `state:planning.trajectory.x[3]` | of this element; of a shorter list, of its last |
 | `state:planning.waypoint.x:bit=62@20.0` | bit 62 of the first publication at or after 20 s |
 | `state:planning.waypoint.x:bit=60:lasts=1@5` | stuck at its flipped value for 1 s; `inf` = for ever |
 | `state:planning.waypoint.x:lasts=10:share=0.2` | for 10 s, in 20 % of the publications |

@@ -123,12 +123,14 @@ def parameters_of(what: str, name: str, factory: Any) -> list[str]:  # noqa: ANN
 
 
 def build(
-    what: str, name: str, factory: Any, *arguments: object, needs: tuple[str, ...] = (), **options: object
+    what: str, name: str, factory: Any, *arguments: object, needs: Mapping[str, str] | None = None, **options: object
 ) -> Any:  # noqa: ANN401
     """Call a user's own class or function; kind (`what`) and name are for messages.
 
+    `needs` has the parameters of the methods that the object must have, by method, separated by commas.
+
     Raises:
-        BadInputError: It raised, or the object lacks a method that it `needs`.
+        BadInputError: It raised, or the object lacks a method, or one of these takes other parameters.
     """
     try:
         made = factory(*arguments, **options)
@@ -136,10 +138,25 @@ def build(
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's constructor raises
         raise BadInputError(f"{what} {name!r}: cannot be built ({reason(error)})") from None
-    lacking = [method for method in needs if not callable(getattr(made, method, None))]
+    methods = needs or {}
+    lacking = [method for method in methods if not callable(getattr(made, method, None))]
     if lacking:
         raise BadInputError(f"{what} {name!r}: lacks {', '.join(lacking)}")
+    for method, parameters in methods.items():
+        _check_call(f"{what} {name!r}", method, getattr(made, method), parameters)
     return made
+
+
+def _check_call(place: str, method: str, function: Any, parameters: str) -> None:  # noqa: ANN401
+    """Raise a BadInputError if a method cannot be called with these parameters in their order."""
+    try:
+        own = inspect.signature(function)
+    except (TypeError, ValueError):  # of some compiled functions it is not known
+        return
+    try:
+        own.bind(*filter(None, parameters.split(", ")))
+    except TypeError:
+        raise BadInputError(f"{place}: {method}{own}: allowed: {method}({parameters})") from None
 
 
 def reason(error: BaseException) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, hint
 
 _BYTE = np.dtype(np.uint8)
 AUTOPILOTS = ("published", "hardened")
@@ -395,5 +395,5 @@ def find_state(name: str) -> StateSpec:
         BadInputError: Unknown state.
     """
     if name not in STATES:
-        raise BadInputError(f"no state {name!r}; allowed: {', '.join(STATES)}")
+        raise BadInputError(f"no state {name!r}{hint(name, STATES)}; allowed: {', '.join(STATES)}")
     return STATES[name]

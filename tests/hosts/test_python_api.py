@@ -46,3 +46,15 @@ def test_a_figure_that_is_not_there_is_refused(tmp_path):
         mavfi.figure(runs.where(setting="golden"), "success")
     with pytest.raises(mavfi.BadInputError, match="figure 'map': not known; allowed: success, flight_time, sites"):
         mavfi.figure(runs, "map")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"detector": 3}, "^detector: 3: allowed: a name, or an object with start, check and accept$"),
+        ({"fault_seed": 3}, "^fault_seed: 3: no fault to draw; allowed: with the text of a fault$"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(arguments, message):
+    with pytest.raises(mavfi.BadInputError, match=message):
+        mavfi.fly(environment="sparse", **arguments)

@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -55,8 +56,20 @@ def test_a_constructor_that_raises_and_a_missing_method_are_named():
     with pytest.raises(BadInputError, match="cannot be built .TypeError"):
         build("thing", "x", dict, 1, 2, 3)
     with pytest.raises(BadInputError, match="lacks search"):
-        build("thing", "x", dict, needs=("keys", "search"))
-    assert build("thing", "x", dict, needs=("keys",), a=1) == {"a": 1}
+        build("thing", "x", dict, needs={"keys": "", "search": "counter"})
+    assert build("thing", "x", dict, needs={"keys": ""}, a=1) == {"a": 1}
+
+
+def test_a_method_with_other_parameters_is_refused_before_its_first_call():
+    def made(check):
+        return lambda: SimpleNamespace(check=check)
+
+    needs = {"check": "state, time_us"}
+    for fine in (lambda state, now: None, lambda *values: None, lambda state, now, more=1: None, max):
+        assert build("thing", "x", made(fine), needs=needs)
+    for wrong, own in ((lambda state: None, r"\(state\)"), (lambda a, b, c: None, r"\(a, b, c\)")):
+        with pytest.raises(BadInputError, match=rf"^thing 'x': check{own}: allowed: check\(state, time_us\)$"):
+            build("thing", "x", made(wrong), needs=needs)
 
 
 @pytest.fixture

@@ -116,7 +116,9 @@ def test_each_localization_says_where_the_vehicle_is_in_its_own_state():
 
 
 def test_what_does_not_exist_is_refused_with_what_does():
-    with pytest.raises(BadInputError, match="no state 'planning.magic'; allowed: sensor.depth, "):
+    with pytest.raises(
+        BadInputError, match=r"no state 'planning.magic' \(did you mean 'planning.path'\?\); allowed: sensor"
+    ):
         find_state("planning.magic")
     with pytest.raises(BadInputError, match="state control.command: no field 'vw'; allowed: vx, vy, vz, yaw_rate"):
         find_state("control.command").find("vw")

@@ -31,6 +31,8 @@ _RENAMED = {
     "kind": "host", "trials": "faults", "command": "node.command",
 }  # fmt: skip
 """Keys of campaign schema 1, with their replacements."""
+_SETTINGS = ("golden", "fi", "dr", "null")
+"""Settings, and the beginnings of their names."""
 _UNDER_TEST = {"node": "node", "airsim_program": "program"}
 """Hosts where something other than our pipeline is under test, with the key that names it."""
 
@@ -218,6 +220,11 @@ class Campaign(Config):
         for name in self.arms:
             if name in PLANNERS:
                 raise ValueError(f"arms: {name!r}: is the name of a planner; allowed: any other name")
+            if name in _SETTINGS or "/" in name or not name.isprintable():
+                raise ValueError(
+                    f"arms: {name!r}: allowed: any name but {', '.join(_SETTINGS)}, without a slash and control "
+                    "characters"
+                )
         from mavfi.campaign.samplers import sampler_for  # samplers read this model
 
         try:

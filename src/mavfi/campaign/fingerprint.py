@@ -11,6 +11,11 @@ from typing import Any
 from mavfi.config import config_root
 from mavfi.version import __version__
 
+_SHORT = 60
+"""Characters of two values up to which they are shown."""
+_MOST = 6
+"""Differences that are named."""
+
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 
 
@@ -55,14 +60,28 @@ def difference(wanted: Mapping[str, str], here: Mapping[str, str]) -> str:
     return ""
 
 
-def differing_keys(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """Keys in which two identities of campaigns differ; of scenarios with their own, e.g. "scenarios.protection"."""
+def differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """In what two identities of campaigns differ, as text; "" = they are equal.
+
+    Keys of scenarios are named, e.g. "scenarios.protection"; keys of campaigns have both values if these are short,
+    e.g. "campaign.faults: 4, not 5".
+    """
     found = _differing(held, wanted)
+    if "campaign" in found:
+        one, other = held.get("campaign") or {}, wanted.get("campaign") or {}
+        found -= {"campaign"}
+        found |= {_compared(f"campaign.{key}", one.get(key), other.get(key)) for key in _differing(one, other)}
     one, other = held.get("scenarios") or {}, wanted.get("scenarios") or {}
     if "scenarios" in found and one.keys() == other.keys():
         found -= {"scenarios"}
         found |= {f"scenarios.{key}" for place in one for key in _differing(one[place], other[place])}
-    return sorted(found)
+    more = f" and {len(found) - _MOST} more" if len(found) > _MOST else ""
+    return ", ".join(sorted(found)[:_MOST]) + more
+
+
+def _compared(key: str, held: object, wanted: object) -> str:
+    values = f"{held}, not {wanted}"
+    return key if len(values) > _SHORT or isinstance(held, dict) or isinstance(wanted, dict) else f"{key}: {values}"
 
 
 def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> set[str]:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
+from mavfi.campaign.fingerprint import differences
 from mavfi.campaign.run import ORDERED, Status, check_shard, check_versions, status, stored_campaign
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import Store
@@ -19,6 +20,7 @@ def merge(sources: Sequence[Path], out: Path) -> Status:
         BadInputError: A ledger is absent or damaged, belongs to another campaign or to one with another order of keys,
             was started with other versions, or has a record that conflicts with another ledger's.
     """
+    _check_alike(sources)
     for directory in sources:
         with Store.open(directory) as source, Store.create(out, source.meta("identity")) as target:
             check_shard(target, WHOLE)
@@ -32,6 +34,18 @@ def merge(sources: Sequence[Path], out: Path) -> Status:
             })  # fmt: skip
             _copy(source, target)
     return status(out)
+
+
+def _check_alike(sources: Sequence[Path]) -> None:
+    """Raise a BadInputError if ledgers are not of one campaign, before anything is written."""
+    identities = {}
+    for directory in sources:
+        with Store.open(directory) as source:
+            identities[directory] = source.meta("identity")
+    for directory, identity in identities.items():
+        if identity != identities[sources[0]]:
+            differing = differences(identities[sources[0]], identity)
+            raise BadInputError(f"{directory}: holds another campaign than {sources[0]} (differs in: {differing})")
 
 
 def _copy(source: Store, target: Store) -> None:

@@ -59,6 +59,7 @@ class Shrunk:
     steps: tuple[Step, ...]
     instants: tuple[Trial, ...]  # the smallest fault at other instants or calls of its site, in order of time
     golden: Flight
+    asked: int = INSTANTS  # other instants asked for
 
 
 def shrink(
@@ -103,7 +104,7 @@ def shrink(
             steps.append(Step(what, trials.count, found))
             smallest = found or smallest
     others = tuple(trials.of(elsewhere(smallest.fault, golden, instants, setup)))
-    return Shrunk(directory, spec, original, smallest, tuple(steps), others, golden)
+    return Shrunk(directory, spec, original, smallest, tuple(steps), others, golden, instants)
 
 
 @dataclass(slots=True)

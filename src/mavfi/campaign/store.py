@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.campaign.connection import connect
-from mavfi.campaign.fingerprint import differing_keys
+from mavfi.campaign.fingerprint import differences
 from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
 from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, damage
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
@@ -168,9 +168,8 @@ class Store:
         held = self.meta("identity")
         wanted = json.loads(canonical(identity))
         if held != wanted:
-            differing = ", ".join(differing_keys(held, wanted))
             where = f"{self.directory}: holds another campaign"
-            raise BadInputError(f"{where} (differs in: {differing}); choose another directory")
+            raise BadInputError(f"{where} (differs in: {differences(held, wanted)}); choose another directory")
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""

@@ -81,10 +81,20 @@ def run(  # noqa: PLR0913 - options
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown{_most_frequent_reason(ledger)}: "
             f"`mavfi runs {ledger} --where judged=false` lists them; --allow-unknown accepts them"
         )
-    text = f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]"
     if part != WHOLE:
         text = f"Done with shard {part}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
-    console().print(text, soft_wrap=True)
+        console().print(text, soft_wrap=True)
+        return
+    _say_findings(ledger)
+
+
+def _say_findings(ledger: Path) -> None:
+    from mavfi.campaign.analysis.findings import findings
+    from mavfi.campaign.analysis.runs import Runs
+
+    for line in findings(Runs.read(ledger)):
+        console().print(f"· {line}", markup=False, highlight=False, soft_wrap=True)
+    console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
 
 
 def _most_frequent_reason(ledger: Path) -> str:

@@ -216,7 +216,7 @@ def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
     from mavfi.campaign.analysis.statistics import score_bounds
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for heading in ("setting", "flown", "planned", "succeeded", ""):
+    for heading in ("setting", "flown", "planned so far", "succeeded", ""):
         table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
     for setting, (planned, done, success) in settings.items():
         share = ""

@@ -50,7 +50,7 @@ def report(  # noqa: PLR0913 - one parameter per option
     """
     if as_csv and not view:
         raise BadInputError("--csv: allowed: with --view NAME")
-    _check_files(html, flights, figures, workers)
+    _check_files(html, flights, figures, workers, view)
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
@@ -102,8 +102,10 @@ def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     return f"{', '.join(path.name for path in paths) or 'no figure'} in {folder}"
 
 
-def _check_files(html: Path | None, flights: int | None, figures: Path | None, workers: int) -> None:
+def _check_files(html: Path | None, flights: int | None, figures: Path | None, workers: int, view: str) -> None:
     """Reject invalid output options before any flight."""
+    if view and (html or figures):
+        raise BadInputError("--view: prints one table and writes nothing; allowed: without --html and --figures")
     check_file("--html", html, PAGES)
     check_number("--flights", flights, 0, MOST_FLIGHTS)
     if flights is not None and html is None:

@@ -104,7 +104,7 @@ def _page(case: Case) -> FlightPage:
 
 def write_html(path: Path, directory: Path, report: Report, flights: int | None, workers: int) -> int:
     """Write the page of the campaign whose ledger is in `directory`; other arguments: see `_write`."""
-    return _write(path, [Part(directory, report)], sections_of(report), commands(directory), flights, workers)
+    return _write(path, [Part(directory, report)], sections_of(report), commands(directory, path), flights, workers)
 
 
 def write_study_html(  # noqa: PLR0913 - what the command was given
@@ -134,12 +134,12 @@ def write_study_html(  # noqa: PLR0913 - what the command was given
     return _write(path, parts, sections_of_study(study), repeat, flights, workers, headline_of_study(study), show)
 
 
-def commands(directory: Path) -> list[tuple[str, str]]:
+def commands(directory: Path, page: Path) -> list[tuple[str, str]]:
     """Commands that reproduce a campaign and its report, with their descriptions."""
     return [
         *_flying(directory),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
-        ("Write this page", f"mavfi report {directory} --html report.html"),
+        ("Write this page", f"mavfi report {directory} --html {page}"),
     ]
 
 

@@ -170,6 +170,7 @@ def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
     """Reject a folder that holds another campaign, before training or writing anything."""
+    from mavfi.campaign.fingerprint import differences
     from mavfi.campaign.mission import scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import identity_of
@@ -180,11 +181,9 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
     with Store.open(folder) as store:
         held = store.meta("identity")
     wanted = identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {})
-    differing = [key for key in ("campaign", "scenarios") if held.get(key) != wanted[key]]
+    differing = differences(*({key: one.get(key) for key in ("campaign", "scenarios")} for one in (held, wanted)))
     if differing:
-        raise BadInputError(
-            f"{folder}: holds another campaign (differs in: {', '.join(differing)}); choose another directory"
-        )
+        raise BadInputError(f"{folder}: holds another campaign (differs in: {differing}); choose another directory")
 
 
 def _missions(campaign: "Campaign") -> list["MissionSpec"]:

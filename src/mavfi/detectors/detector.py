@@ -1,8 +1,10 @@
 """Interface of host and detector: it checks published states, may request recomputation, and never sees a fault."""
 
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
@@ -63,7 +65,7 @@ class Detector(Protocol):
         """Reset the memory at the start of a flight."""
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """Check a publication; must not change the memory."""
+        """Check a publication; must change neither the memory nor the state, which is the published value itself."""
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
@@ -162,7 +164,7 @@ def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user'
     """The alarm that a detector's `check` returned.
 
     Raises:
-        BadInputError: It is no `Alarm`, or names a stage that cannot be recomputed.
+        BadInputError: It is no `Alarm`, names a stage that cannot be recomputed, or its score is no number.
     """
     if not isinstance(alarm, Alarm):
         text = f"check returned {alarm!r:.60}; allowed: an Alarm, or None"
@@ -170,4 +172,10 @@ def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user'
     if alarm.stage not in STAGE_KERNELS:
         text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
         raise BadInputError(f"detector {class_of(detector)}: alarm {alarm.source!r}: {text}")
-    return alarm
+    score: Any = alarm.score
+    if type(score) is float:
+        return alarm
+    if not isinstance(score, (int, float, np.integer, np.floating)):
+        text = f"score {score!r:.60}: allowed: a number, in units of the threshold"
+        raise BadInputError(f"detector {class_of(detector)}: alarm {alarm.source!r}: {text}")
+    return replace(alarm, score=float(score))

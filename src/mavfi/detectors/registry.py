@@ -85,6 +85,10 @@ class NoDetector(Chain):
     """Never raises an alarm."""
 
 
+_METHODS = {"start": "", "check": "state, time_us", "accept": "state, time_us"}
+"""Parameters of a detector's methods."""
+
+
 def detector_names() -> list[str]:
     """Every name accepted by `load_detector`."""
     return sorted(known(GROUP, _SHIPPED))
@@ -244,6 +248,8 @@ def load_detector(
 
 
 def _load_model(path: Path, kind: str, profile: str, option: str) -> Model:
+    if not path.parent.is_dir():
+        raise BadInputError(f"{path.parent}: there is no such folder of models")
     if not is_file(path):
         raise SpecMismatchError(
             f"{_shown(path)}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
@@ -273,6 +279,6 @@ def _build(name: str, factory: Any, *arguments: object, **options: object) -> De
     unknown = set(given) - set(parameters_of("detector", name, factory))
     if unknown:
         raise BadInputError(f"detector {name!r}: has no option {', '.join(sorted(unknown))}")
-    made = build("detector", name, factory, *arguments, needs=("start", "check", "accept"), **given)
+    made = build("detector", name, factory, *arguments, needs=_METHODS, **given)
     check_states(made)
     return cast(Detector, made)

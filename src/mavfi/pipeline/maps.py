@@ -287,6 +287,10 @@ def find_map(kind: str) -> Callable[[KeyFrame, UpdateRule, float], OccupancyMap]
     return cast(Callable[[KeyFrame, UpdateRule, float], OccupancyMap], load_object("map", kind, GROUP, _SHIPPED))
 
 
+_METHODS = {"insert": "points, origin", "mark": "", "rollback": ""}
+"""Parameters of a map's methods."""
+
+
 def make_map(
     kind: str, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
     rewindable: bool = False,
@@ -307,7 +311,7 @@ def make_map(
     if kind in MAPS:
         return MAPS[kind](frame, rule, max_range, functions, rewindable)
     factory = find_map(kind)
-    made = build("map", kind, factory, frame, rule, max_range, needs=("insert", "mark", "rollback"))
+    made = build("map", kind, factory, frame, rule, max_range, needs=_METHODS)
     guarded = GuardedMap(kind, made, frame.nx * frame.ny * frame.nz)
     _ = guarded.log_odds  # validated before the first scan
     return cast(OccupancyMap, guarded)

@@ -10,6 +10,7 @@ from mavfi.config import PlannerConfig
 from mavfi.errors import BadInputError
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
+from mavfi.kernels.planning.trajectory import CURVE_LIMIT
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -25,6 +26,10 @@ _STAR_NODE_LIMIT = 200_001
 
 _Problem = tuple[np.ndarray, Grid, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Arguments of `PathSearch.search`."""
+
+
+MOST_VERTICES = CURVE_LIMIT // 40
+"""Vertices of a path up to which it is timed."""
 
 
 class PathSearch(Protocol):
@@ -49,7 +54,7 @@ class PathSearch(Protocol):
             upper: Opposite corner (m). Shape (3,).
 
         Returns:
-            Vertices from start to goal (m). Shape (n, 3); n = 0: none found.
+            Finite vertices from start to goal (m). Shape (n, 3), n at most `MOST_VERTICES`; n = 0: none found.
         """
 
 
@@ -160,6 +165,10 @@ _SHIPPED = {
 }
 
 
+_METHODS = {"search": "counter, grid, start, goal, lower, upper"}
+"""Parameters of a planner's methods."""
+
+
 def find_search(name: str) -> Callable[[PlannerConfig, int], PathSearch]:
     """A planner's class: a shipped name, an entry point of `mavfi.planners`, or "package.module:Class".
 
@@ -176,14 +185,18 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
         BadInputError: It does not exist or cannot be constructed.
     """
     factory = find_search(config.name)
-    search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))
+    search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=_METHODS))
+    if not hasattr(search, "random"):
+        raise BadInputError(f"planner {config.name!r}: lacks random, the state of its generator: shape (4,), uint64")
     if isinstance(search, SamplingSearch):
         search.functions = functions
     return search
 
 
-def checked_path(search: PathSearch, found: np.ndarray) -> np.ndarray:
-    """The path that a planner returned.  Shape (n, 3).
+def checked_path(search: PathSearch, found: np.ndarray, *ends: np.ndarray) -> np.ndarray:
+    """The path that a planner returned between its ends.  Shape (n, 3).
+
+    Ends that are not finite come from a fault; then any numbers may follow.
 
     Raises:
         BadInputError: A user's planner returned something else than `PathSearch.search` promises.
@@ -196,9 +209,13 @@ def checked_path(search: PathSearch, found: np.ndarray) -> np.ndarray:
         is_path = path.shape[:1] == (0,) or (path.ndim == 2 and path.shape[1] == 3 and path.dtype.kind in "fiu")
     except ValueError:  # rows of different lengths
         is_path = False
+    place = f"planner {kind.__module__}:{kind.__qualname__}: search returned"
     if not is_path:
-        raise BadInputError(
-            f"planner {kind.__module__}:{kind.__qualname__}: search returned {' '.join(repr(found).split())[:60]}; "
-            "allowed: an array of shape (n, 3), n = 0 if there is no path"
-        )
+        text = f"{' '.join(repr(found).split())[:60]}; allowed: an array of shape (n, 3), n = 0 if there is no path"
+        raise BadInputError(f"{place} {text}")
+    if np.isfinite(ends).all():
+        if not np.isfinite(path).all():
+            raise BadInputError(f"{place} vertices that are not finite; allowed: finite ones, or an empty array")
+        if len(path) > MOST_VERTICES:
+            raise BadInputError(f"{place} {len(path)} vertices; allowed: at most {MOST_VERTICES}")
     return path

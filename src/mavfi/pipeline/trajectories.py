@@ -15,6 +15,7 @@ from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.planners import MOST_VERTICES
 from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
 from mavfi.states import Stage, State, floats, new_state
 
@@ -117,7 +118,7 @@ class TrajectoryGenerator(Remembers):
         if len(vertices) and self._splices:
             vertices, motion = self._splice(vertices, motion.speed)
         vertices = _without_repeats(vertices)
-        if len(vertices) < 2 or len(vertices) > timing.CURVE_LIMIT // 40:
+        if len(vertices) < 2 or len(vertices) > MOST_VERTICES:
             return np.zeros((0, timing.POINT_WIDTH))
         n = self._polynomials(vertices, motion) if config.autopilot.smoothing == "minimum_snap" else 0
         n = n or self._blends(vertices, motion.speed)

@@ -25,7 +25,8 @@ def lines(found: Shrunk) -> Lines:
         rows.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
                      + (f", with {when}" if when else "")))  # fmt: skip
     else:
-        rows.append(("instants", "the golden run has no other one of this site, or none was asked for"))
+        rows.append(("instants", "none was tried: the golden run has no other one of this site" if found.asked
+                     else "none was tried: --instants 0"))  # fmt: skip
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows

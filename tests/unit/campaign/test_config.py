@@ -95,8 +95,11 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ),
         ({"sampling": {"groups": [GROUP]}}, "sampling.scheme: 'stage_balanced': allowed with the key groups: groups"),
         (groups(GROUP, GROUP), "groups: 'g': named 2 times; allowed: once"),
-        (groups({"name": "g", "sites": ["planning.waypoint.roll"]}), "no field 'roll'"),
-        (groups({"name": "g", "sites": ["planning.nothing.x"]}), "no state 'planning.nothing'"),
+        (groups({"name": "g", "sites": ["planning.waypoint.roll"]}), "sampling.groups.0.sites: "),
+        (
+            groups(GROUP, {"name": "h", "sites": ["planning.waypont.x"]}),
+            "sampling.groups.1.sites: no state 'planning.waypont' (did you mean 'planning.waypoint'?)",
+        ),
         (groups({"name": "g", "sites": ["perception.odometry.x"]}), "only flights with localization estimator"),
         (groups({**GROUP, "strata": {"high": 1}}), "strata: 'high': not known; allowed: sign_exponent"),
         ({"sampling": {"strata": {"mantissa": 0}}}, "shares above 0"),
@@ -148,6 +151,10 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"arms": {"x": {"planer": "rrt"}}}, "unknown key 'arms.x.planer' (did you mean 'planner'?)"),
         ({"arms": ["gaussian"]}, "key 'arms': ['gaussian']: allowed: keys with values"),
         ({"arms": {"rrt": {}}}, "arms: 'rrt': is the name of a planner"),
+        *(
+            ({"arms": {name: {}}}, f"arms: {name!r}: allowed: any name but golden, fi, dr, null")
+            for name in ("golden", "fi", "null", "a/b", "a\n")
+        ),
         # hosts
         ({"host": "node"}, "the key node goes with host node"),
         ({"node": {"name": "/x"}}, "key 'node"),

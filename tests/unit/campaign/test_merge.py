@@ -74,8 +74,14 @@ def test_the_campaign_continues_in_what_was_merged_so_far(halves, whole, tmp_pat
 def test_ledgers_that_do_not_belong_together_are_refused(halves, tmp_path, monkeypatch):
     fly(tmp_path / "another", Shard(2, 2), small(first_seed=20_000))
     merge(halves[:1], tmp_path / "all")
-    with pytest.raises(BadInputError, match=r"all: holds another campaign \(differs in: campaign"):
+    with pytest.raises(
+        BadInputError, match=r"all: holds another campaign \(differs in: campaign.first_seed: 10000, not 20000"
+    ):
         merge([tmp_path / "another"], tmp_path / "all")
+    message = r"another: holds another campaign than \S*1 \(differs in: campaign.first_seed: 10000, not 20000"
+    with pytest.raises(BadInputError, match=message):
+        merge([halves[0], tmp_path / "another"], tmp_path / "new")
+    assert not (tmp_path / "new").exists(), "nothing is written before all are known to belong together"
     with Store.create(tmp_path / "all", identity(halves[0])) as store:
         store.write_meta({"versions": {**store.meta("versions"), "numpy": "1.0"}})
     with pytest.raises(BadInputError, match=r"all: was begun with numpy 1.0, .*halves.*/2 with "):

@@ -122,3 +122,6 @@ def test_other_calls_of_an_instruction_are_tried_and_named(directory, lost):
     golden = fly(ArmSetup(resolve(MissionSpec())), None, None)
     found = Shrunk(directory, spec, trials[1], trials[1], (), tuple(trials), golden)
     assert ("instants", "at 1 of 2 others the mission is lost, too, with call=12 (collision)") in lines(found)
+    for asked, text in ((0, "none was tried: --instants 0"), (3, "none was tried: the golden run has no other one")):
+        [(_, found_text)] = [line for line in lines(replace(found, instants=(), asked=asked)) if line[0] == "instants"]
+        assert found_text.startswith(text)

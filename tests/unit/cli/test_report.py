@@ -126,6 +126,7 @@ def test_runs_as_a_file(capsys, flown, tmp_path):
     ("arguments", "message"),
     [
         (["report", "DIR", "--csv"], "--csv: allowed: with --view NAME"),
+        (["report", "DIR", "--view", "success", "--html", "r.html"], "--view: prints one table and writes nothing"),
         (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, acted_on, "),
         (["report", "NONE"], "holds no campaign"),
         (["runs", "NONE"], "holds no campaign"),

@@ -253,7 +253,7 @@ def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_wr
     study(tmp_path, **changes)
     capsys.readouterr()
     assert run(arguments) == 2
-    assert "holds another campaign (differs in: campaign)" in capsys.readouterr().err
+    assert "holds another campaign (differs in: campaign.faults: " in capsys.readouterr().err
     assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from mavfi.config import PlannerConfig
+from mavfi.errors import BadInputError
 from mavfi.numerics.voxels import Grid
+from mavfi.pipeline import planners
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.planners import make_search
 
@@ -45,3 +47,44 @@ def test_a_struck_longest_search_is_bounded_by_the_configuration(value):
     search._longest = value
     assert len(search.search(wall(gap=0), GRID, *ENDS, *BOX)) == 0
     assert asked == [200]
+
+
+class Own:
+    """A planner of a user's own that gives what it was told."""
+
+    random = np.zeros(4, np.uint64)
+
+    def __init__(self, config=None, seed=0):
+        pass
+
+    def search(self, counter, grid, start, goal, lower, upper):
+        return None
+
+
+def test_a_planner_without_a_generator_is_refused(monkeypatch):
+    monkeypatch.setattr(planners, "find_search", lambda name: Own)
+    config = PlannerConfig(name="own")
+    assert isinstance(planners.make_search(config, 1), Own)
+    monkeypatch.delattr(Own, "random")
+    with pytest.raises(BadInputError, match=r"^planner 'own': lacks random, .*uint64"):
+        planners.make_search(config, 1)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (np.full((2, 3), np.nan), "vertices that are not finite; allowed: finite ones"),
+        (np.full((2, 3), np.inf), "vertices that are not finite"),
+        (np.zeros((301, 3)), "301 vertices; allowed: at most 300"),
+        (np.zeros((2, 2)), r"allowed: an array of shape \(n, 3\)"),
+    ],
+)
+def test_a_path_that_cannot_be_flown_is_the_planners_mistake(path, message):
+    with pytest.raises(BadInputError, match=rf"^planner \S+:Own: search returned .*{message}"):
+        planners.checked_path(Own(), path, np.zeros(3), np.ones(3))
+
+
+def test_what_follows_from_ends_that_are_not_finite_passes():
+    wrong, start = np.full((2, 3), np.nan), np.array([np.nan, 0.0, 0.0])
+    assert planners.checked_path(Own(), wrong, start, np.ones(3)) is wrong
+    assert len(planners.checked_path(Own(), np.zeros((300, 3)), np.zeros(3), np.ones(3))) == 300

@@ -23,8 +23,8 @@ from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
 _NAMED = (
-    "flight_controller", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node", "alarm",
-    "epoch_liveness", "protection",
+    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node",
+    "alarm", "epoch_liveness", "protection",
 )  # fmt: skip
 """Keys of a mission that are listed when they differ from their defaults."""
 
@@ -100,7 +100,7 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     every = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
     missions = f"{campaign.missions} mission{'s' * (campaign.missions != 1)} per environment ({seeds})"
-    lines = [f"{missions}, {campaign.faults} faults per {each}, {how}"]
+    lines = [f"{missions}, {campaign.faults} fault{'s' * (campaign.faults != 1)} per {each}, {how}"]
     if campaign.until_halfwidth:
         lines[0] = f"at most {lines[0]}; until success is known to ±{100 * campaign.until_halfwidth:g} points"
     if campaign.arms:

@@ -43,7 +43,9 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort
     columns = (*shown, *hidden)
     rows = frame.select(column.key for column in columns).rows()
     notes = tuple(filter(None, (_absent(runs, text) for text in where)))
-    return Table("runs", f"{len(own)} of {len(runs)} runs", columns, rows, notes=notes)
+    done, planned = (runs.campaign.get(key) for key in ("done", "total"))
+    flown = "" if done == planned else f" flown so far, {planned} planned"
+    return Table("runs", f"{len(own)} of {len(runs)} runs{flown}", columns, rows, notes=notes)
 
 
 def _sorted(frame: pl.DataFrame, sort: Sequence[str]) -> pl.DataFrame:

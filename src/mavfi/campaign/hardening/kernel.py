@@ -6,6 +6,7 @@ certificate = certify_function(function, calls[20:], found.planned)
 protected = found.code(calls[0])
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -80,9 +81,11 @@ def harden(
         libm: Whether calls of mathematical functions (sin, exp, ...) can be duplicated, too.
 
     Raises:
-        BadInputError: There are no calls, or their arguments have different types.
+        BadInputError: There are no calls, their arguments have different types, or the budget is below 0 or no number.
         RefusedError: The function cannot be instrumented exactly.
     """
+    if not isinstance(budget, (int, float)) or not 0 <= budget < math.inf:
+        raise BadInputError(f"budget: {budget!r}: allowed: a number from 0 on, e.g. 0.2 for 20 % more time")
     seen = see(function, calls)
     target = Target((seen.entry,), seen, injections_in(seen, faults, seed), addresses=addresses, libm=libm)
     _, steps = timed_steps(target, prepare(target))

@@ -43,10 +43,7 @@ class StateSampler(OwnMissions):
     def _find_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
         sampling = self._sampling
         if sampling.scheme == "groups":
-            return [
-                (group_target(g.name, g.sites, self._localization), g.strata or sampling.strata)
-                for g in sampling.groups
-            ]  # fmt: skip
+            return [(self._group(place), g.strata or sampling.strata) for place, g in enumerate(sampling.groups)]
         if sampling.scheme == "messages":
             return [self._message(state) for state in sampling.messages]
         monitored = self._campaign.monitored_set if sampling.sites == "monitored" else None
@@ -54,6 +51,13 @@ class StateSampler(OwnMissions):
             (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
             for stage in PPC_STAGES
         ]
+
+    def _group(self, place: int) -> Target:
+        group = self._sampling.groups[place]
+        try:
+            return group_target(group.name, group.sites, self._localization)
+        except BadInputError as error:
+            raise BadInputError(f"sampling.groups.{place}.sites: {error}") from None
 
     def _message(self, state: str) -> tuple[Target, Mapping[str, float]]:
         """A message, with the shares of those strata that it has."""

@@ -21,7 +21,7 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
     panels = figure.subplots(1, len(vehicles), squeeze=False)[0]
-    names, width = list(schemes()), 0.7 / len(calibrations)
+    names, width, from_paper = list(schemes()), 0.7 / len(calibrations), False
     for axes, vehicle in zip(panels, vehicles, strict=True):
         own = [design for design in designs if design.craft == vehicle]
         finite = [value for design in own for name in names
@@ -43,6 +43,7 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         for x, name in enumerate(names):
             printed = paper.figure("redundancy_time", vehicle=vehicle, scheme=name)
             if printed is not None:
+                from_paper = True
                 axes.plot([x - 0.42, x + 0.42], [printed, printed], color=style.INK, zorder=5)
                 axes.annotate(f"{printed:.2f}", (x + 0.44, printed), va="center", fontsize=8, color=style.INK)
         axes.set_xticks(range(len(names)), names)
@@ -58,9 +59,11 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     handles += [
         Line2D([], [], linestyle="", marker="o", color=style.GREY, fillstyle="none", label="energy (hover power)"),
         Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
-        Line2D([], [], color=style.INK, label="the paper's figure"),
     ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5, columnspacing=1.2, handlelength=1.8)
+    handles += [Line2D([], [], color=style.INK, label="the paper's figure")] if from_paper else []
+    columns = min(3, 1 + len(vehicles))
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns, fontsize=8.5, columnspacing=1.2,
+                  handlelength=1.8)  # fmt: skip
     return figure
 
 

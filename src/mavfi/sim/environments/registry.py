@@ -62,6 +62,7 @@ def build_world(
         raise BadInputError(
             f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
         )
+    _check_boxes(f"{source}: generator {environment.generator}", world)
     if start is not None or goal is not None:
         world = _with_ends(world, start, goal)
     radius = _collision_radius(environment.vehicle)
@@ -73,6 +74,17 @@ def build_world(
             f"allowed: {ARRIVAL_RADIUS:g} m or more"
         )
     return world
+
+
+def _check_boxes(place: str, world: World) -> None:
+    """Raise a BadInputError for boxes that are none."""
+    lower, upper = world.lower, world.upper
+    if lower.shape != upper.shape or lower.shape[1:] != (3,):
+        raise BadInputError(f"{place}: boxes of shapes {lower.shape} and {upper.shape}; allowed: (n, 3) both")
+    wrong = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all(axis=1))
+    if len(wrong):
+        place = f"{place}: box {wrong[0]}: {_text(lower[wrong[0]])} to {_text(upper[wrong[0]])}"
+        raise BadInputError(f"{place}; allowed: finite corners, each coordinate of the first below that of the second")
 
 
 def find_generator(name: str) -> Generator:

@@ -30,6 +30,12 @@ def test_calls_of_several_types_or_none_are_refused():
         see(example.follow, [own, (*own[:3], np.zeros(3, np.float32))])
 
 
+@pytest.mark.parametrize("budget", [-0.3, "x", float("nan"), float("inf"), None])
+def test_a_budget_that_is_no_share_is_refused(budget):
+    with pytest.raises(BadInputError, match=r"^budget: .*: allowed: a number from 0 on, e.g. 0.2"):
+        harden(example.follow, [], budget)
+
+
 def test_calls_of_libm_are_protected_only_if_asked_for():
     kernel, args = CASES["blend"]
     seen = see(kernel, [args])

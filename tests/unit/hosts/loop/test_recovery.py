@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm
@@ -104,6 +105,18 @@ def test_what_is_no_alarm_is_refused_with_the_detectors_class():
         checked_alarm(_Reckless(), True)
     with pytest.raises(BadInputError, match=message):
         replicated(_Reckless(), 2).check(new_state("control.command"), 0)
+
+
+@pytest.mark.parametrize("score", ["high", None, (1.0,)])
+def test_a_score_that_is_no_number_is_refused_before_it_reaches_a_record(score):
+    with pytest.raises(BadInputError, match=r":_Reckless: alarm 'd': score .*: allowed: a number, in units of the"):
+        checked_alarm(_Reckless(), Alarm("d", "control", score=score))
+
+
+@pytest.mark.parametrize("score", [2, np.float32(2.0), np.int64(2)])
+def test_numbers_of_all_kinds_are_scores(score):
+    found = checked_alarm(_Reckless(), Alarm("d", "control", score=score))
+    assert type(found.score) is float and found == Alarm("d", "control", score=2.0)
 
 
 def test_what_passes_is_recorded_as_accepted():

@@ -1,5 +1,7 @@
 """From configurations to worlds, and what users get wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,22 @@ def test_an_unknown_or_missing_parameter_is_named_with_what_is_allowed():
 def test_impossible_parameters_are_refused_by_name(parameters):
     text = message(environment(**parameters), 0)
     assert "mine" in text and ("density" in text or "side" in text)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "expected"),
+    [
+        ([[3.0, 0.0, 0.0]], [[2.0, 1.0, 1.0]], "box 0: (3, 0, 0) to (2, 1, 1); allowed: finite corners"),
+        ([[1.0, 0, 0], [2.0, 0, np.nan]], [[2.0, 1, 1], [3.0, 1, 1]], "box 1: (2, 0, nan) to (3, 1, 1)"),
+        ([[1.0, 0.0]], [[2.0, 1.0]], "boxes of shapes (1, 2) and (1, 2); allowed: (n, 3) both"),
+        (np.zeros((2, 3)), np.ones((1, 3)), "boxes of shapes (2, 3) and (1, 3)"),
+    ],
+)
+def test_boxes_that_are_none_are_refused_with_their_generator(monkeypatch, lower, upper, expected):
+    world = build_world(shipped("environments", EnvironmentConfig, "farm"), 0)
+    wrong = replace(world, lower=np.array(lower), upper=np.array(upper))
+    monkeypatch.setattr("mavfi.sim.environments.registry.find_generator", lambda name: lambda seed: wrong)
+    assert f"environment 'mine': generator own: {expected}" in message(environment("own"), 0)
 
 
 def test_generators_are_found_by_package_and_function():
