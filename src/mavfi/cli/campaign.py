@@ -60,7 +60,7 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.names import check_names
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.shard import WHOLE, Shard
-    from mavfi.cli.progress import Bar
+    from mavfi.cli.progress import Bar, success_counts
 
     campaign = options.until(load_campaign(config).at_scale(scale), until_halfwidth)
     check_names(campaign, config)
@@ -85,15 +85,7 @@ def run(  # noqa: PLR0913 - options
         text = f"Done with shard {part}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
         console().print(text, soft_wrap=True)
         return
-    _say_findings(ledger)
-
-
-def _say_findings(ledger: Path) -> None:
-    from mavfi.campaign.analysis.findings import findings
-    from mavfi.campaign.analysis.runs import Runs
-
-    for line in findings(Runs.read(ledger)):
-        console().print(f"· {line}", markup=False, highlight=False, soft_wrap=True)
+    console().print(success_counts(status.settings))
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
 
 

@@ -1,5 +1,7 @@
 """Resolution of names into a scenario, and of a scenario into the inputs of simulator and pipeline."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
 _DEFAULT_V_MAX = 3.0
+_FILES = (".yaml", ".yml")
 _NOMINAL_RADIUS = 0.35
 """Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
 _LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
@@ -45,7 +48,7 @@ def find_environment(name: str) -> EnvironmentConfig:
 
 def find_planner(name: str) -> PlannerConfig:
     """Find a planner: a shipped name, a YAML file, or an entry point or "package:Class" with default parameters."""
-    if name.endswith((".yaml", ".yml")) or name in names("planners"):
+    if name.endswith(_FILES) or name in names("planners"):
         return shipped("planners", PlannerConfig, name)
     return PlannerConfig(name=name)
 
@@ -68,16 +71,31 @@ def resolve(spec: MissionSpec) -> Scenario:
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
     protection = find_plan(spec.protection).bare if spec.protection else None
     planner = find_planner(spec.planner)
-    find_search(planner.name)
-    find_generator(world.generator)
+    with _read_from(spec.planner, "name"):
+        find_search(planner.name)
+    with _read_from(spec.environment, "generator"):
+        find_generator(world.generator)
+    with _read_from(spec.environment if spec.vehicle is None else "", "vehicle"):
+        vehicle = find_vehicle(world.vehicle)
     return Scenario(
-        environment=world, seed=spec.seed, autopilot=_autopilot(spec),
-        vehicle=find_vehicle(world.vehicle), platform=_platform(spec, protection),
+        environment=world, seed=spec.seed, autopilot=_autopilot(spec), vehicle=vehicle,
+        platform=_platform(spec, protection),
         planner=planner, camera=camera, map=_map_config(spec.map, resolution),
         v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node, flight_controller=_controller(spec.flight_controller), protection=protection,
     )  # fmt: skip
+
+
+@contextmanager
+def _read_from(source: str, key: str) -> Iterator[None]:
+    """Name file and key in a BadInputError about a value that was read from a YAML file."""
+    try:
+        yield
+    except BadInputError as error:
+        if not source.endswith(_FILES):
+            raise
+        raise type(error)(f"{source}: key {key!r}: {error}") from None
 
 
 def _platform(spec: MissionSpec, protection: Plan | None) -> configs.PlatformConfig:

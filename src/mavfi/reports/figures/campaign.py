@@ -64,7 +64,8 @@ def success(runs: Runs) -> Figure | None:
                 lowest = min(lowest, figured)
     if any(_paper(chosen, name, setting) is not None for name in environments for setting in settings):
         handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
-    axes.set_ylim(max(0.0, np.floor(10 * lowest - 0.5) / 10), 1.0)
+    bottom = max(0.0, np.floor(10 * lowest - 0.5) / 10)
+    axes.set_ylim(bottom, 1.0 + 0.04 * (1.0 - bottom))  # markers at 100 % keep clear of the title
     axes.set_xlim(-0.5, len(environments) - 0.5)
     axes.set_xticks(range(len(environments)), environments)
     for place in range(1, len(environments)):
@@ -78,19 +79,21 @@ def success(runs: Runs) -> Figure | None:
     axes.set_xlabel(f"{bits}{dead}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
     profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
     axes.set_title(f"Success{profile} · one fault per mission")
-    figure.legend(handles=handles, loc="outside upper left", **_legend(figure))
+    labels = [str(handle.get_label()) for handle in handles]
+    figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
     return figure
 
 
-def _legend(figure: Figure) -> dict[str, Any]:
+def _legend(figure: Figure, labels: Iterable[str]) -> dict[str, Any]:
     """Options of a legend with as many columns as fit above a figure."""
-    return {**_LEGEND, "ncols": max(1, int(figure.get_figwidth() / _LEGEND_COLUMN))}
+    longest = max(map(len, labels))
+    return {**_LEGEND, "ncols": max(1, int(figure.get_figwidth() / (_LEGEND_MARK + _LEGEND_LETTER * longest)))}
 
 
 _SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
 _OVER_LINES: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
-_LEGEND_COLUMN = 2.0
-"""Width of a column of the legend (inches)."""
+_LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.06
+"""Width of a legend's column without its text, and of a letter (inches)."""
 
 
 def _flown(runs: Runs) -> Runs:
@@ -175,7 +178,7 @@ def flight_time(runs: Runs) -> Figure | None:
     panels[0].yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[0].set_ylabel("missions that arrived")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", **_legend(figure))
+    figure.legend(handles, labels, loc="outside upper left", **_legend(figure, labels))
     return figure
 
 
@@ -234,7 +237,8 @@ def sites(runs: Runs) -> Figure | None:
     environments = judged.values("environment")
     where = environments[0] if len(environments) == 1 else "all environments"
     axes.set_xlabel(f"missions that fail or take more than 5 % longer\n(faults in {bits}; {where}; 95 % intervals)")
-    figure.legend(handles=handles, loc="outside upper left", **_legend(figure))
+    labels = [str(handle.get_label()) for handle in handles]
+    figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
     return figure
 
 
