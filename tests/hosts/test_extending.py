@@ -95,8 +95,8 @@ def test_code_that_only_a_file_names_is_not_run(folder, capsys):
     assert run(["fly", "--environment", "pillars.yaml", "--seed", "1"]) == 2
     stderr = capsys.readouterr().err
     assert stderr == (
-        "mavfi: generator 'my_world:pillars': named in a file, and so not run; allowed: entry points of installed "
-        "packages, or any with --allow-plugins\n"
+        "mavfi: pillars.yaml: key 'generator': generator 'my_world:pillars': named in a file, and so not run; allowed: "
+        "entry points of installed packages, or any with --allow-plugins\n"
     )
 
 
