@@ -21,6 +21,7 @@ from tools.markers import DOCS, ROOT, banner, fill
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
 """File of each table, by marker name."""
+PAGE = "report.html"
 PUBLISHED = "paper"
 """The scale whose results are shown."""
 DATE = r"Generated on (\S+) by (mavfi \S+)"
@@ -118,7 +119,7 @@ def copy_study(out: Path) -> None:
     shutil.rmtree(results, ignore_errors=True)
     for folder in ("figures", "tables"):
         shutil.copytree(out / folder, results / folder)
-    shutil.copyfile(out / "report.html", results / "report.html")
+    shutil.copyfile(out / PAGE, results / PAGE)
     text = (out / "study.md").read_text(encoding="utf-8")
     (results / "study.md").write_text(banner("make reproduce readme SCALE=paper") + text, encoding="utf-8")
 
@@ -136,6 +137,11 @@ def main(out: Path) -> int:
         print(f"{out}: {error}", file=sys.stderr)
         return 2
     if study["scale"] == PUBLISHED:
+        here = str(out.resolve())
+        if here in (out / PAGE).read_text(encoding="utf-8"):
+            print(f"{out / PAGE}: names the folder {here}; write it by a path from the project: mavfi report out/... "
+                  "--html out/.../report.html", file=sys.stderr)  # fmt: skip
+            return 2
         blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
         fill(DOCS / "results.md", blocks)
         table = blocks["instruction_table"]

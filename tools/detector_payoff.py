@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from mavfi.campaign.analysis.failure_rate import Exposed, find_upsets, total_failures, upsets_per_instruction
-from mavfi.campaign.analysis.failure_views import changes, own_parts, verdict
+from mavfi.campaign.analysis.failure_views import changes, own_parts, parts_of, verdict
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.plan import FI
 from mavfi.detectors.registry import of_monitored_fields
@@ -64,7 +64,7 @@ def section(detectors: Sequence[Runs], kernels: Sequence[Runs]) -> str:
                 continue
             found = _found(kernels, environment, scheme)
             for place, source in found.items():
-                parts = [*(part for _, found in source.parts.values() for part in found), *(one for _, one in own)]
+                parts = [*parts_of(source.parts), *(one for _, one in own)]
                 word, _, rest = verdict(total_failures(parts, upset)).partition(", ")
                 faults = f"{sum(count for count, _ in own)} ({_name(runs)})", f"{source.faults} ({source.campaign})"
                 rows.append(

@@ -3,10 +3,10 @@
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.mission import host_of
 from mavfi.campaign.plan import Arm, arms_of
-from mavfi.config import parse
-from mavfi.detectors.registry import check_detector, mission_keys
+from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError
 from mavfi.hosts.host import Host
+from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import MissionSpec
 
 
@@ -33,7 +33,7 @@ def check_names(campaign: Campaign, source: str) -> None:
 def _check_detector(arm: Arm, source: str) -> None:
     if not arm.detector:
         return
-    parse(MissionSpec, dict(mission_keys(arm.detector)), f"detector {arm.detector!r}: recovery")
+    with_keys_of(MissionSpec(), arm.detector)
     try:
         check_detector(arm.detector, arm.profile)
     except BadInputError as error:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from mavfi.campaign.checks import check_distinct
 from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
 from mavfi.config import Config, Name, load
 from mavfi.errors import BadInputError
@@ -59,14 +60,10 @@ class Study(Config):
             BadInputError: A campaign does not exist, does not define the scale, or is in two folders.
         """
         found = {folder: load_campaign(name) for folder, name in self.campaigns.items()}
-        named: dict[str, str] = {}
-        for folder, campaign in found.items():
-            other = named.setdefault(campaign.name, folder)
-            if other != folder:
-                raise BadInputError(
-                    f"study {self.name}: campaigns: {folder}: {campaign.name!r} is also in {other}; allowed: each "
-                    "once, since the files of its results bear its name"
-                )
+        try:  # names of files and steps
+            check_distinct(f"study {self.name}: campaigns", [campaign.name for campaign in found.values()])
+        except ValueError as error:
+            raise BadInputError(str(error)) from None
         sizes = self.scales.get(scale, {})
         return {
             folder: campaign.resized(sizes[folder]) if folder in sizes else campaign.at_scale(scale)

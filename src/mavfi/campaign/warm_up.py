@@ -34,10 +34,8 @@ class _Stage:
     name: str
     scenario: Scenario
 
-    def compile(self) -> bool:
-        """Compile it; whether that was possible."""
+    def compile(self) -> None:
         compile_stage(self.name, self.scenario)
-        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +47,9 @@ class _Detector:
     profile: str
     trained_for: str
 
-    def compile(self) -> bool:
+    def compile(self) -> None:
         with suppress(BadInputError):
             detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for)
-        return True  # the code of any model is small
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +58,10 @@ class _Mission:
 
     campaign: Campaign
 
-    def compile(self) -> bool:
-        campaign = self.campaign
-        scenarios = scenarios_of(campaign, arms_of(campaign))
-        try:
-            models = model_hashes(campaign, scenarios, None)
-        except BadInputError:  # no model is shipped: the campaign compiles it
-            return False
-        warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
-        return True
+    def compile(self) -> None:
+        campaign, models = self.campaign, _shipped_models(self.campaign)
+        if models is not None:
+            warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
 
 
 _Task = _Stage | _Detector | _Mission
@@ -93,13 +85,13 @@ def compile_ahead(
         MavfiError: A worker was lost.
     """
     left = _not_compiled(campaigns)
-    rounds, done, incomplete = _rounds(left), 0, set()
+    rounds, done = _rounds(left), 0
     for tasks in rounds:
-        for task, compiled in map_each(executor, _compile, tasks):
-            if isinstance(task, _Mission) and not compiled:
-                incomplete.add(task.campaign.name)
+        for _ in map_each(executor, _compile, tasks):
             done += 1
             progress(done, sum(map(len, rounds)))
+    missions = [task.campaign for tasks in rounds for task in tasks if isinstance(task, _Mission)]
+    incomplete = {campaign.name for campaign in missions if _shipped_models(campaign) is None}
     for campaign in left:
         if campaign.name not in incomplete:
             _done(campaign).touch()
@@ -139,8 +131,16 @@ def _rounds(campaigns: Sequence[Campaign]) -> list[list[_Task]]:
     ]
 
 
-def _compile(task: _Task) -> bool:
-    return task.compile()
+def _compile(task: _Task) -> None:
+    task.compile()
+
+
+def _shipped_models(campaign: Campaign) -> dict[str, str] | None:
+    """Hashes of the shipped models of a campaign's detectors; None = one is not shipped: the campaign compiles it."""
+    try:
+        return model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    except BadInputError:
+        return None
 
 
 def _scenarios(campaign: Campaign) -> Iterator[tuple[Arm, Scenario]]:

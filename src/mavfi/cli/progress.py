@@ -212,18 +212,19 @@ def _telling(text: str, folder: Path, out: Console) -> Iterator[None]:
 
 
 def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
-    """Planned, flown and succeeded runs by setting; the share of successes with Wilson's interval."""
+    """Flown, planned (where more are) and succeeded runs by setting; the share of successes with Wilson's interval."""
     from mavfi.campaign.analysis.statistics import score_bounds
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for heading in ("setting", "flown", "planned so far", "succeeded", ""):
+    plans = ["planned so far"] if any(planned > done for planned, done, _ in settings.values()) else []
+    for heading in ("setting", "flown", *plans, "succeeded", ""):
         table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
     for setting, (planned, done, success) in settings.items():
         share = ""
         if done:
             low, high = score_bounds(success / done, done)
             share = f"{100 * success / done:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-        table.add_row(setting, str(done), str(planned), str(success), Text(share, style="dim"))
+        table.add_row(setting, str(done), *(str(planned) for _ in plans), str(success), Text(share, style="dim"))
     return table
 
 

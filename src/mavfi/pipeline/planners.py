@@ -193,10 +193,8 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
     return search
 
 
-def checked_path(search: PathSearch, found: np.ndarray, *ends: np.ndarray) -> np.ndarray:
-    """The path that a planner returned between its ends.  Shape (n, 3).
-
-    Ends that are not finite come from a fault; then any numbers may follow.
+def checked_path(search: PathSearch, found: np.ndarray) -> np.ndarray:
+    """The path that a planner returned, whose start and goal are finite also after a fault.  Shape (n, 3).
 
     Raises:
         BadInputError: A user's planner returned something else than `PathSearch.search` promises.
@@ -213,9 +211,8 @@ def checked_path(search: PathSearch, found: np.ndarray, *ends: np.ndarray) -> np
     if not is_path:
         text = f"{' '.join(repr(found).split())[:60]}; allowed: an array of shape (n, 3), n = 0 if there is no path"
         raise BadInputError(f"{place} {text}")
-    if np.isfinite(ends).all():
-        if not np.isfinite(path).all():
-            raise BadInputError(f"{place} vertices that are not finite; allowed: finite ones, or an empty array")
-        if len(path) > MOST_VERTICES:
-            raise BadInputError(f"{place} {len(path)} vertices; allowed: at most {MOST_VERTICES}")
+    if not np.isfinite(path).all():
+        raise BadInputError(f"{place} vertices that are not finite; allowed: finite ones, or an empty array")
+    if len(path) > MOST_VERTICES:
+        raise BadInputError(f"{place} {len(path)} vertices; allowed: at most {MOST_VERTICES}")
     return path

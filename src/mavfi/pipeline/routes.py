@@ -104,7 +104,7 @@ class Routes:
             return None
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
-        found = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box), first, last)
+        found = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box))
         return found if len(found) else None
 
     def _core(self) -> np.ndarray:
@@ -189,7 +189,7 @@ class Routes:
         if not self._is_tight(stretch[-1]):
             local = self._searches.content[1]
             ends = stretch[0], stretch[-1]
-            found = checked_path(local, local.search(clearance.wide, clearance.grid, *ends, lower, upper), *ends)
+            found = checked_path(local, local.search(clearance.wide, clearance.grid, *ends, lower, upper))
             still = np.zeros(3)
             if len(found) and self._time(found, still) < self._time(stretch, still):
                 return found[1:]

@@ -58,5 +58,5 @@ def test_wrong_studies_are_refused(change, message):
 
 
 def test_a_campaign_is_in_one_folder_of_a_study():
-    with pytest.raises(BadInputError, match="campaigns: again: 'table1' is also in first; allowed: each once"):
+    with pytest.raises(BadInputError, match="^study .*: campaigns: 'table1': named 2 times; allowed: once$"):
         study(campaigns={"first": "table1", "again": "table1"}).campaigns_at("quick")

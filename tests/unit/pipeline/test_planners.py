@@ -1,6 +1,7 @@
 """Planners whose memory was struck: a search ends with its budget whatever its own counters say."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -81,10 +82,11 @@ def test_a_planner_without_a_generator_is_refused(monkeypatch):
 )
 def test_a_path_that_cannot_be_flown_is_the_planners_mistake(path, message):
     with pytest.raises(BadInputError, match=rf"^planner \S+:Own: search returned .*{message}"):
-        planners.checked_path(Own(), path, np.zeros(3), np.ones(3))
+        planners.checked_path(Own(), path)
 
 
-def test_what_follows_from_ends_that_are_not_finite_passes():
-    wrong, start = np.full((2, 3), np.nan), np.array([np.nan, 0.0, 0.0])
-    assert planners.checked_path(Own(), wrong, start, np.ones(3)) is wrong
-    assert len(planners.checked_path(Own(), np.zeros((300, 3)), np.zeros(3), np.ones(3))) == 300
+def test_the_longest_path_passes_and_is_that_of_the_page():
+    longest = np.zeros((planners.MOST_VERTICES, 3))
+    assert planners.checked_path(Own(), longest) is longest
+    page = (Path(__file__).parents[3] / "docs" / "extending.md").read_text(encoding="utf-8")
+    assert f"A path has at most {planners.MOST_VERTICES} vertices" in " ".join(page.split())

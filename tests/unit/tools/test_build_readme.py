@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 
@@ -118,6 +119,19 @@ def test_a_study_at_another_scale_brings_its_digests_only_and_keeps_those_of_oth
     assert build_readme.main(study(documents / "paper", "paper")) == 0
     readme = (documents / "README.md").read_text(encoding="utf-8")
     assert "| table1 |  | `digest of quick` | `digest of paper` |" in readme
+
+
+def test_a_page_with_commands_for_one_machine_alone_is_not_published(documents, capsys):
+    own = study(documents / "out", "paper")
+    (own / "report.html").write_text(f"mavfi reproduce paper --out {own}", encoding="utf-8")
+    assert build_readme.main(own) == 2 and not (documents / "results").exists()
+    assert capsys.readouterr().err.startswith(f"{own / 'report.html'}: names the folder {own}; ")
+
+
+def test_published_pages_name_no_folder_of_a_machine():
+    for page in [*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *DOCS.rglob("*.html"), *DOCS.rglob("*.json")]:
+        found = re.findall(r"/(?:tmp|home|root|work)/\S{0,40}", page.read_text(encoding="utf-8"))
+        assert not found, f"{page}: {found[:3]}"
 
 
 def test_a_study_whose_digests_are_not_those_of_the_program_changes_nothing(documents, capsys):

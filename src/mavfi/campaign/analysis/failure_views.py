@@ -104,9 +104,8 @@ def payoff(
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
     changed = changes(runs, environment, setting, kernels) if (environment, setting) in exposed(runs) else {}
-    parts = [part for _, found in changed.values() for part in found]
     own = [one for _, one in own_parts(runs, environment, setting)]
-    return total_failures([*parts, *own], upset) if changed else None
+    return total_failures([*parts_of(changed), *own], upset) if changed else None
 
 
 def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
@@ -139,23 +138,31 @@ def changes(
     counts = {arm: instructions_per_hour(flown.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
     found = {}
     for (kernel, arm), every in pairs.groups("kernel", "arm").items():
-        both = [world for world in every.values("world")
+        fine = [world for world in every.values("world")
                 if all(golden.get((one, world), {}).get("success") for one in ("", arm))]  # fmt: skip
-        own, counted = every.where(pl.col("world").is_in(both)), arm if counts[arm] else ""
-        instructions, alone = counts[counted].get(kernel), counts[""].get(kernel, 0.0)
-        if kernel in GUARDS or (kernels and kernel not in kernels) or instructions is None or not len(own):
-            continue
-
-        def lost(first: Sequence[bool], second: Sequence[bool], arm: str) -> Estimate:
-            ids = [golden[arm, world]["run_id"] for world in own["world"]]  # noqa: B023 - called in this iteration
-            weights = _weights(runs, kernel, ids, own["world"])  # noqa: B023
-            return Estimate(*paired_difference(first, second, own["world"], weights))  # noqa: B023
-
-        parts = [Exposed(instructions, lost(own["fi_success"], own["dr_success"], counted))]
-        if alone and instructions != alone:
-            parts.append(Exposed(instructions - alone, lost([True] * len(own), own["fi_success"], "")))
-        found[kernel] = len(own), tuple(parts)
+        own, counted = every.where(pl.col("world").is_in(fine)), arm if counts[arm] else ""
+        if len(own) and kernel in counts[counted] and kernel not in GUARDS and (not kernels or kernel in kernels):
+            ids = [[golden[one, world]["run_id"] for world in own["world"]] for one in (counted, "")]
+            instructions = counts[counted][kernel], counts[""].get(kernel, 0.0)
+            found[kernel] = len(own), _changed(own, kernel, instructions, *ids)
     return found
+
+
+def _changed(
+    own: Runs, kernel: str, instructions: tuple[float, float], golden: Sequence[str], plain: Sequence[str]
+) -> tuple[Exposed, ...]:
+    """The parts of `changes` of a kernel, given instructions and golden runs with the setting and without an arm."""
+    worlds, alone = own["world"], own["fi_success"]
+    changed = paired_difference(alone, own["dr_success"], worlds, _weights(own, kernel, golden, worlds))
+    harm = paired_difference([True] * len(own), alone, worlds, _weights(own, kernel, plain, worlds))
+    with_setting, without = instructions
+    added = with_setting - without if without else 0.0
+    return Exposed(with_setting, Estimate(*changed)), *([Exposed(added, Estimate(*harm))] if added else [])
+
+
+def parts_of(changed: Mapping[str, tuple[int, tuple[Exposed, ...]]]) -> list[Exposed]:
+    """The parts of all kernels of `changes`."""
+    return [part for _, parts in changed.values() for part in parts]
 
 
 def payoffs(runs: Runs, upset: float) -> list[str]:

@@ -43,10 +43,14 @@ PERCENT = Unit("%", 100.0)
 
 
 def tested(found: Difference | None, one: str, other: str, *, more: bool, what: str, unit: Unit = PERCENT) -> Evidence:
-    """Evidence from a difference, which the claim states to be positive (`more`) or negative."""
+    """Evidence from a difference, which the claim states to be positive (`more`) or negative.
+
+    `one` and `other` name the groups in the text; "" = a constant, which is left out.
+    """
     if found is None:
         return Evidence("no runs to compare", None, supports=False)
-    here = f"{what}: {unit.text(found.first, one)}, {unit.text(found.second, other)}, {found.worlds} worlds"
+    means = ", ".join(unit.text(mean, own) for mean, own in ((found.first, one), (found.second, other)) if own)
+    here = f"{what}: {means}, {found.worlds} worlds"
     return Evidence(here, found.p_value, (found.difference > 0) == more, found.behind)
 
 
@@ -90,11 +94,9 @@ def _lost(select: pl.Expr | None = None, setting: str = FI) -> Callable[[Runs], 
     def test(runs: Runs) -> Evidence:
         own = leading_faults(runs).where(pl.col("golden_success").is_not_null(), setting=setting)
         own = own if select is None else own.where(select)
-        golden = pl.col("golden_success")
-        found = within_worlds(own.adding(value=golden), own.adding(value=SUCCESS), pl.col("value"))
-        if found is not None:  # the golden run of a world is one flight, whatever its number of faults
-            rate = m.golden_rate(own)
-            found = replace(found, first=Mean(rate.rate or 0.0, rate.n, (rate.low or 0.0, rate.high or 0.0)))
+        once = replace(own, frame=own.frame.unique("world", maintain_order=True))  # a world has one golden run
+        golden = once.adding(value=pl.col("golden_success"))
+        found = within_worlds(golden, own.adding(value=SUCCESS), pl.col("value"))
         return tested(found, "golden", _WORDS[setting], more=True, what="success")
 
     return test
@@ -107,10 +109,7 @@ def _above_golden(value: pl.Expr, what: str, select: pl.Expr | None = None) -> C
         own = _faults(runs).where("golden_success", *(() if select is None else (select,))).adding(value=value)
         known = own.where(pl.col("value").is_not_null())
         found = within_worlds(known, known.adding(value=pl.lit(0.0)), pl.col("value"))
-        if found is None:
-            return tested(found, "fault", "golden", more=True, what=what)
-        here = f"{what}: {PERCENT.text(found.first, 'fault')}, {found.worlds} worlds"
-        return Evidence(here, found.p_value, found.difference > 0, found.behind)
+        return tested(found, "fault", "", more=True, what=what)
 
     return test
 

@@ -39,9 +39,9 @@ def time_table(campaigns: Mapping[str, Runs]) -> Table:
     return Table(
         "times", "Where the time goes: workers of the campaigns", _COLUMNS, rows,
         notes=(
-            "time of worker processes, added over workers: with two workers about twice the wall time; together: null "
-            "runs, too; golden runs "
-            "include the counting of instructions, and those with a fault start at checkpoints of golden runs",
+            "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
+            "include the counting of instructions, those with a fault start at checkpoints of golden runs; together: "
+            "with null runs",
         ),
     )  # fmt: skip
 
