@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from pathlib import Path
 
 import polars as pl
@@ -77,9 +77,13 @@ def _cases(parts: Sequence[Part], most: int) -> list[Case]:
             levels = explained_levels(host_of(stored_campaign(store)))
         ids = ordered(frame.filter(pl.col("level").is_in(levels)))[:most]
         chosen.append([(part.directory, run_id) for run_id in ids])
-    turns = [case for turn in zip_longest(*chosen) for case in turn if case is not None][:most]
+    folders: dict[str, Path] = {}  # by run: the same one may be in several campaigns
+    for directory, run_id in (case for turn in zip_longest(*chosen) for case in turn if case is not None):
+        folders.setdefault(run_id, directory)
     frames = {part.directory: part.report.runs.frame for part in parts}
-    return [(directory, run_id, partner(frames[directory], run_id)) for directory, run_id in turns]
+    return [
+        (directory, run_id, partner(frames[directory], run_id)) for run_id, directory in islice(folders.items(), most)
+    ]
 
 
 def _flown(

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from mavfi.campaign.analysis import table as table_of
 from mavfi.campaign.analysis.table import Column, Table
+from mavfi.cli import report_page
 from mavfi.cli.flight_pages import fly_command
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
@@ -134,6 +135,11 @@ def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
     assert len(asked) == count + 1
     with pytest.raises(BadInputError, match="without any flight; allowed: 1000"):
         written(tmp_path, report, flown, largest=1000)
+
+
+def test_a_run_of_two_campaigns_is_one_flight_of_the_page(flown, report):
+    once = report_page._cases([Part(flown, report)], 3)
+    assert len(once) == 3 and report_page._cases([Part(flown, report), Part(flown, report)], 3) == once
 
 
 def test_the_libraries_are_there_with_their_licences(flight_html):
