@@ -25,7 +25,7 @@ HEAD = """# Fault map: what one flipped bit does, by site
 
 Faults on the design seeds, flown again (`make fault-map`) after every change of a rule of `published`: a change that
 makes golden flights better and faults invisible would show here. The autopilot profiles were tuned on these seeds, so
-these figures are not for publication; the campaigns `table1`, `states` and `bits` fly other seeds.
+these figures are not for publication; the campaigns `table1` and `states` fly other seeds.
 
 """
 FOOT = """

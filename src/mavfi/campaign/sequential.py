@@ -19,7 +19,7 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.faults.strata import HEADLINE
+from mavfi.faults.strata import HEADLINE, SIGN_EXPONENT
 from mavfi.flight_record import End
 from mavfi.mission import MissionStatus
 
@@ -186,10 +186,10 @@ def cell_of(campaign: Campaign, spec: RunSpec) -> Cell | None:
     if spec.fault is None:
         return spec.setting, "", ""
     strata = list(getattr(sampling, "strata", None) or ())
-    if HEADLINE in strata:
-        if spec.fault.stratum != HEADLINE:
+    apart = bool(getattr(sampling, "groups", ())) or getattr(sampling, "share", "") == "kernel"
+    if HEADLINE in strata or (apart and len(strata) > 1):
+        if spec.fault.stratum not in SIGN_EXPONENT:
             return None
     elif len(strata) > 1:
         return spec.setting, "", spec.fault.stratum
-    apart = bool(getattr(sampling, "groups", ())) or getattr(sampling, "share", "") == "kernel"
     return spec.setting, spec.target if apart else "", ""

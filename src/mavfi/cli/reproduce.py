@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MODELS = "models"
 """Subfolder of the study for the trained models."""
-PAGE, FLIGHTS = "report.html", 35
+PAGE, FLIGHTS = "report.html", 30
 """Name of the study's page, and its number of flights: five of each campaign of the paper's study, 1.5 MB and less than
 a minute of two processors.  `mavfi report --html` fills the page up to its largest size, in several minutes."""
 TIMED, TIMED_FLIGHTS = "overheads_as_in_the_paper", 3
@@ -36,7 +36,7 @@ TIMED, TIMED_FLIGHTS = "overheads_as_in_the_paper", 3
 def reproduce(  # noqa: PLR0913 - one parameter per option
     study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
     scale: Annotated[
-        str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 24,000.")
+        str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 20,000.")
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: options.Workers = 2,

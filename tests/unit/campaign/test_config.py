@@ -52,7 +52,7 @@ def test_table1_has_the_size_of_the_paper():
 
 def test_the_kernels_campaign_has_the_size_of_the_papers_study():
     campaign = load_campaign("kernels").at_scale("paper")
-    assert count(campaign) == 7 * 100 + 3 * 100, "100 per kernel, and a golden run for each planner"
+    assert count(campaign) == 7 * 100 + 3 * 50, "100 per kernel, two per world, and a golden run for each planner"
     assert set(campaign.sampling.kernels) == set(INJECTABLE)
 
 
@@ -194,7 +194,7 @@ def test_keys_of_before_name_the_new_one(old, new):
 
 
 def test_unknown_names_say_what_is_known():
-    with pytest.raises(BadInputError, match="allowed: .*bits.*smoke.*states.*table1"):
+    with pytest.raises(BadInputError, match="allowed: .*kernels.*smoke.*states.*table1"):
         load_campaign("table2")
     with pytest.raises(BadInputError, match="allowed: quick, paper"):
         load_campaign("table1").at_scale("huge")

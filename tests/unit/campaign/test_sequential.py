@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,17 +69,20 @@ def test_the_most_missions_are_enough_for_every_rate_and_one_less_is_not(target)
 
 
 def test_what_counts_in_which_rate():
-    table1, kernels, bits = (load_campaign(name) for name in ("table1", "kernels", "bits"))
+    table1, kernels, states = (load_campaign(name) for name in ("table1", "kernels", "states"))
     from tests.unit.campaign.analysis.handmade import FAULT, INSTRUCTION, golden, injected, null
 
     assert cell_of(table1, golden(1).spec) == ("golden", "", "")
     assert cell_of(table1, injected(1, None, FAULT).spec) == ("fi", "", "")
     assert cell_of(kernels, injected(1, None, INSTRUCTION, target="pid").spec) == ("fi", "pid", "")
-    assert cell_of(bits, injected(1, None, FAULT).spec) == ("fi", "", "sign_exponent"), "fields together"
+    yaw = ("fi", "waypoint yaw", "")
+    for stratum, cell in (("sign", yaw), ("exponent", yaw), ("mantissa", None)):
+        fault = replace(FAULT, stratum=stratum)
+        assert cell_of(states, injected(1, None, fault, target="waypoint yaw").spec) == cell, "states as in Fig. 4"
     assert cell_of(table1, null(1, None).spec) is None
     memory = load_campaign("memory")
     by_class = memory.model_copy(
-        update={"sampling": memory.sampling.model_copy(update={"strata": bits.sampling.strata})}
+        update={"sampling": memory.sampling.model_copy(update={"strata": states.sampling.strata, "groups": ()})}
     )
     assert cell_of(by_class, injected(1, None, FAULT).spec) == ("fi", "", "sign_exponent")
 

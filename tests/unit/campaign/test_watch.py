@@ -74,7 +74,7 @@ def test_watching_ends_with_the_campaign_or_with_ctrl_c(flying, stop):
     lines = out.splitlines()
     last = lines[next(i for i, line in enumerate(lines) if line.startswith("160 of 160 runs · complete")) :]
     golden = next(line for line in last if line.startswith("golden"))
-    assert golden.split()[:4] == ["golden", "40", "40", "40"] and "100.0 % [91.2, 100.0]" in golden
+    assert golden.split()[:4] == ["golden", "40", "40", "100.0"] and "100.0 % [91.2, 100.0]" in golden
 
 
 def _watched(watching, flying, stop):

@@ -6,7 +6,7 @@ import polars as pl
 
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis.paper_views import leading_faults
-from mavfi.campaign.analysis.rows import ALL_BITS, KERNEL_DUE
+from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
@@ -21,8 +21,8 @@ def findings(runs: Runs) -> list[str]:
 
 
 def _bits(own: Runs) -> str:
-    name = own.first("population")
-    return "" if name == ALL_BITS else f" ({m.POPULATIONS.get(name, name)} bits)"
+    text = m.population_text(own.values("population"))
+    return f" ({text} bits)" if text else ""
 
 
 def _percent(rate: Rate) -> str:
@@ -92,13 +92,13 @@ def _recovery(runs: Runs) -> list[str]:
     paired = m.against_fi(runs)
     if not len(paired):
         return []
-    names = m.population_names(runs.injected, ())
+    leads = m.leads(m.population_names(runs.injected, ()))
     parts = []
     arms = runs.campaign.get("arms", {})
     # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
     protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]
     paired = paired.where(~pl.col("arm").is_in(protected))
-    for (setting,), own in paired.where(population=names[0]).groups("setting").items():
+    for (setting,), own in paired.where(pl.col("population").is_in(leads)).groups("setting").items():
         test, found = m.discordant(own), m.recovery_of(own)
         back, lost = (0, 0) if found is None else (found.regained, found.lost)
         parts.append(f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "

@@ -1,7 +1,7 @@
 """Measures, which map the rows of a group to one cell: a rate with its interval, a count, a quantile or a test."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from mavfi.campaign.analysis.statistics import (
 )
 from mavfi.campaign.analysis.table import NUMBER, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.faults.strata import HEADLINE
+from mavfi.faults.strata import HEADLINE, SIGN_EXPONENT
 
 WHOLE_WORD = "whole_word"
 _WORDS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
@@ -144,6 +144,18 @@ def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
         found |= dict.fromkeys([*own, *([WHOLE_WORD] if set(own) in PARTITIONS else [])])
     own = [name for name in found if name != "all"]
     return sorted(own, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+
+
+def leads(names: Sequence[str]) -> list[str]:
+    """Of populations in table order, those of sign and exponent bits, together or apart; without any, the first one."""
+    return [name for name in names if name in SIGN_EXPONENT] or list(names[:1])
+
+
+def population_text(names: Collection[str]) -> str:
+    """Display name of `leads`; "" for all bits of a word, and for none."""
+    if len(names) > 1:
+        return POPULATIONS[HEADLINE]
+    return "".join(POPULATIONS.get(name, name) for name in names if name != ALL_BITS)
 
 
 def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:

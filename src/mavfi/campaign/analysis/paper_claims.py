@@ -13,7 +13,7 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.worlds import Difference, Mean, between_worlds, within_worlds
 from mavfi.campaign.plan import FI
 
-KERNELS, STATES, BITS, INSTRUCTIONS, VALUES = "kernels", "states", "bits", "table1_instructions", "table1"
+KERNELS, STATES, INSTRUCTIONS, VALUES = "kernels", "states", "table1_instructions", "table1"
 """Names of the campaigns used in the tests."""
 HURT, SUCCESS = m.FAILS_OR_SLOWER, pl.col("success")
 ALTERED = pl.when("success").then(pl.col("inflation").abs() > m.SLOWER)
@@ -226,7 +226,7 @@ def _of_states() -> Iterable[Claim]:
         "sign_exponent_matter_most",
         "Faults in sign and exponent fields have a greater impact",
         "III-B",
-        BITS,
+        STATES,
         WITHIN,
         _compared(by_bits, _BITS["high"], _BITS["low"], HURT, more=True, what=_HURT),
     )
@@ -240,7 +240,7 @@ def _of_states() -> Iterable[Claim]:
             f"sign_exponent_{name}",
             f"Faults in sign and exponent fields increase {name.replace('_', ' ')} more",
             "III-B",
-            BITS,
+            STATES,
             WITHIN,
             _compared(by_bits, _BITS["high"], _BITS["low"], value, more=True, what=what),
         )

@@ -27,6 +27,7 @@ from mavfi.campaign.analysis.worlds import CONTRAST, contrast_measure
 from mavfi.campaign.plan import FI, GOLDEN
 
 GOLDEN_ROW = "golden run"
+BIT_CLASSES = ("sign", "exponent", "mantissa")
 TAIL = 0.05
 """Tail probability of the conditional value at risk (Rockafellar and Uryasev 2000)."""
 SECONDS = "number .1f s"
@@ -40,10 +41,9 @@ def with_golden(faulty: Runs, runs: Runs, column: str) -> Runs:
 
 
 def leading_faults(runs: Runs) -> Runs:
-    """Judged runs with a fault in the leading population."""
+    """Judged runs with a fault in the leading bits: sign and exponent, or all bits where these were not drawn apart."""
     judged = runs.injected.where("judged")
-    names = m.population_names(judged, ())
-    return judged.where(population=names[0]) if names else judged
+    return judged.where(pl.col("population").is_in(m.leads(m.population_names(judged, ()))))
 
 
 def by_kernel(runs: Runs) -> Runs:
@@ -57,8 +57,9 @@ def by_state(runs: Runs) -> Runs:
 
 
 def by_bits(runs: Runs) -> Runs:
-    """Section III-B: golden runs, and runs with a state fault, by class of the flipped bit."""
-    own = named_populations(runs.injected.where("judged", level="state", setting=FI))
+    """Section III-B: golden runs, and runs with a fault in a float of a state, by class of the flipped bit."""
+    drawn = pl.col("population").is_in(BIT_CLASSES)
+    own = named_populations(runs.injected.where("judged", drawn, level="state", setting=FI))
     return with_golden(own, runs, "bits")
 
 
@@ -120,7 +121,7 @@ register(
            by_state, "state", lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
            "the paper's Fig. 4 is a drawing without numbers; faults in sign and exponent bits, where drawn apart"),
     _shown("bits_as_in_the_paper", "Section III-B: flight time and success, by class of the flipped bit", "bits",
-           by_bits, "bits", lambda runs: {"sign", "exponent", "mantissa"} <= set(runs.injected.values("population")),
+           by_bits, "bits", lambda runs: set(BIT_CLASSES) <= set(runs.injected.values("population")),
            "section III-B: faults in sign and exponent fields have a greater impact"),
 )  # fmt: skip
 

@@ -16,11 +16,12 @@ from mavfi.campaign.analysis.measures import (
     POPULATIONS,
     in_leading,
     leading,
+    leads,
     population_names,
+    population_text,
     populations,
 )
 from mavfi.campaign.analysis.paper_views import leading_faults
-from mavfi.campaign.analysis.rows import ALL_BITS
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.views import has
@@ -183,8 +184,8 @@ def flight_time(runs: Runs) -> Figure | None:
 
 
 def _arrival_caption(runs: Runs) -> str:
-    names = population_names(runs.injected, ())
-    bits = f" in {POPULATIONS.get(names[0], names[0])} bits" if names and names[0] != ALL_BITS else ""
+    text = population_text(leads(population_names(runs.injected, ())))
+    bits = f" in {text} bits" if text else ""
     return f"Share of missions that arrived, faults{bits}, by flight time over the golden run's; lost ones never do."
 
 

@@ -199,9 +199,9 @@ def test_claims_on_kinds_of_bits_and_on_waypoints():
         own.append(injected(seed, flown(), mild, target="waypoint yaw", index=2 * seed + 1))
     strong = [replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign")))
               if run.spec.fault and run.spec.fault.stratum != "mantissa" else run for run in own]  # fmt: skip
-    [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="bits")]).entries()
+    [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="states")]).entries()
     assert found["verdict"] == "confirmed" and "sign and exponent 20.0 %" in found["here"], found
-    [found] = claims_table(["sign_exponent_failures"], [runs(*strong, name="bits")]).entries()
+    [found] = claims_table(["sign_exponent_failures"], [runs(*strong, name="states")]).entries()
     assert found["verdict"] == "undecided" and "fails: sign and exponent 0.0 %" in found["here"]
     [found] = claims_table(["waypoints_harm"], [runs(*own, name="states")]).entries()
     assert found["verdict"] == "confirmed" and "fault 100.0 %" in found["here"], found

@@ -5,9 +5,10 @@ import pytest
 
 from mavfi.campaign.analysis import paper, table
 from mavfi.campaign.analysis.cases import path_cases
-from mavfi.campaign.analysis.paper_views import GOLDEN_ROW, value_at_risk
+from mavfi.campaign.analysis.measures import leads, population_names, population_text
+from mavfi.campaign.analysis.paper_views import GOLDEN_ROW, by_bits, by_state, value_at_risk
 from mavfi.faults.fault import FaultSite, StateFault
-from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, flown, golden, injected, runs
+from tests.unit.campaign.analysis.handmade import FAULT, GOLDEN, INSTRUCTION, flown, golden, injected, runs
 
 PERCEPTION = StateFault(FaultSite("perception.collision_status", "time_to_collision"), 1, 62, "sign_exponent", 0.1)
 
@@ -127,3 +128,17 @@ def test_the_detector_of_a_case_is_the_one_that_recovers_it():
             for arm in ("autoencoder", "gaussian")]  # fmt: skip
     [found] = path_cases(runs(*own))
     assert found.arm == "gaussian" and found.recovered.startswith("dense-1-dr_gaussian")
+
+
+def test_sign_and_exponent_lead_together_where_they_are_drawn_apart():
+    """Fig. 4 counts faults in both; section III-B those in floats, not the other bits of an integer."""
+    own = [golden(1)]
+    for index, stratum in enumerate(("sign", "exponent", "mantissa", "sign_exponent")):
+        fault = replace(FAULT, stratum=stratum)
+        own.append(injected(1, flown(), fault, target="epochs" if stratum == "sign_exponent" else "yaw", index=index))
+    found = runs(*own, name="states")
+    assert by_state(found).values("target") == ["golden run", "yaw", "epochs"]
+    assert [len(by_state(found).where(target=name)) for name in ("yaw", "epochs")] == [2, 1]
+    assert by_bits(found).values("bits") == ["golden run", "sign", "exponent", "mantissa"]
+    assert population_text(leads(population_names(found.injected, ()))) == "sign + exponent"
+    assert [population_text([name]) for name in ("sign", "all_bits")] == ["sign", ""]
