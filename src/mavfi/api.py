@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.analysis.runs import Runs
     from mavfi.campaign.analysis.table import Table
     from mavfi.campaign.executors.executor import Executor
-    from mavfi.campaign.run import Progress
+    from mavfi.campaign.session import Progress
 
 
 def fly(

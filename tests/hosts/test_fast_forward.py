@@ -132,7 +132,8 @@ def test_the_octree_is_fast_forwarded_too():
 
 @pytest.mark.parametrize("watched", [True, False])
 def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched):
-    forward, taken = FastForward(mission(), watched=watched), []
+    forward, taken = FastForward(mission()), []
+    forward.watched = watched
     forward.fly()
     monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
     assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)

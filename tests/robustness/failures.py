@@ -20,7 +20,7 @@ from pathlib import Path
 
 import yaml
 
-from mavfi.campaign import run as run_module
+from mavfi.campaign import session as session_module
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import commands
 from mavfi.errors import BadInputError
@@ -135,7 +135,7 @@ class Campaign:
                 os.dup2(log.fileno(), _STDERR)
             sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(_STDERR, "w", closefd=False)
             os.environ["TMPDIR"] = tempfile.tempdir = str(self.folder / "tmp")
-            run_module.PAUSE_S = 0.01
+            session_module.PAUSE_S = 0.01
             prepare()
             try:
                 return self.command()

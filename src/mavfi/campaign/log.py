@@ -9,11 +9,11 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from mavfi.campaign.executors.executor import Done, Lost
 from mavfi.campaign.mission import MissionPlan
@@ -25,8 +25,6 @@ MOST_UNKNOWN = 100
 """Runs with status unknown logged individually per session; the others are only counted at its end."""
 _LONGEST_TEXT = 500
 _TAIL = 2**22
-
-R = TypeVar("R")
 
 
 class Log:
@@ -40,6 +38,8 @@ class Log:
         self._path = directory / FILE
         self._unknown = 0
         self._whole = False  # whether the last line was written completely
+        self._begun: dict[str, float] = {}  # missions in the air, and when they began (s)
+        self._runs: Counter[str] = Counter()  # of these
 
     def note(self, event: str, **fields: Any) -> None:
         """Append a line; a line truncated by a full disk remains separate."""
@@ -53,30 +53,23 @@ class Log:
                 line = line if file.read(1) == b"\n" else b"\n" + line
             self._whole = file.write(line) == len(line)
 
-    def following(
-        self, batches: Iterable[tuple[MissionPlan, Sequence[R]]]
-    ) -> Iterator[tuple[MissionPlan, Sequence[R]]]:
-        """Pass on the batches of an executor, and log the events of missions and workers in them."""
-        begun: dict[str, float] = {}
-        runs: Counter[str] = Counter()
-        for mission, items in batches:
-            name = f"{mission.environment}-{mission.seed}"
-            if name not in begun:
-                begun[name] = time.perf_counter()
-                self.note("mission_begin", mission=name, runs_done=len(mission.done), alone=mission.alone)
-            flown = [item for item in items if isinstance(item, Flown)]
-            runs[name] += len(flown)
-            for item in flown:
-                self.flown(item)
-            last = items[-1] if items else None
-            if isinstance(last, (Done, Lost)):
-                seconds = time.perf_counter() - begun.pop(name)
-                fields = {"mission": name, "runs": runs.pop(name), "seconds": round(seconds, 1)}
-                if isinstance(last, Lost):
-                    self.note("worker_lost", **fields, reason=last.reason)
-                else:
-                    self.note("mission_end", **fields, worker_peak_mib=round(last.peak_kib / 1024, 1))
-            yield mission, items
+    def follow(self, mission: MissionPlan, items: Sequence[object], last: Done | Lost | None) -> None:
+        """Log the events of a mission and its worker in new items."""
+        name = f"{mission.environment}-{mission.seed}"
+        if name not in self._begun:
+            self._begun[name] = time.perf_counter()
+            self.note("mission_begin", mission=name, runs_done=len(mission.done), alone=mission.alone)
+        flown = [item for item in items if isinstance(item, Flown)]
+        self._runs[name] += len(flown)
+        for item in flown:
+            self.flown(item)
+        if last is not None:
+            seconds = time.perf_counter() - self._begun.pop(name)
+            fields = {"mission": name, "runs": self._runs.pop(name), "seconds": round(seconds, 1)}
+            if isinstance(last, Lost):
+                self.note("worker_lost", **fields, reason=last.reason)
+            else:
+                self.note("mission_end", **fields, worker_peak_mib=round(last.peak_kib / 1024, 1))
 
     def flown(self, item: Flown) -> None:
         """Log a run with status unknown."""

@@ -5,7 +5,8 @@ from itertools import islice
 from pathlib import Path
 
 from mavfi.campaign.fingerprint import differences
-from mavfi.campaign.run import ORDERED, Status, check_shard, check_versions, status, stored_campaign
+from mavfi.campaign.run import ORDERED, check_shard, check_versions, status, stored_campaign
+from mavfi.campaign.session import Status
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError

@@ -1,9 +1,12 @@
 """The unit of work: all runs of one mission.  `fly_mission` is a pure function of a `MissionPlan`.
 
+Missions of several campaigns that start from the same golden flights can be one job: `fly_missions`.
+
 Sequence: golden runs, drawing of the faults from them, injected runs; planned runs are yielded before they are flown.
 Exceptions of mavfi itself are recorded as `unknown`, never as an effect of a fault; machine failures are not recorded.
 """
 
+import json
 import pickle
 import time
 import traceback
@@ -56,6 +59,10 @@ class MissionPlan:
         return self.environment, self.seed
 
 
+Job = tuple[tuple[int, MissionPlan], ...]
+"""Missions that share golden flights, each with a number that distinguishes them."""
+
+
 def host_of(campaign: Campaign) -> Host:
     """The host of a campaign."""
     return find_host(campaign.host, campaign.under_test)
@@ -104,14 +111,34 @@ def model_hashes(
     return found
 
 
+def flights_of(plan: Plan, environment: str) -> dict[str, str]:
+    """What determines the golden flights of a plan's missions in an environment but their seed, as text by arm."""
+    campaign = plan.campaign
+    return {
+        arm.name: json.dumps([
+            campaign.host, campaign.under_test, arm.detector, arm.profile,
+            model_of(plan.models, environment, arm.name), plan.scenarios[environment, arm.name],
+            campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
+        ], sort_keys=True)
+        for arm in plan.arms
+    }  # fmt: skip
+
+
+def share(flights: Mapping[str, str], others: Mapping[str, str]) -> bool:
+    """Whether missions share golden flights (as by `flights_of`): that without a detector, and no arm differs."""
+    return flights[""] == others[""] and all(others.get(arm, text) == text for arm, text in flights.items())
+
+
 _SAMPLERS: dict[str, Sampler] = {}
+_MOST_SAMPLERS = 16
 
 
 def _sampler_of(campaign: Campaign) -> Sampler:
-    """The sampler of the current campaign; cached, since it holds the strata of all missions."""
+    """The sampler of a campaign; cached, since it holds the strata of all missions."""
     key = campaign.model_dump_json()
     if key not in _SAMPLERS:
-        _SAMPLERS.clear()
+        while len(_SAMPLERS) >= _MOST_SAMPLERS:
+            del _SAMPLERS[next(iter(_SAMPLERS))]
         _SAMPLERS[key] = sampler_for(campaign)
     return _SAMPLERS[key]
 
@@ -137,6 +164,27 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
     return ArmSetup(scenario, make if arm.detector else None, Recovery.of(spec))
 
 
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """A mission whose scenarios are resolved."""
+
+    mission: MissionPlan
+    plan: Plan
+    host: Host
+    setups: Mapping[str, ArmSetup]
+
+    @staticmethod
+    def of(mission: MissionPlan) -> "_Ready":
+        """Resolve the scenarios."""
+        campaign = mission.campaign
+        plan = plan_of(
+            campaign, mission.models, scenarios_of(campaign, arms_of(campaign), [mission.environment])
+        )  # fmt: skip
+        _check_scenarios(mission, plan)
+        host = host_of(campaign)
+        return _Ready(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})
+
+
 def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
     """Fly all runs of a mission that are not in the ledger yet.
 
@@ -147,10 +195,21 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
         BadInputError: The mission cannot be flown at all: a name is unknown, or a model does not match.
         MachineError: The machine failed.
     """
+    return (item for _, item in fly_missions(((0, mission),)))
+
+
+def fly_missions(job: Job) -> Iterator[tuple[int, Planned | Flown]]:
+    """As `fly_mission`, for missions that `share` golden flights; each item has the number of its mission."""
+    current = job[0][1]
     try:
-        yield from _fly(mission)
+        ready = [(number, _Ready.of(current := mission)) for number, mission in job]
+        arms = {name: setup for _, one in ready for name, setup in one.setups.items()}
+        flights = ready[0][1].host.mission(arms, fast_forward=current.fast_forward)
+        for number, one in ready:
+            current = one.mission
+            yield from ((number, item) for item in _fly(one, flights))
     except Exception as error:
-        _check_recordable(error, f"mission {mission.environment}-{mission.seed}")
+        _check_recordable(error, f"mission {current.environment}-{current.seed}")
         raise
 
 
@@ -163,20 +222,14 @@ def _check_recordable(error: Exception, where: str) -> None:
         raise MachineError(f"{where}: {failed}") from error
 
 
-def _fly(mission: MissionPlan) -> Iterator[Planned | Flown]:
+def _fly(ready: _Ready, flights: MissionFlights) -> Iterator[Planned | Flown]:
     """The items of `fly_mission`."""
-    campaign = mission.campaign
-    scenarios = scenarios_of(campaign, arms_of(campaign), [mission.environment])
-    plan = plan_of(campaign, mission.models, scenarios)
-    _check_scenarios(mission, plan)
-    host = host_of(campaign)
-    setups = {arm.name: setup_of(mission, arm, host) for arm in plan.arms}
-    flights = host.mission(setups, fast_forward=mission.fast_forward)
+    mission, plan = ready.mission, ready.plan
     golden = plan.golden(*mission.world)
     yield Planned.of(golden, last=False)
     sampled: dict[str, Sampled] = {}
     for spec in golden:
-        flown = _golden(plan, spec, flights, setups[spec.arm], sampled)
+        flown = _golden(plan, spec, flights, ready.setups[spec.arm], sampled)
         if spec.run_id not in mission.done:
             yield flown
     runs = _draw(plan, mission, sampled)
@@ -184,7 +237,7 @@ def _fly(mission: MissionPlan) -> Iterator[Planned | Flown]:
     left = [spec for spec in runs if spec.run_id not in mission.done]
 
     def fly_golden(arm: str) -> None:
-        host.mission({arm: setups[arm]}, fast_forward=False).golden(arm)
+        ready.host.mission({arm: ready.setups[arm]}, fast_forward=False).golden(arm)
 
     yield from (_alone(left, flights, fly_golden) if mission.alone else _injected(left, flights))
 

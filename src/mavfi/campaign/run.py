@@ -1,234 +1,34 @@
-"""Flies a campaign mission by mission; a stopped campaign resumes.
+"""Flies campaigns mission by mission, alone or together; a stopped campaign resumes."""
 
-If a worker dies, its mission is repeated with each injected run in a separate child process.
-"""
-
-import itertools
 import json
-import math
-import os
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.executor import Done, Executor, Lost
+from mavfi.campaign.executors.executor import Executor
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
-from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, model_hashes, plan_of, scenarios_of
+from mavfi.campaign.mission import host_of, model_hashes, plan_of, scenarios_of
 from mavfi.campaign.outside import held
-from mavfi.campaign.pace import Pace
-from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, golden_done, is_golden
+from mavfi.campaign.plan import arms_of
 from mavfi.campaign.sequential import Precision
+from mavfi.campaign.session import Flying, Progress, Session, Status
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
-from mavfi.campaign.warm_up import fly_mission_anywhere, is_compiled, warm_up
+from mavfi.campaign.warm_up import is_compiled, warm_up
 from mavfi.config import STORED, parse
 from mavfi.detectors.registry import detector_options, mission_keys
-from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
-from mavfi.flight_record import End, FlightRecord
+from mavfi.errors import BadInputError
 from mavfi.hosts.host import require_level
 from mavfi.mission import Scenario
 
 SHARD = "shard"
 ORDERED = "campaign"
 """Metadata key: the campaign as JSON text in its order of keys; the identity has sorted keys."""
-ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
-PAUSE_S = 1.0  # between retries after a machine failure
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """Progress of a stored campaign."""
-
-    done: int  # runs, earlier sessions included
-    total: int  # runs of the complete campaign
-    settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    """By setting: runs planned so far, done, successful."""
-    unknown: int = 0  # done runs with status unknown
-    shard: Shard = WHOLE  # shard in the ledger
-
-    @property
-    def complete(self) -> bool:
-        """Whether all runs are done."""
-        return self.done == self.total
-
-
-@dataclass(frozen=True, slots=True)
-class Progress(Status):
-    """Progress of a running campaign."""
-
-    flown: int = 0  # runs done in this session
-    rate: float = 0.0  # runs per second over the latest runs; 0 = unknown yet
-    remaining_s: float = math.inf  # remaining wall time (s); infinite = unknown yet
-    compiling: bool = False  # kernels are being compiled; no run has been flown yet
-
-
-@dataclass(slots=True)
-class _Session:
-    """Execution of a campaign within one process."""
-
-    plan: Plan
-    store: Store
-    models_dir: Path | None
-    fast_forward: bool
-    shard: Shard
-    report: Callable[[Progress], None]
-    log: Log
-    total: int  # runs of the shard
-    precision: Precision | None = None  # what decides that an environment has enough missions
-    pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
-    flying: set[tuple[str, int]] = field(default_factory=set)
-    flown: int = 0
-    counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
-
-    def missions(self) -> Iterator[MissionPlan]:
-        """Incomplete missions, environment by environment; alternating if a half-width ends the campaign."""
-        worlds: Iterable[tuple[str, int]] = self.shard.worlds(self.plan.campaign)
-        if self.precision is not None:
-            worlds = sorted(worlds, key=lambda world: world[1])
-        for world in worlds:
-            if not self.store.is_complete(world) and not (self.precision and self.precision.met(world[0])):
-                yield self._mission(world)
-
-    def _mission(self, world: tuple[str, int]) -> MissionPlan:
-        plan = self.plan
-        return MissionPlan(
-            plan.campaign, *world, self.models_dir, plan.models, plan.keys(world[0]), self.fast_forward,
-            self.store.done(world),
-        )  # fmt: skip
-
-    def fly(self, executor: Executor) -> None:
-        """Fly the incomplete missions; items are stored in the ledger before the next ones are fetched."""
-        self.pace = Pace(time.perf_counter())
-        self.tell()
-        missions: Iterable[MissionPlan] = self.missions()
-        failed = ""
-        for attempt in range(1 + ATTEMPTS):
-            try:
-                lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
-            except Exception as error:
-                failed = machine_failure(error)
-                if not failed:
-                    raise
-                self.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=failed)
-                if attempt == ATTEMPTS:
-                    raise MachineError(failed) from error
-                time.sleep(PAUSE_S)
-                missions = self.missions()
-                continue
-            missions = [replace(m, done=self.store.done(m.world), alone=True) for m, _ in lost.values()]
-            if not missions:
-                return
-        if failed:  # the machine failure may have killed the workers
-            raise MachineError(failed)
-        self._check_process(executor, {world: end for world, (_, end) in lost.items()})
-        for mission in missions:
-            self._give_up(mission, lost[mission.world][1])
-
-    def _fly_once(
-        self, executor: Executor, missions: Iterable[MissionPlan]
-    ) -> Iterator[tuple[MissionPlan, Lost]]:  # fmt: skip
-        self.flying.clear()
-        function = fly_mission if executor.forks else fly_mission_anywhere
-        with closing(executor.map(function, missions)) as batches:
-            for mission, items in self.log.following(batches):
-                self.flying.add(mission.world)
-                self._write(mission, items)
-                last = items[-1]
-                if isinstance(last, (Done, Lost)):
-                    self.flying.discard(mission.world)
-                if isinstance(last, Done):
-                    self.pace.over(mission.world)
-                if isinstance(last, Lost):
-                    yield mission, last
-
-    def _write(self, mission: MissionPlan, items: Sequence[object]) -> None:
-        """Store plans and results of a mission, in one transaction."""
-        planned = [item for item in items if isinstance(item, Planned)]
-        with self.store.writing():
-            new = self.store.plan(row for item in planned for row in item.rows)
-            if any(item.last for item in planned):
-                self.store.end_plan(mission.world)
-            done = self.store.write(item for item in items if isinstance(item, Flown))
-        for row in new:
-            self._count(row.setting, 1, 0, 0)
-        for setting, item in done:
-            self._count(setting, 0, 1, item.success)
-            self.pace.note(time.perf_counter(), mission.world, is_golden(setting), item.wall_s)
-            self.flown += 1
-            self.tell()
-
-    def _count(self, setting: str, *more: int) -> None:
-        planned, done, success = map(sum, zip(self.counts.get(setting, (0, 0, 0)), more, strict=True))
-        self.counts[setting] = planned, done, success
-
-    def _check_process(self, executor: Executor, lost: Mapping[tuple[str, int], Lost]) -> None:
-        """Check that the missions crashed their workers, not this process, e.g. by compilation without memory.
-
-        Raises:
-            MachineError: No other mission was flown in this session, nor can be flown.
-        """
-        if self.flown:
-            return
-        others = (world for world in self.shard.worlds(self.plan.campaign) if world not in lost)
-        other = [self._mission(world) for world in itertools.islice(others, 1)]
-        if other and not list(self._fly_once(executor, other)):
-            return
-        raise MachineError(f"no mission can be flown here: {next(iter(lost.values())).reason}")
-
-    def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
-        """Record a mission whose golden runs crash their process in every attempt; no faults are drawn from them.
-
-        Faults drawn in an earlier session are `unknown`.
-
-        Raises:
-            MachineError: The worker was killed from outside.
-        """
-        if lost.signal in FROM_OUTSIDE:
-            raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
-        self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
-        self._write(mission, [Planned.of(self.plan.golden(*mission.world), last=True)])
-        for spec in [run.spec for run in self.store.runs(done=False, world=mission.world)]:
-            end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
-            flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
-            self.log.flown(flown)
-            self._write(mission, [flown])
-
-    @contextmanager
-    def logged(self, executor: Executor) -> Iterator[None]:
-        """Log start and end of the session."""
-        self.log.note(
-            "begin", campaign=self.plan.campaign.name, versions=versions(), pid=os.getpid(),
-            workers=executor.workers, runs_left=self.total - self._done,
-        )  # fmt: skip
-        try:
-            yield
-        except BaseException as error:
-            self.log.end(error, done=self._done, total=self.total)
-            raise
-        self.log.end(None, done=self._done, total=self._done, digest=self.store.digest())
-
-    @property
-    def _done(self) -> int:
-        return sum(number for _, number, _ in self.counts.values())
-
-    def tell(self, *, compiling: bool = False) -> None:
-        """Report the progress."""
-        done, total = self._done, self.total
-        if self.precision is not None and self.flying:
-            total = max(done + 1, round(total * self.precision.expected() / self.plan.campaign.total_missions))
-        golden_left = self.plan.golden_count(self.shard) - golden_done(self.counts)
-        left = {True: golden_left, False: total - done - golden_left}
-        remaining_s = self.pace.remaining_s(left, len(self.flying))
-        self.report(Progress(
-            done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
-            compiling=compiling,
-        ))  # fmt: skip
 
 
 def run_campaign(
@@ -250,37 +50,76 @@ def run_campaign(
         BadInputError: The directory cannot be written or holds another campaign, a name is unknown, a model does not
             match, or versions differ from those with which the ledger was started.
     """
+    return run_campaigns(
+        {directory: campaign}, executor=executor, models_dir=models_dir, fast_forward=fast_forward, shard=shard,
+        progress=None if progress is None else lambda _, now: progress(now),
+    )[directory]  # fmt: skip
+
+
+def run_campaigns(
+    campaigns: Mapping[Path, Campaign], *, executor: Executor | None = None, models_dir: Path | None = None,
+    fast_forward: bool = True, shard: Shard = WHOLE, progress: Callable[[Path, Progress], None] | None = None,
+) -> dict[Path, Status]:  # fmt: skip
+    """As `run_campaign`, for several campaigns by folder: those that fly the same missions share their golden flights.
+
+    The ledgers are those of campaigns that are flown one after the other.
+    """
+    executor = executor or LocalExecutor(2)
+    with ExitStack() as stack:
+        sessions = []
+        for directory, campaign in campaigns.items():
+            tell = partial(progress, directory) if progress is not None else _ignore
+            session = _session(stack, campaign, directory, models_dir, fast_forward, shard, tell)
+            stack.enter_context(session.logged(executor))
+            sessions.append(session)
+        for session in sessions:
+            _prepare(session, executor)
+        Flying(sessions).fly(executor)
+        for session in sessions:
+            if session.precision is not None:
+                session.store.write_meta({"missions": len(session.store.planned())})
+        return {directory: status(directory) for directory in campaigns}
+
+
+def _ignore(_: Progress) -> None:
+    """The progress of a campaign that nobody asked for."""
+
+
+def _session(  # noqa: PLR0913 - what `run_campaigns` is given
+    stack: ExitStack, campaign: Campaign, directory: Path, models_dir: Path | None, fast_forward: bool, shard: Shard,
+    tell: Callable[[Progress], None],
+) -> Session:  # fmt: skip
+    """The session of a campaign; its ledger is closed with `stack`."""
     campaign, models_dir = _as_begun(campaign, directory), models_dir or _models_dir(directory)
-    host = host_of(campaign)
-    require_level(host, campaign.sampling.level)
+    require_level(host_of(campaign), campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
     models = model_hashes(campaign, scenarios, models_dir)
     plan = plan_of(campaign, models, scenarios)
-    executor = executor or LocalExecutor(2)
-    with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
-        check_versions(store, {**versions(), **plan.sampler.versions})
-        check_shard(store, shard)
-        store.write_meta({
-            ORDERED: campaign.model_dump_json(),
-            "models_dir": None if models_dir is None else _as_held(models_dir, directory),
-            "missions": shard.missions(campaign),
-        })  # fmt: skip
-        session = _Session(
-            plan, store, models_dir, fast_forward, shard, progress or (lambda _: None), Log(directory),
-            plan.count(shard), Precision.of(campaign, store, shard), counts=store.counts(),
-        )  # fmt: skip
-        with session.logged(executor):
-            first = next(session.missions(), None)
-            if first is not None:
-                host.check()
-                if host.in_process:
-                    session.tell(compiling=True)
-                if host.in_process and executor.forks and not is_compiled(campaign):
-                    warm_up(first)
-            session.fly(executor)
-            if session.precision is not None:
-                store.write_meta({"missions": len(store.planned())})
-        return status(directory)
+    store = stack.enter_context(Store.create(directory, identity_of(campaign, scenarios, models)))
+    check_versions(store, {**versions(), **plan.sampler.versions})
+    check_shard(store, shard)
+    store.write_meta({
+        ORDERED: campaign.model_dump_json(),
+        "models_dir": None if models_dir is None else _as_held(models_dir, directory),
+        "missions": shard.missions(campaign),
+    })  # fmt: skip
+    return Session(
+        plan, store, models_dir, fast_forward, shard, tell, Log(directory), plan.count(shard),
+        Precision.of(campaign, store, shard), counts=store.counts(),
+    )  # fmt: skip
+
+
+def _prepare(session: Session, executor: Executor) -> None:
+    """Check the host, and compile in this process what its forks will need, if missions are left."""
+    campaign = session.plan.campaign
+    host, first = host_of(campaign), next(filter(None, map(session.left, session.worlds())), None)
+    if first is None:
+        return
+    host.check()
+    if host.in_process:
+        session.tell(compiling=True)
+    if host.in_process and executor.forks and not is_compiled(campaign):
+        warm_up(first)
 
 
 def _as_begun(campaign: Campaign, directory: Path) -> Campaign:

@@ -22,6 +22,8 @@ FILE = "steps.json"
 """Name of the file in the folder of a study."""
 SET_UP = "set-up (make setup)"
 """The first step, which the Makefile times."""
+FLIGHTS = "flights of all campaigns"
+"""The step in which the campaigns fly, together."""
 SET_UP_FILE = Path(sys.prefix) / "setup-seconds"
 """Written by `make setup` when it has made this virtual environment."""
 

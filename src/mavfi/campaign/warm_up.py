@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
-from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, model_hashes, scenarios_of
+from mavfi.campaign.mission import Job, MissionPlan, fly_mission, fly_missions, host_of, model_hashes, scenarios_of
 from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
@@ -206,11 +206,12 @@ def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     return campaign.model_copy(update={"arms": arms})
 
 
-def fly_mission_anywhere(mission: MissionPlan) -> Iterator[Planned | Flown]:
-    """`fly_mission` in a process that is not a fork of the campaign's."""
-    if host_of(mission.campaign).in_process:
-        _warm_up_machine(mission)
-    yield from fly_mission(mission)
+def fly_missions_anywhere(job: Job) -> Iterator[tuple[int, Planned | Flown]]:
+    """`fly_missions` in a process that is not a fork of the campaigns'."""
+    for _, mission in job:
+        if host_of(mission.campaign).in_process:
+            _warm_up_machine(mission)
+    yield from fly_missions(job)
 
 
 def _warm_up_machine(mission: MissionPlan) -> None:

@@ -13,7 +13,8 @@ from mavfi.campaign.mission import plan_of
 from mavfi.campaign.outside import is_written
 from mavfi.campaign.pace import left_s
 from mavfi.campaign.plan import golden_done
-from mavfi.campaign.run import Status, shard_of, status_of, stored_campaign
+from mavfi.campaign.run import shard_of, status_of, stored_campaign
+from mavfi.campaign.session import Status
 from mavfi.campaign.store import Store
 
 WINDOW_S = 300.0

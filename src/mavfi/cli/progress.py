@@ -20,7 +20,7 @@ from rich.text import Text
 from mavfi.cli.console import console
 
 if TYPE_CHECKING:
-    from mavfi.campaign.run import Progress as CampaignProgress
+    from mavfi.campaign.session import Progress as CampaignProgress
     from mavfi.campaign.steps import Steps
 
 _LINE_EVERY = 15.0
@@ -118,17 +118,23 @@ class StudyBar(Bar):
         self._by_flights, self._rate = False, math.inf  # of measurement: its units; wall time / expected wall time
 
     @contextmanager
-    def timed(self, name: str, step: str) -> Iterator[None]:
-        """Run a part, and add its wall time to a step of the study, which is also shown."""
-        self._part = self._parts[name]
-        place = list(self._parts).index(name) + 1
-        self._label = f"{self._name}, {step} ({place} of {len(self._parts)})"
+    def timed(self, step: str, *names: str) -> Iterator[None]:
+        """Run parts together, and add their wall time to a step of the study, which is also shown."""
+        self._part, order = self._parts[names[0]], list(self._parts)
+        places = dict.fromkeys(f"{order.index(name) + 1}" for name in (names[0], names[-1]))
+        self._label = f"{self._name}, {step} ({' to '.join(places)} of {len(order)})"
         self._bar.update(self._task, description=self._label)
-        self._live.update(self._bar)  # without the successes of the last campaign
         with self.steps.timed(step):
             yield
-        ended = self._part.done or self._part.total  # fewer than expected, or none was reported
-        self._tell(ended, ended, "")
+        for name in names:
+            self._part = self._parts[name]
+            ended = self._part.done or self._part.total  # fewer than expected, or none was reported
+            self._tell(ended, ended, "")
+
+    def show_part(self, name: str, progress: CampaignProgress) -> None:
+        """Show the progress of a campaign among several that fly together."""
+        self._part = self._parts[name]
+        self._tell(progress.done, progress.total, "")
 
     def _tell(self, done: int, total: int, pace: str) -> None:
         new = done - self._part.done

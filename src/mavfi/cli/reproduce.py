@@ -46,8 +46,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Train detectors, fly the campaigns of a study, and compare the results with the paper's tables and findings.
 
-    Campaigns run one after the other, each in a separate folder. Writes report.html, study.md, study.json, figures
-    and tables (CSV).
+    Each campaign has a separate folder; those that fly the same missions share their golden flights. Writes
+    report.html, study.md, study.json, figures and tables (CSV).
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
@@ -55,7 +55,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.overheads import measure, save
-    from mavfi.campaign.run import run_campaign
+    from mavfi.campaign.run import run_campaigns
+    from mavfi.campaign.steps import FLIGHTS as FLIGHTS_STEP
     from mavfi.campaign.steps import Steps
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import record
@@ -82,17 +83,18 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     )  # fmt: skip
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
     with stoppable(stopped), StudyBar(f"study {chosen.name}", parts, Steps.begin(out, workers)) as bar:
-        with bar.timed(COMPILATION, "compilation"):
+        with bar.timed("compilation", COMPILATION):
             compile_ahead(campaigns.values(), executor, bar.show)
         fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
         _train(lacking, fly, executor, bar)
-        for folder, campaign in campaigns.items():
-            with bar.timed(flying(folder), f"campaign {campaign.name}"):
-                run_campaign(
-                    campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign
-                )
+        ledgers = {out / folder: folder for folder in campaigns}
+        with bar.timed(FLIGHTS_STEP, *map(flying, campaigns)):
+            run_campaigns(
+                {path: campaigns[folder] for path, folder in ledgers.items()}, executor=executor,
+                models_dir=out / MODELS, progress=lambda path, now: bar.show_part(flying(ledgers[path]), now),
+            )  # fmt: skip
         for folder in timed:  # in one process, with no other work at the same time
-            with bar.timed(timing(folder), "timed flights"):
+            with bar.timed("timed flights", timing(folder)):
                 save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
         written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
     if as_json:
@@ -112,10 +114,10 @@ def _train(
 
     trainings = []
     for place, mission in enumerate(lacking, 1):
-        with bar.timed(training(place), "training flights"):
+        with bar.timed("training flights", training(place)):
             trainings.append(fly(mission))
     if trainings:
-        with bar.timed(FITTING, "fitting of detectors"):
+        with bar.timed("fitting of detectors", FITTING):
             for done, _ in enumerate(map_each(executor, Training.fit, trainings), 1):
                 bar.show(done, len(trainings))
 

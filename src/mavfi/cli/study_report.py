@@ -52,13 +52,13 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         *(partial(write_report, directory, draw_run=draw_run) for directory in campaigns),
     ]
     show = None if bar is None else bar.show
-    with nullcontext() if bar is None else bar.timed(TABLES, "tables and figures"):
+    with nullcontext() if bar is None else bar.timed("tables and figures", TABLES):
         written, *found = _written(tasks, 1 if _polars_has_threads() else workers, show)
     if bar is not None:
         written = replace(written, steps=bar.steps)
     reports = dict(zip(campaigns, found, strict=True))
     told = None if bar is None else partial(_show_before_writing, bar)
-    with nullcontext() if bar is None else bar.timed(PAGE, "report.html and its flights"):
+    with nullcontext() if bar is None else bar.timed("report.html and its flights", PAGE):
         count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers, told)
     if bar is not None:
         write_texts(written, scale, folder)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import pytest
 
 from mavfi.campaign import log as log_module
-from mavfi.campaign import run as run_module
+from mavfi.campaign import session as session_module
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.log import FILE, Log, entries
 from mavfi.campaign.run import run_campaign, versions
@@ -66,7 +66,7 @@ def test_a_campaign_that_is_resumed_continues_the_same_log(tmp_path):
 
 
 def test_failures_of_the_machine_are_named_with_their_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.ENOSPC, 1))
     flown_into(tmp_path / "once")
     (retry,) = events(tmp_path / "once", "retry")

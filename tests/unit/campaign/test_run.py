@@ -14,6 +14,7 @@ import pytest
 from mavfi.campaign import fingerprint
 from mavfi.campaign import mission as mission_module
 from mavfi.campaign import run as run_module
+from mavfi.campaign import session as session_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign, status, stored_campaign
@@ -132,7 +133,7 @@ def test_a_campaign_stopped_while_it_is_planned_has_no_gap(flown, tmp_path, monk
 def test_a_finished_campaign_flies_nothing_again(flown, monkeypatch):
     directory, end, _ = flown
     before = digest(directory)
-    monkeypatch.setattr(run_module, "fly_mission", None)
+    monkeypatch.setattr(session_module, "fly_missions", None)
     reports = []
     assert flown_into(directory, progress=reports.append) == end
     assert max(report.flown for report in reports) == 0
@@ -352,7 +353,7 @@ def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(fl
 
 
 def test_a_mission_is_not_given_up_where_the_machine_has_failed(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.EIO, 1))
     monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
     with pytest.raises(MachineError, match="Input/output error"):
@@ -414,7 +415,7 @@ MACHINE = (errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.EIO, 0)
 @pytest.mark.slow
 @pytest.mark.parametrize("number", MACHINE)
 def test_a_machine_that_fails_for_a_moment_leaves_no_trace(flown, tmp_path, monkeypatch, number):
-    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", number, 2))
     assert flown_into(tmp_path / "out", workers=2) == flown[1]
     assert digest(tmp_path / "out") == digest(flown[0])
@@ -424,7 +425,7 @@ def test_a_machine_that_fails_for_a_moment_leaves_no_trace(flown, tmp_path, monk
 @pytest.mark.parametrize("number", MACHINE)
 @pytest.mark.parametrize("done", [0, 7, 40])
 def test_a_machine_that_keeps_failing_stops_the_campaign_until_it_is_mended(flown, tmp_path, monkeypatch, number, done):
-    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
     folder = tmp_path / "failures"
 
     def fail(progress):
@@ -446,7 +447,7 @@ def test_a_machine_that_keeps_failing_stops_the_campaign_until_it_is_mended(flow
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_from_outside_is_no_effect_of_a_fault(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
     monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "few", 3))
     assert flown_into(tmp_path / "out", workers=2) == flown[1]
     monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "many", 1000))

@@ -29,7 +29,7 @@ def tasks(total, seconds):
 
 def test_the_time_left_is_that_of_all_parts_by_what_their_units_take(capsys, clock, study):
     parts = {"states": Part(40, 100, 1.0), "instructions": Part(0, 60, 10.0), "tables": tasks(3, 100.0)}
-    with study(parts) as bar, bar.timed("states", "campaign table1"):
+    with study(parts) as bar, bar.timed("campaign table1", "states"):
         clock[0] = 500.0
         bar.show(41, 100)  # kernels were compiled first
         clock[0] = 560.0
@@ -40,7 +40,7 @@ def test_the_time_left_is_that_of_all_parts_by_what_their_units_take(capsys, clo
 
 
 def test_a_few_flights_give_no_estimate(capsys, clock, study):
-    with study({"states": Part(40, 100, 1.0)}) as bar, bar.timed("states", "campaign table1"):
+    with study({"states": Part(40, 100, 1.0)}) as bar, bar.timed("campaign table1", "states"):
         for done in (41, 42, 50):
             clock[0] += 20.0
             bar.show(done, 100)
@@ -69,13 +69,13 @@ def test_what_is_no_flight_has_its_share_and_time_and_all_of_it_ends_at_100_perc
                 bar.show(done, 10)
             assert "13 %, 0/100 flights  8 min 40 s left" in capsys.readouterr().err, "two times 260 s"
             bar.show(10, 10)  # the rest was in the cache
-        with bar.timed("states", "campaign table1"):
+        with bar.timed("campaign table1", "states"):
             for done in range(1, 101):
                 clock[0] += 1.0
                 bar.show(done, 100)
         last = capsys.readouterr().err.splitlines()[-1]
         assert "63 %, 90/100 flights  1 min 50 s left" in last, "the pace is that of flights as soon as some have flown"
-        with bar.timed("tables", "tables and figures"):
+        with bar.timed("tables and figures", "tables"):
             clock[0] += 50.0
             bar.show(1, 2)
             assert "83 %, 100/100 flights  50 s left" in capsys.readouterr().err
@@ -88,7 +88,7 @@ def test_what_is_no_flight_has_its_share_and_time_and_all_of_it_ends_at_100_perc
 def test_a_part_that_has_less_to_do_than_expected_is_over_when_it_ends(capsys, clock, study):
     parts = {"states": Part(0, 100, 1.0), "nothing": tasks(0, 1.0), "page": tasks(12, 5.0)}
     with study(parts) as bar:
-        with bar.timed("states", "campaign table1"):
+        with bar.timed("campaign table1", "states"):
             bar.show(40, 100)  # its rates are known well enough
         for name in ("nothing", "page"):
             with bar.timed(name, name):
@@ -98,7 +98,7 @@ def test_a_part_that_has_less_to_do_than_expected_is_over_when_it_ends(capsys, c
 
 def test_a_part_that_is_stopped_is_not_shown_as_done(capsys, clock, study):
     bar = study({"states": Part(0, 100, 1.0)})
-    with pytest.raises(KeyboardInterrupt), bar, bar.timed("states", "campaign table1"):
+    with pytest.raises(KeyboardInterrupt), bar, bar.timed("campaign table1", "states"):
         raise KeyboardInterrupt
     assert capsys.readouterr().err == "" and list(bar.steps.seconds) == ["campaign table1"]
 
@@ -106,7 +106,7 @@ def test_a_part_that_is_stopped_is_not_shown_as_done(capsys, clock, study):
 def test_in_a_terminal_the_bar_is_the_share_of_the_expected_time(monkeypatch, clock, study, capsys):
     out = Console(stderr=True, force_terminal=True, width=140)
     monkeypatch.setattr("mavfi.cli.progress.console", lambda **_: out)
-    with study({"states": Part(0, 100, 1.0), "page": tasks(1, 300.0)}) as bar, bar.timed("states", "campaign table1"):
+    with study({"states": Part(0, 100, 1.0), "page": tasks(1, 300.0)}) as bar, bar.timed("campaign table1", "states"):
         bar.show(100, 100)
         (task,) = bar._bar.tasks  # private: the text has colours and moves of the cursor between its parts
         assert (task.percentage, task.fields["counts"]) == (25.0, "25 %, 100/100 flights")

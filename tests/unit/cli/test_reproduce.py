@@ -10,6 +10,7 @@ from mavfi.campaign import overheads
 from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
+from mavfi.campaign.steps import FLIGHTS as FLIGHTS_STEP
 from mavfi.campaign.steps import Steps
 from mavfi.campaign.store import Store
 from mavfi.campaign.study import load_study
@@ -97,20 +98,20 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     assert overheads.load(out)["missions"] == 1
     written = (out / "study.md").read_text(encoding="utf-8")
     assert "one process on " in written, "measured, not modelled alone"
-    flights = ["training flights", "fitting of detectors", "campaign table1", "campaign table1_instructions"]
+    flights = ["training flights", "fitting of detectors", FLIGHTS_STEP]
     reports = ["tables and figures", "report.html and its flights"]
     steps = ["set-up (make setup)", "compilation", *flights, "timed flights", *reports]
     assert list(Steps.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
     assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
     assert ">Machine: " in (out / "report.html").read_text(encoding="utf-8")
-    spent = Steps.load(out).seconds["campaign table1"]
+    spent = Steps.load(out).seconds[FLIGHTS_STEP]
     monkeypatch.setattr("mavfi.campaign.training.record", never)
     monkeypatch.setattr("mavfi.campaign.overheads.measure", never)
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run([*arguments, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 6
-    assert Steps.load(out).seconds["campaign table1"] > spent, "a resumed study adds to its times"
+    assert Steps.load(out).seconds[FLIGHTS_STEP] > spent, "a resumed study adds to its times"
 
 
 @pytest.mark.slow
@@ -197,7 +198,7 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(StudyBar, "show", stop)
-    monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
     no_report(monkeypatch)
     assert run([*arguments, "--out", str(out)]) == 130
     assert "the same command resumes" in capsys.readouterr().err
@@ -215,7 +216,7 @@ def trained(monkeypatch):
     found = []
     monkeypatch.setattr("mavfi.cli.reproduce._trained", lambda campaign, *_: campaign.mission.get("autopilot") in found)
     no_report(monkeypatch)
-    monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
     monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
     return found

@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import PERCENT, Column, Table
-from mavfi.campaign.steps import SET_UP
+from mavfi.campaign.steps import FLIGHTS, SET_UP
 
 _MINUTES = "number .1f min"
 
 
 def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> Table:
-    """Wall time (s) by step, with the runs per second of campaigns, and the sum."""
+    """Wall time (s) by step, with the runs per second of the campaigns, and the sum."""
     whole = sum(seconds.values())
-    runs = {f"campaign {own.campaign['name']}": len(own) for own in campaigns.values()}
+    runs = {FLIGHTS: sum(map(len, campaigns.values()))}
     rows = [
         (step, spent / 60, spent / whole if whole else None, runs[step] / spent if step in runs and spent else None)
         for step, spent in [*seconds.items(), ("all", whole)]
@@ -24,8 +24,8 @@ def step_table(seconds: Mapping[str, float], campaigns: Mapping[str, Runs]) -> T
     return Table(
         "steps", "Where the time goes: steps of mavfi reproduce", columns, rows if seconds else (),
         notes=(
-            "wall time, added over the runs of a resumed study; that of a campaign includes drawing its faults and "
-            "writing its ledger; compilation: of what was not in the cache",
+            "wall time, added over the runs of a resumed study; that of flights includes drawing their faults and "
+            "writing the ledgers; compilation: of what was not in the cache",
             *((f"{SET_UP}: once, also if it was for another study",) if SET_UP in seconds else ()),
             "report.html is written last, so that its own time is in study.md only",
         ),
@@ -40,8 +40,9 @@ def time_table(campaigns: Mapping[str, Runs]) -> Table:
         "times", "Where the time goes: workers of the campaigns", _COLUMNS, rows,
         notes=(
             "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
-            "include the counting of instructions, those with a fault start at checkpoints of golden runs; together: "
-            "with null runs",
+            "include the counting of instructions, those with a fault start at checkpoints of golden runs; a golden "
+            "flight that campaigns share is in the time of the one that flew it; together: with null runs; pace: runs "
+            "of a campaign per second and worker",
         ),
     )  # fmt: skip
 
@@ -50,7 +51,7 @@ _COLUMNS = (
     Column("campaign", "campaign"), Column("golden", "golden runs", "number"), Column("golden_s", "time", _MINUTES),
     Column("golden_mean_s", "each", "number .2f s"), Column("faulty", "with a fault", "number"),
     Column("faulty_s", "time", _MINUTES), Column("faulty_mean_s", "each", "number .2f s"),
-    Column("all_s", "together", _MINUTES),
+    Column("all_s", "together", _MINUTES), Column("pace", "pace", "number .1f /s"),
 )  # fmt: skip
 
 
@@ -61,4 +62,5 @@ def _row(name: str, parts: list[Runs]) -> tuple[object, ...]:
     return (
         name, len(golden), sum(golden) / 60, sum(golden) / len(golden) if golden else None,
         len(faulty), sum(faulty) / 60, sum(faulty) / len(faulty) if faulty else None, sum(every) / 60,
+        len(every) / sum(every) if every else None,
     )  # fmt: skip

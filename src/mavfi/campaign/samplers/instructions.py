@@ -30,6 +30,8 @@ class InstructionSampler:
         BadInputError: Arms and kernels are incompatible.
     """
 
+    instruments = True
+
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, InstructionSampling)  # as `sampler_for` chooses
         self._campaign, self._sampling = campaign, campaign.sampling

@@ -176,6 +176,7 @@ class MemorySampler:
     """
 
     variants: Mapping[str, Mapping[str, Any]] = {}
+    instruments = False
     versions: Mapping[str, str] = {}
 
     def __init__(self, campaign: Campaign) -> None:

@@ -98,10 +98,12 @@ class Sampler(Protocol):
     Attributes:
         variants: Overrides of additional missions, for kernels that run only in these.
         versions: Versions on which draws depend, in addition to those of flights.
+        instruments: Whether golden flights are flown with instrumented kernels.
     """
 
     variants: Mapping[str, Mapping[str, Any]]
     versions: Mapping[str, str]
+    instruments: bool
 
     def blocks(self, environment: str) -> Sequence[Block]:
         """All faults of an environment."""
@@ -133,6 +135,7 @@ class OwnMissions:
 
     variants: Mapping[str, Mapping[str, Any]] = {}
     versions: Mapping[str, str] = {}
+    instruments = False
     profile = False
 
     def golden(

@@ -83,15 +83,15 @@ class FastForward:
         functions: The functions of its kernels, at whose calls flights can fork, by name.
         scratch: Whether checkpoints contain the work arrays of kernels, so that faults in instructions can be injected
             after them: if that is requested, and all of these can be saved.
-        watched: Whether flights with detectors are among them: these continue from checkpoints of injected runs without
-            one, which otherwise have none.
+        watched: Whether injected runs are flown with detectors as well: these continue from checkpoints of injected
+            runs without one, which otherwise have none.
 
     Raises:
         BadInputError: The scenario cannot be flown.
         MavfiError: It uses an estimator or a flight controller whose state is not part of a checkpoint.
     """
 
-    def __init__(self, scenario: Scenario, *, scratch: bool = False, watched: bool = True) -> None:
+    def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
         if scenario.localization.kind != "truth":
             raise MavfiError("flights with an estimator are not fast-forwarded")
         if not is_rewindable(scenario.flight_controller):
@@ -105,7 +105,7 @@ class FastForward:
         for function in self.functions.values():
             function.attach(self.loop)
         self.scratch = scratch and has_scratch(self.loop)
-        self.watched = watched
+        self.watched = True
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
         self.share = Share()
         self._golden: dict[str, Track] = {}
@@ -238,9 +238,10 @@ class Branch:
     ) -> None:  # fmt: skip
         self.loop = forward.loop
         self.comparable: Callable[[], bool] = lambda: True
-        self._share, self._pitch, self._scratch = forward.share, forward.pitch, forward.scratch
+        self._share, self._pitch = forward.share, forward.pitch
         self._detector = None if detector is None else keeper_of(detector)
         self._known, self._own, self._keeps = known, own, keeps
+        self._scratch = forward.scratch and own is None  # faults in instructions are injected after golden checkpoints
         self._checkpoints: dict[int, Checkpoint] = {}
         self.shown: list[tuple[State, int]] = []
         self._flown = False
@@ -299,8 +300,8 @@ class Branch:
             self.keep(there.here)
 
     def keep_from_now_on(self) -> None:
-        """Take checkpoints at all further instants for them, without work arrays: no fault is injected after these."""
-        self._keeps, self._scratch = True, False
+        """Take checkpoints at all further instants for them."""
+        self._keeps = True
 
     # ---- reuse of another flight ------------------------------------------------------------------------------------
     def append_unless_alarm(self, track: Track, start: Checkpoint, there: Checkpoint) -> bool:

@@ -60,8 +60,7 @@ class LocalFlights(ArmFlights):
         self._simulated, self._make_plant = make_plant is Simulator, make_plant
         self._fast = fast_forward and self._simulated
         self._forward: dict[str, FastForward] = {}
-        self._watched = any(setup.make_detector is not None for setup in arms.values())
-        self._scratch = False
+        self._watched, self._scratch = True, False
 
     def know(self, arm: str, flight: Flight) -> None:
         """See `MissionFlights.know`: faults in instructions follow."""
@@ -97,6 +96,7 @@ class LocalFlights(ArmFlights):
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `MissionFlights.injected`: faults in instructions come last, by arm."""
+        self._watched = any(self._arms[arm].make_detector is not None for arm, _ in runs)
         batches: dict[str, list[tuple[int, InstructionFault]]] = {}
         others = []
         for place, (arm, fault) in enumerate(runs):
@@ -178,7 +178,8 @@ class LocalFlights(ArmFlights):
         key = setup.scenario.key()
         try:
             forward = self._forward.get(key)
-            forward = forward or FastForward(setup.scenario, scratch=self._scratch, watched=self._watched)
+            forward = forward or FastForward(setup.scenario, scratch=self._scratch)
+            forward.watched = self._watched
             found = fly(forward, arm if detector is not None else "")
         except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
             self._forward.pop(key, None)
