@@ -17,7 +17,7 @@ from mavfi.hosts.loop.compiling import STAGES, compile_stage
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
-from mavfi.states import GUARDS, PLANNERS, RECOVERY
+from mavfi.states import DETECTORS, GUARDS, PLANNERS, RECOVERY
 
 
 def warm_up(mission: MissionPlan) -> None:
@@ -161,14 +161,19 @@ def _stages(campaigns: Sequence[Campaign]) -> Iterator[_Stage]:
 
 
 def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
-    """Campaigns with faults in instructions of one kernel or detector each; planners take longest."""
+    """Campaigns with faults in instructions of one kernel or detector each, the longest compilations first."""
     found = [
         (kernel, _with_kernels(campaign, (kernel,)))
         for campaign in campaigns
         if isinstance(campaign.sampling, InstructionSampling)
         for kernel in campaign.sampling.kernels
     ]
-    return [_Mission(campaign) for _, campaign in sorted(found, key=lambda one: one[0] not in PLANNERS)]
+    order = {name: place for place, name in enumerate([*DETECTORS, *PLANNERS])}
+    last = len(order)  # recovery calls the code of its arms' detectors
+    return [
+        _Mission(campaign)
+        for _, campaign in sorted(found, key=lambda one: order.get(one[0], last + (one[0] == RECOVERY)))
+    ]
 
 
 def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:

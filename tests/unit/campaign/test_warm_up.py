@@ -122,7 +122,7 @@ def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, mon
     for task in compiled:
         task.compile()
     arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
-    detectors = {("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"], ("acceptance",): ["recommended"]}
+    detectors = {("acceptance",): ["recommended"], ("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"]}
     watched = {("recovery",): ["gaussian", "autoencoder", "recommended"]}
     assert arms == [(kernels, *own) for kernels, own in (detectors | watched).items()]
     assert warm_up.is_compiled(load_campaign("failure_rate"))

@@ -95,23 +95,24 @@ class LocalFlights(ArmFlights):
         return self._forwarded(arm, visit) is True
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
-        """See `MissionFlights.injected`: faults in instructions come last, by arm."""
+        """See `MissionFlights.injected`: faults in instructions come last, by arm, those of kernels before others."""
         self._watched = any(self._arms[arm].make_detector is not None for arm, _ in runs)
-        batches: dict[str, list[tuple[int, InstructionFault]]] = {}
+        batches: dict[tuple[bool, str], list[tuple[int, InstructionFault]]] = {}
         others = []
         for place, (arm, fault) in enumerate(runs):
             if isinstance(fault, InstructionFault):
-                batches.setdefault(arm, []).append((place, fault))
+                batches.setdefault((fault.kernel in GUARDS, arm), []).append((place, fault))
             else:
                 others.append(place)
         for number, flight in one_by_one([runs[place] for place in others], self._fly_injected):
             yield others[number], flight
         known: dict[tuple[str, InstructionFault], Flight] = {}
-        for arm, batch in batches.items():
+        arms = {arm for _, arm in batches}
+        for (_, arm), batch in sorted(batches.items(), key=lambda item: item[0][0]):
             for place, fault in batch:
                 if (arm, fault) in known:
                     yield place, known[arm, fault]
-            yield from self._instructions(arm, [one for one in batch if (arm, one[1]) not in known], batches, known)
+            yield from self._instructions(arm, [one for one in batch if (arm, one[1]) not in known], arms, known)
 
     def _instructions(
         self, arm: str, batch: Sequence[tuple[int, InstructionFault]], arms: Collection[str],
