@@ -275,6 +275,10 @@ class Campaign(Config):
         """Whether any mission seed was used for tuning the autopilot profiles; such results are not published."""
         return self.first_seed < DESIGN_SEEDS.stop
 
+    def environment_of(self, name: str) -> str:
+        """The environment of a part, by its name; without parts, the name itself."""
+        return self.parts[name].environment if name in self.parts else name
+
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission for an environment and seed, with the overrides of an arm."""
         part = self.parts.get(environment, Part(environment=environment)).model_dump(exclude_none=True)

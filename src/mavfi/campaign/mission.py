@@ -23,6 +23,7 @@ from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import replicated
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
+from mavfi.faults.fault import Fault
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.hosts.loop.recovery import Recovery
@@ -61,6 +62,8 @@ class MissionPlan:
 
 Job = tuple[tuple[int, MissionPlan], ...]
 """Missions that share golden flights, each with a number that distinguishes them."""
+_Known = dict[tuple[str, Fault | None], Flown]
+"""Injected runs by arm and fault, which determine their records."""
 
 
 def host_of(campaign: Campaign) -> Host:
@@ -205,9 +208,10 @@ def fly_missions(job: Job) -> Iterator[tuple[int, Planned | Flown]]:
         ready = [(number, _Ready.of(current := mission)) for number, mission in job]
         arms = {name: setup for _, one in ready for name, setup in one.setups.items()}
         flights = ready[0][1].host.mission(arms, fast_forward=current.fast_forward)
+        known: _Known = {}
         for number, one in ready:
             current = one.mission
-            yield from ((number, item) for item in _fly(one, flights))
+            yield from ((number, item) for item in _fly(one, flights, known))
     except Exception as error:
         _check_recordable(error, f"mission {current.environment}-{current.seed}")
         raise
@@ -222,8 +226,8 @@ def _check_recordable(error: Exception, where: str) -> None:
         raise MachineError(f"{where}: {failed}") from error
 
 
-def _fly(ready: _Ready, flights: MissionFlights) -> Iterator[Planned | Flown]:
-    """The items of `fly_mission`."""
+def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Planned | Flown]:
+    """The items of `fly_mission`; `known` gets the injected runs."""
     mission, plan = ready.mission, ready.plan
     golden = plan.golden(*mission.world)
     yield Planned.of(golden, last=False)
@@ -234,12 +238,21 @@ def _fly(ready: _Ready, flights: MissionFlights) -> Iterator[Planned | Flown]:
             yield flown
     runs = _draw(plan, mission, sampled)
     yield Planned.of(runs, last=True)
-    left = [spec for spec in runs if spec.run_id not in mission.done]
+    left = []
+    for spec in (spec for spec in runs if spec.run_id not in mission.done):
+        if (spec.arm, spec.fault) in known:  # another campaign of the job has the same fault
+            yield replace(known[spec.arm, spec.fault], run_id=spec.run_id, wall_s=0.0)
+        else:
+            left.append(spec)
 
     def fly_golden(arm: str) -> None:
         ready.host.mission({arm: ready.setups[arm]}, fast_forward=False).golden(arm)
 
-    yield from (_alone(left, flights, fly_golden) if mission.alone else _injected(left, flights))
+    places = {spec.run_id: (spec.arm, spec.fault) for spec in left}
+    for flown in _alone(left, flights, fly_golden) if mission.alone else _injected(left, flights):
+        if not flown.unknown:
+            known[places[flown.run_id]] = flown
+        yield flown
 
 
 def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:

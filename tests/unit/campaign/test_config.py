@@ -52,7 +52,7 @@ def test_table1_has_the_size_of_the_paper():
 
 def test_the_kernels_campaign_has_the_size_of_the_papers_study():
     campaign = load_campaign("kernels").at_scale("paper")
-    assert count(campaign) == 7 * 100 + 3 * 50, "100 per kernel, two per world, and a golden run for each planner"
+    assert count(campaign) == 7 * 100 + 3 * 25, "100 per kernel, four per world, and a golden run for each planner"
     assert set(campaign.sampling.kernels) == set(INJECTABLE)
 
 

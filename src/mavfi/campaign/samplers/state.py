@@ -78,8 +78,8 @@ class StateSampler(OwnMissions):
         return next(same) if name in self._lifetimes else name
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """One block per target."""
-        return self._blocks.of(environment)
+        """One block per target; the same for parts with the same environment, which so have the same draws."""
+        return self._blocks.of(self._campaign.environment_of(environment))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """Draw from the profile of the golden run; without one, faults have no site."""
@@ -87,7 +87,7 @@ class StateSampler(OwnMissions):
         return [self._lasting(d.target, self._draw(d, profile, environment)) for d in draws]
 
     def _draw(self, one: Draw, profile: Profile, environment: str) -> StateFault:
-        address = (one.seed, environment, one.index // self._campaign.missions)
+        address = (one.seed, self._campaign.environment_of(environment), one.index // self._campaign.missions)
         if self._sampling.scheme == "messages":
             return draw_in_message(one.target, one.stratum, profile, *address)
         return draw(self._targets[self._alike[one.target]][0], one.stratum, profile, *address)
@@ -104,7 +104,7 @@ class StateSampler(OwnMissions):
         """A fault with an empty mask; stages alternate."""
         stage = PPC_STAGES[index % len(PPC_STAGES)]
         target = stage_target(stage, self._autopilot, localization=self._localization)
-        fault = draw(target, HEADLINE, _profile(golden), seed, environment, index)
+        fault = draw(target, HEADLINE, _profile(golden), seed, self._campaign.environment_of(environment), index)
         return replace(fault, bit=None, stratum="", weight=1.0)
 
 
