@@ -58,8 +58,8 @@ def by_state(runs: Runs) -> Runs:
 
 def by_bits(runs: Runs) -> Runs:
     """Section III-B: golden runs, and runs with a fault in a float of a state, by class of the flipped bit."""
-    drawn = pl.col("population").is_in(BIT_CLASSES)
-    own = named_populations(runs.injected.where("judged", drawn, level="state", setting=FI))
+    floats = pl.col("population").is_in(BIT_CLASSES) & (pl.col("bit_class") == pl.col("population"))
+    own = named_populations(runs.injected.where("judged", floats, level="state", setting=FI))
     return with_golden(own, runs, "bits")
 
 

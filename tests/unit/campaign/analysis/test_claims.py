@@ -197,7 +197,7 @@ def test_claims_on_kinds_of_bits_and_on_waypoints():
         own += [golden(seed), injected(seed, flown(flight_time_s=60.0), FAULT, target="waypoint yaw", index=2 * seed)]
         mild = replace(FAULT, bit=3, stratum="mantissa")
         own.append(injected(seed, flown(), mild, target="waypoint yaw", index=2 * seed + 1))
-    strong = [replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign")))
+    strong = [replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign", bit=63)))
               if run.spec.fault and run.spec.fault.stratum != "mantissa" else run for run in own]  # fmt: skip
     [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="states")]).entries()
     assert found["verdict"] == "confirmed" and "sign and exponent 20.0 %" in found["here"], found

@@ -133,12 +133,16 @@ def test_the_detector_of_a_case_is_the_one_that_recovers_it():
 def test_sign_and_exponent_lead_together_where_they_are_drawn_apart():
     """Fig. 4 counts faults in both; section III-B those in floats, not the other bits of an integer."""
     own = [golden(1)]
-    for index, stratum in enumerate(("sign", "exponent", "mantissa", "sign_exponent")):
-        fault = replace(FAULT, stratum=stratum)
-        own.append(injected(1, flown(), fault, target="epochs" if stratum == "sign_exponent" else "yaw", index=index))
+    for index, (stratum, bit) in enumerate((("sign", 63), ("exponent", 60), ("mantissa", 3))):
+        own.append(injected(1, flown(), replace(FAULT, stratum=stratum, bit=bit), target="yaw", index=index))
+    epoch = FaultSite("planning.trajectory", "trajectory_seq")
+    for index, (stratum, bit) in enumerate((("sign_exponent", 31), ("mantissa", 3))):
+        fault = replace(FAULT, where=epoch, stratum=stratum, bit=bit)
+        own.append(injected(1, flown(), fault, target="epochs", index=index))
     found = runs(*own, name="states")
     assert by_state(found).values("target") == ["golden run", "yaw", "epochs"]
     assert [len(by_state(found).where(target=name)) for name in ("yaw", "epochs")] == [2, 1]
     assert by_bits(found).values("bits") == ["golden run", "sign", "exponent", "mantissa"]
+    assert [len(by_bits(found).where(bits=name)) for name in ("sign", "exponent", "mantissa")] == [1, 1, 1]
     assert population_text(leads(population_names(found.injected, ()))) == "sign + exponent"
     assert [population_text([name]) for name in ("sign", "all_bits")] == ["sign", ""]
