@@ -56,7 +56,7 @@ def flown_by_hand():
                           "flight_time_s": 40.0 + place, "inflation": 0.01 * place if place != 1 else None,
                           "success": place != 1, "index": place}  # fmt: skip
                 rows.append(common)
-                rows.append({**common, "population": "mantissa", "index": 10 + place})
+                rows.append({**common, "population": "mantissa", "bit_class": "mantissa", "index": 10 + place})
             rows.append({"environment": environment, "judged": False, "success": False, **setting})
     return runs(*rows)
 

@@ -10,7 +10,7 @@ from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.sequential import until
-from mavfi.campaign.steps import SET_UP, Steps
+from mavfi.campaign.steps import FLIGHTS, SET_UP, Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.reports.study_report import SectionReport, StudyReport, study_report
 from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
@@ -62,9 +62,7 @@ def test_provenance_names_machines_times_versions_and_whole_digests():
     flown = runs(golden(1), digest="d" * 64, versions={"numba": "2", "mavfi": "1"})
     begun = [{"begun": f"2026-11-2{day} 10:00:00+00:00", "machine": "a CPU", "program": str(day)} for day in (1, 2)]
     study = Study(name="small", campaigns={".": "handmade"})
-    report = StudyReport(
-        study, {".": flown}, (), Steps(Path(), {"compilation": 60.0, "campaign handmade": 120.0}, begun)
-    )
+    report = StudyReport(study, {".": flown}, (), Steps(Path(), {"compilation": 60.0, FLIGHTS: 120.0}, begun))
     assert report.provenance == [
         "Machine: a CPU.",
         "Begun 2026-11-21 10:00:00+00:00, last resumed 2026-11-22 10:00:00+00:00 (run 2); wall time in all: 3.0 min.",
@@ -75,7 +73,7 @@ def test_provenance_names_machines_times_versions_and_whole_digests():
     assert report.to_json()["programs"] == ["1", "2"]
     assert [table.name for table in report.times] == ["steps", "times"]
     assert report.times[0].rows == [
-        ("compilation", 1.0, 1 / 3, None), ("campaign handmade", 2.0, 2 / 3, 1 / 120), ("all", 3.0, 1.0, None)
+        ("compilation", 1.0, 1 / 3, None), (FLIGHTS, 2.0, 2 / 3, 1 / 120), ("all", 3.0, 1.0, None)
     ]  # fmt: skip
     timed = replace(report, steps=Steps(Path(), {SET_UP: 60.0, **report.steps.seconds}, begun))
     assert timed.provenance[1].endswith("; wall time in all: 4.0 min, set-up included.")

@@ -29,7 +29,7 @@ def calls(monkeypatch):
     found = SimpleNamespace(flown=[], made=[], detectors=0, broken=False, follow=False)
 
     class FastForward:
-        def __init__(self, scenario, *, scratch, watched):
+        def __init__(self, scenario, *, scratch):
             found.made.append(f"{scenario.name} with scratch" if scratch else scenario.name)
             self.scratch = scratch and scenario.name != "octree"
 
