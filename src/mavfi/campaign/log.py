@@ -53,6 +53,11 @@ class Log:
                 line = line if file.read(1) == b"\n" else b"\n" + line
             self._whole = file.write(line) == len(line)
 
+    def forget(self) -> None:
+        """Forget missions that have begun and not ended: a machine failure has stopped their workers."""
+        self._begun.clear()
+        self._runs.clear()
+
     def follow(self, mission: MissionPlan, items: Sequence[object], last: Done | Lost | None) -> None:
         """Log the events of a mission and its worker in new items."""
         name = f"{mission.environment}-{mission.seed}"

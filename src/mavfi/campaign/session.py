@@ -263,6 +263,7 @@ class Flying:
         """Fly jobs; yields number and mission of those that a worker has not completed before it was lost."""
         for session in self.sessions:
             session.flying.clear()
+            session.log.forget()
         function = fly_missions if executor.forks else fly_missions_anywhere
         with closing(executor.map(function, jobs)) as batches:
             for job, items in batches:

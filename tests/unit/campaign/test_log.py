@@ -71,6 +71,8 @@ def test_failures_of_the_machine_are_named_with_their_reason(tmp_path, monkeypat
     flown_into(tmp_path / "once")
     (retry,) = events(tmp_path / "once", "retry")
     assert retry["attempt"] == 1 and "No space left on device" in retry["reason"]
+    begun = [entry["mission"] for entry in events(tmp_path / "once", "mission_begin")]
+    assert max(map(begun.count, begun)) == 2, "the one that it stopped begins again"
     monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "more", errno.ENOSPC, 1000))
     with pytest.raises(MachineError):
         flown_into(tmp_path / "always")
