@@ -10,6 +10,7 @@ from mavfi.kernels.perception import octree
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule
 from mavfi.kernels.perception.octree import Octree
+from mavfi.numerics.changes import gather_changes
 from mavfi.pipeline.changes import Change, Changes
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Foreign
@@ -77,6 +78,8 @@ class DenseMap:
         self._arrays = ScanArrays(frame, rule, max_range)
         self.log_odds = self._arrays.log_odds
         self._changes = Changes(self.log_odds)
+        size = len(self.log_odds)
+        self._changed = np.empty(size, np.int32), np.empty(size, np.float32), np.empty(size, np.float32)
         self._takes_back = False
         self._scratch = ScanScratch(self._arrays)
         self.scratch = (self._scratch,)
@@ -89,15 +92,15 @@ class DenseMap:
             points, origin, self._range, self._frame, self._rule, self.log_odds, arrays.stamp, arrays.scans,
             arrays.touched, arrays.before,
         )  # fmt: skip
-        voxels, before = arrays.touched[:count].copy(), arrays.before[:count].copy()
-        after = self.log_odds[voxels]
+        voxels, after = arrays.touched[:count].copy(), np.empty(count, np.float32)
+        places, before, log_odds = self._changed
+        changed = gather_changes(self.log_odds, voxels, arrays.before, after, places, before, log_odds)
         if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
             self._scratch.note((points, origin))
-            changed = np.flatnonzero(before.view(np.uint32) != after.view(np.uint32))
-            self._changes.note(voxels[changed], before[changed], after[changed])
+            self._changes.note(places[:changed].copy(), before[:changed].copy(), log_odds[:changed].copy())
         else:
             self._changes.forget()
-            self._changes.note(voxels, before, after)
+            self._changes.note(voxels, arrays.before[:count].copy(), after)
         self._takes_back = True
         return voxels, after
 

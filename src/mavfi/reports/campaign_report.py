@@ -9,10 +9,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.analysis import VIEWS, views_for
+from mavfi.campaign.analysis import views_for
 from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import TEXT, Table
+from mavfi.campaign.analysis.views import applicable
 from mavfi.campaign.store import Store
 from mavfi.campaign.telling import Telling, fly_telling_run
 from mavfi.errors import writing
@@ -52,8 +53,8 @@ class Report:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
         tables = {table.name: table.to_json() for table in self.tables}
         # views omitted from reports, e.g. more detailed versions of other tables
-        more = {name: view.table(self.runs) for name, view in VIEWS.items() if name not in tables and not view.of_model}
-        tables |= {name: table.to_json() for name, table in more.items() if table.rows}
+        more = [view.table(self.runs) for view in applicable(self.runs) if view.by_name and not view.of_model]
+        tables |= {table.name: table.to_json() for table in more if table.rows}
         data: dict[str, Any] = plain({
             "campaign": self.runs.campaign, "findings": self.findings,
             "null_runs": {"n": len(self.runs.null), "differing": differing_null_runs(self.runs)},

@@ -1,14 +1,15 @@
-"""MuJoCo's library: its step as a function callable from compiled code, with its warnings suppressed."""
+"""MuJoCo's library: its step as a function callable from compiled code, without warnings and without timers."""
 
 import ctypes
 from pathlib import Path
 
-import llvmlite.binding
+import llvmlite.binding as llvm
 import mujoco
 from numba import types
 
 GRAVITY = 9.80665
 """Standard gravity (m/s^2)."""
+_CLOCK = "mavfi_constant_time"
 _WARNING_HANDLER_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
 
 
@@ -31,8 +32,25 @@ def keep_quiet() -> None:
     ctypes.c_void_p.in_dll(_LIBRARY, "mju_user_warning").value = ctypes.cast(_say_nothing, ctypes.c_void_p).value
 
 
+def _stop_timers() -> llvm.ExecutionEngine:
+    """Replace the clock of MuJoCo's timers, which nobody reads, by a constant: a fifth of a step is spent on it.
+
+    Returns:
+        The owner of the new clock's code.
+    """
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    code = llvm.parse_assembly(f"define double @{_CLOCK}() {{ ret double 0.0 }}")
+    engine = llvm.create_mcjit_compiler(code, machine)
+    engine.finalize_object()
+    ctypes.c_void_p.in_dll(_LIBRARY, "mjcb_time").value = engine.get_function_address(_CLOCK)
+    return engine
+
+
 keep_quiet()
-llvmlite.binding.add_symbol("mj_step", ctypes.cast(_LIBRARY.mj_step, ctypes.c_void_p).value)
+_TIMERS = _stop_timers()
+llvm.add_symbol("mj_step", ctypes.cast(_LIBRARY.mj_step, ctypes.c_void_p).value)
 
 mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 """MuJoCo's step for compiled code: takes the addresses of MjModel and MjData.
