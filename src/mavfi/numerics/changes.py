@@ -1,4 +1,4 @@
-"""Changes of an array, gathered after it was written."""
+"""Changes of an array, selected after it was written."""
 
 import numpy as np
 
@@ -6,17 +6,16 @@ from mavfi.numerics.jit import kernel_jit
 
 
 @kernel_jit
-def gather_changes(
-    array: np.ndarray, places: np.ndarray, before: np.ndarray, after: np.ndarray, changed: np.ndarray,
-    changed_before: np.ndarray, changed_after: np.ndarray,
+def select_changes(
+    places: np.ndarray, before: np.ndarray, after: np.ndarray, changed: np.ndarray, changed_before: np.ndarray,
+    changed_after: np.ndarray,
 ) -> int:  # fmt: skip
-    """Read an array where it was written, and select the entries whose bits have changed.
+    """Select the entries whose bits have changed.
 
     Args:
-        array: Contents after the writes. Float32.
-        places: Flat indices, in write order. Shape (n,), int32.
+        places: Flat indices of the written values, in write order. Shape (n,), int32.
         before: Previous values. Shape (n,) or longer, float32.
-        after: Output: values at the places. Shape (n,), float32.
+        after: Values now. Shape (n,), float32.
         changed: Output: places whose value has changed, in order. Shape (n,) or longer, int32.
         changed_before: Output: their previous values. Same length, float32.
         changed_after: Output: their values. Same length, float32.
@@ -24,11 +23,10 @@ def gather_changes(
     Returns:
         Number of changed entries.
     """
-    bits, after_bits = before.view(np.uint32), after.view(np.uint32)
+    before_bits, after_bits = before.view(np.uint32), after.view(np.uint32)
     count = 0
     for i in range(places.shape[0]):
-        after[i] = array[places[i]]
-        if bits[i] != after_bits[i]:
+        if before_bits[i] != after_bits[i]:
             changed[count] = places[i]
             changed_before[count] = before[i]
             changed_after[count] = after[i]

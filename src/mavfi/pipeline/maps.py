@@ -10,7 +10,7 @@ from mavfi.kernels.perception import octree
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule
 from mavfi.kernels.perception.octree import Octree
-from mavfi.numerics.changes import gather_changes
+from mavfi.numerics.changes import select_changes
 from mavfi.pipeline.changes import Change, Changes
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Foreign
@@ -92,12 +92,12 @@ class DenseMap:
             points, origin, self._range, self._frame, self._rule, self.log_odds, arrays.stamp, arrays.scans,
             arrays.touched, arrays.before,
         )  # fmt: skip
-        voxels, after = arrays.touched[:count].copy(), np.empty(count, np.float32)
-        places, before, log_odds = self._changed
-        changed = gather_changes(self.log_odds, voxels, arrays.before, after, places, before, log_odds)
+        voxels = arrays.touched[:count].copy()
+        after = self.log_odds[voxels]  # of a voxel outside of the grid, due to a fault: an IndexError
         if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
             self._scratch.note((points, origin))
-            self._changes.note(places[:changed].copy(), before[:changed].copy(), log_odds[:changed].copy())
+            changed = select_changes(voxels, arrays.before, after, *self._changed)
+            self._changes.note(*(array[:changed].copy() for array in self._changed))
         else:
             self._changes.forget()
             self._changes.note(voxels, arrays.before[:count].copy(), after)

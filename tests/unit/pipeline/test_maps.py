@@ -6,8 +6,9 @@ from examples.map_forgetting import ForgettingMap
 
 from mavfi.errors import BadInputError
 from mavfi.kernels.perception.key_sets import KeyFrame
-from mavfi.kernels.perception.octomap import UpdateRule
+from mavfi.kernels.perception.octomap import UpdateRule, insert_scan
 from mavfi.pipeline import maps
+from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.maps import DenseMap, OctreeMap, find_map, make_map
 
 FRAME = KeyFrame(0.5, 0.25, 0.25, 0.25, 0, 0, 0, 20, 20, 20)
@@ -146,3 +147,16 @@ def test_the_example_takes_a_scan_back_with_what_it_made_it_forget():
         map_.rollback()  # nothing more to take back
         assert [part.tobytes() for part in map_.insert(points, np.full(3, 5.0))] == first
         assert map_.log_odds.tobytes() == after
+
+
+@pytest.mark.parametrize("rewindable", [False, True])
+def test_a_voxel_outside_of_the_grid_ends_the_step(rewindable):
+    def corrupted(*args):
+        count = insert_scan(*args)
+        args[8][count - 1] = SIZE  # the list of updated voxels
+        return count
+
+    functions = PLAIN.instrumented(("insert_scan",), lambda name, function: corrupted)
+    dense = DenseMap(FRAME, RULE, 5.0, functions, rewindable)
+    with pytest.raises(IndexError, match="8000 is out of bounds"):
+        dense.insert(*scan((4.0, 5.0, 5.0)))
