@@ -239,17 +239,14 @@ _variants: "weakref.WeakKeyDictionary[Any, dict[tuple[Any, ...], Variant]]" = we
 
 
 _LARGEST_INT = 1 << 63
-_MOST_TUPLES = 16
 _types: dict[Any, Any] = {}
-_tuples: dict[int, tuple[tuple[Any, ...], Any]] = {}
-"""Tuples with their keys, by identity: parameters are the same object in every call."""
 _known: "weakref.WeakKeyDictionary[Any, dict[Any, Variant]]" = weakref.WeakKeyDictionary()
 """Variants by what determines the types of their arguments: hashing Numba types takes longer than a short call."""
 
 
 def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
     """Numba types of arguments; cached by what determines them, since Numba derives them again for each call."""
-    key = _keys(args)
+    key = _key(args)
     if key is None:
         return tuple(numba.typeof(argument) for argument in args)  # type: ignore[no-untyped-call]
     if key not in _types:
@@ -268,25 +265,10 @@ def _key(value: Any) -> Any:
         return kind
     if isinstance(value, np.generic):
         return kind, value.dtype
-    return _key_of_tuple(value) if isinstance(value, tuple) else None
-
-
-def _key_of_tuple(value: tuple[Any, ...]) -> Any:
-    known = _tuples.get(id(value))
-    if known is not None and known[0] is value:
-        return known[1]
-    parts = _keys(value)
-    key = None if parts is None else (type(value), parts)
-    if len(_tuples) >= _MOST_TUPLES:
-        _tuples.clear()
-    _tuples[id(value)] = value, key
-    return key
-
-
-def _keys(values: tuple[Any, ...]) -> tuple[Any, ...] | None:
-    """`_key` of each of some values; None if one is unknown."""
-    parts = tuple(map(_key, values))
-    return None if None in parts else parts
+    if isinstance(value, tuple):
+        parts = tuple(map(_key, value))
+        return None if None in parts else (kind, parts)
+    return None
 
 
 def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None = None) -> Variant:
@@ -294,7 +276,7 @@ def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None 
     if rewriting is not None:
         signature = signature_of(args)
         return variant_of(kernel, signature, rewriting(name_of(kernel), signature))
-    key, known = _keys(args), _known.setdefault(kernel, {})
+    key, known = _key(args), _known.setdefault(kernel, {})
     if key is None:
         return variant_of(kernel, signature_of(args))
     if key not in known:
