@@ -10,7 +10,6 @@ from mavfi.kernels.perception import octree
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule
 from mavfi.kernels.perception.octree import Octree
-from mavfi.numerics.changes import select_changes
 from mavfi.pipeline.changes import Change, Changes
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Foreign
@@ -78,8 +77,6 @@ class DenseMap:
         self._arrays = ScanArrays(frame, rule, max_range)
         self.log_odds = self._arrays.log_odds
         self._changes = Changes(self.log_odds)
-        size = len(self.log_odds)
-        self._changed = np.empty(size, np.int32), np.empty(size, np.float32), np.empty(size, np.float32)
         self._takes_back = False
         self._scratch = ScanScratch(self._arrays)
         self.scratch = (self._scratch,)
@@ -92,15 +89,15 @@ class DenseMap:
             points, origin, self._range, self._frame, self._rule, self.log_odds, arrays.stamp, arrays.scans,
             arrays.touched, arrays.before,
         )  # fmt: skip
-        voxels = arrays.touched[:count].copy()
+        voxels, before = arrays.touched[:count].copy(), arrays.before[:count].copy()
         after = self.log_odds[voxels]  # of a voxel outside of the grid, due to a fault: an IndexError
         if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
             self._scratch.note((points, origin))
-            changed = select_changes(voxels, arrays.before, after, *self._changed)
-            self._changes.note(*(array[:changed].copy() for array in self._changed))
+            changed = np.flatnonzero(before.view(np.uint32) != after.view(np.uint32))
+            self._changes.note(voxels[changed], before[changed], after[changed])
         else:
             self._changes.forget()
-            self._changes.note(voxels, arrays.before[:count].copy(), after)
+            self._changes.note(voxels, before, after)
         self._takes_back = True
         return voxels, after
 

@@ -33,7 +33,7 @@ def keep_quiet() -> None:
 
 
 def _stop_timers() -> llvm.ExecutionEngine:
-    """Replace the clock of MuJoCo's timers, which nobody reads, by a constant: a fifth of a step is spent on it.
+    """Replace the clock of MuJoCo's timers, which nobody reads, by a constant: it takes a share of every step.
 
     Returns:
         The owner of the new clock's code.

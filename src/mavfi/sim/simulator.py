@@ -173,9 +173,8 @@ class Simulator:
         if not all(map(math.isfinite, (vx, vy, vz, yaw_rate, duration))):
             self.rejected_commands += 1
             return
-        limit, setpoint = self._yaw_rate_limit, self._setpoint
-        setpoint[0], setpoint[1], setpoint[2] = _shortened((vx, vy, vz), self._speed_limit)
-        setpoint[3] = min(limit, max(-limit, yaw_rate))
+        limit = self._yaw_rate_limit
+        self._setpoint[:] = (*_shortened((vx, vy, vz), self._speed_limit), min(limit, max(-limit, yaw_rate)))
         self._expiry_us = self.time_us + int(min(max(duration, 0.0), _LONGEST_COMMAND) * 1e6)
 
     def advance(self, time_us: int) -> None:

@@ -48,11 +48,8 @@ class Profiling(Counting):
 
     def _run(self, variant: Variant, args: tuple[Any, ...]) -> tuple[Any, int]:
         result, times = variant.tally(*args)
-        if variant.ir_sha256 in self._times:
-            _, total = self._times[variant.ir_sha256]
-            total += times
-        else:
-            self._times[variant.ir_sha256] = variant.table, times
+        _, total = self._times.setdefault(variant.ir_sha256, (variant.table, np.zeros_like(times)))
+        total += times
         return result, variant.written(times)
 
     def executed(self) -> list[tuple[str, Site, int]]:

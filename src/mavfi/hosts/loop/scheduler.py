@@ -32,8 +32,6 @@ from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage, State, floa
 CONTROL_PERIOD_US = 20_000
 _PHYSICS_US = 4_000
 _TICK = "tick"
-_WITHOUT_PLANT = frozenset({"done", "resend"})
-"""Actions that need the plant at the current instant only for a command."""
 _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
@@ -142,13 +140,9 @@ class Loop:
             if self.queue[0][2] == _TICK and len(self.record.rows) >= until:
                 return
             self.now, _, action, arguments = heapq.heappop(self.queue)
-            if action not in _WITHOUT_PLANT:
-                self._advance()
+            # the plant stops at the first physics step at or after this instant
+            self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
             (self.actions.get(action) or getattr(self, action))(self.now, *arguments)
-
-    def _advance(self) -> None:
-        """Let the plant fly to the first physics step at or after the current instant."""
-        self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
 
     def flight(self) -> Flight:
         """The flight; requires that the mission has a status."""
@@ -293,7 +287,6 @@ class Loop:
         if name == "control.command":
             values = floats(state.header, 5)
             self.command = values[:4].copy()
-            self._advance()
             self.plant.command(self.command, float(values[4]))
         elif name == ODOMETRY["estimator"]:
             self.sensors.see(state)
