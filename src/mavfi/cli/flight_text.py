@@ -78,7 +78,7 @@ def _figures(result: FlightResult) -> Table:
     qualities: list[QoF] = [quality_of(record) for record in (result.record, golden) if record is not None]
     for label, name, scale, unit in _FIGURES:
         values = [float(getattr(quality, name)) for quality in qualities]
-        relative = [f"{100 * (values[0] / values[1] - 1):+.1f} %"] if len(values) == 2 and values[1] > 0 else []
+        relative = [f"{100 * (values[0] / values[1] - 1):+z.1f} %"] if len(values) == 2 and values[1] > 0 else []
         table.add_row(label, *(f"{scale * value:.1f} {unit}" for value in values), *relative)
     scenario, record = result.scenario, result.record
     if scenario.wind.gust > 0.0:

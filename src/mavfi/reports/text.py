@@ -33,7 +33,7 @@ def percent(share: float | None, digits: int = 1) -> str:
 
 def signed_percent(share: float | None) -> str:
     """A relative change as per cent."""
-    return ABSENT if share is None else f"{100 * share:+.1f} %"
+    return ABSENT if share is None else f"{100 * share:+z.1f} %"
 
 
 def _small_percent(share: float) -> str:
@@ -73,12 +73,12 @@ FORMS: dict[str, Callable[[Any], str]] = {
     PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),
     "percent 2": lambda share: percent(share, 2),
     "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
-    POINTS: lambda found: f"{100 * (found.rate or 0.0):+.1f} {_interval(found)}",
-    POINTS_TEST: lambda found: f"{100 * found.rate:+.1f} {_interval(found)}{_p(found)}",
+    POINTS: lambda found: f"{100 * (found.rate or 0.0):+z.1f} {_interval(found)}",
+    POINTS_TEST: lambda found: f"{100 * found.rate:+z.1f} {_interval(found)}{_p(found)}",
     PERCENT_TEST: lambda found: f"{percent(found.rate)} {_interval(found)}{_p(found)}",
     TIMES_TEST: lambda found: f"{found.rate:.2f}× [{found.low:.2f}, {found.high:.2f}]{_p(found)}",
     SIGNED: signed_percent,
-    "signed points": lambda share: f"{100 * share:+.1f}",
+    "signed points": lambda share: f"{100 * share:+z.1f}",
     "points each way": lambda share: f"{100 * share:.1f}",
     SMALL: _small_percent,
     "small percents": lambda shares: " / ".join(map(_small_percent, shares.values())),

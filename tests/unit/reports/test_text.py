@@ -25,6 +25,7 @@ def test_absent_figures():
 def test_changes_carry_a_sign():
     assert text.signed_percent(0.5) == "+50.0 %"
     assert text.signed_percent(-0.015) == "-1.5 %"
+    assert text.signed_percent(-0.0001) == "+0.0 %"
 
 
 @pytest.mark.parametrize(

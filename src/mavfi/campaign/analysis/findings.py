@@ -123,8 +123,8 @@ def _flight_time(runs: Runs) -> list[str]:
         return []
     median, worst = (m.quantile_of(own["inflation"], share) or 0.0 for share in (0.5, 1.0))
     return [
-        f"Of the missions that succeed with a fault (n = {len(own)}), the median takes {100 * median:+.1f} % flight "
-        f"time, the worst {100 * worst:+.1f} % ({m.worst_run(own)})."
+        f"Of the missions that succeed with a fault (n = {len(own)}), the median takes {100 * median:+z.1f} % flight "
+        f"time, the worst {100 * worst:+z.1f} % ({m.worst_run(own)})."
     ]
 
 

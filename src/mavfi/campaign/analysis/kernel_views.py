@@ -264,7 +264,7 @@ register(
             "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
             "golden run, where both arrive",
             "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
-            f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+.1f} %, success lower by up to "
+            f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+z.1f} %, success lower by up to "
             f"{100 * paper.figure('kernels_worst', quantity='success_loss'):.0f} points, both in planning and control",
         ), applies=_of_instructions,
     ),

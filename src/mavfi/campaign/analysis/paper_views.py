@@ -107,7 +107,7 @@ def _shown(
 def _kernels_note() -> str:
     worst, lost = (paper.figure("kernels_worst", quantity=name) for name in ("flight_time", "success_loss"))
     return (
-        f"the paper (Fig. 3, a drawing without numbers; section III-A): flight time up to {100 * worst:+.1f} %, "
+        f"the paper (Fig. 3, a drawing without numbers; section III-A): flight time up to {100 * worst:+z.1f} %, "
         f"success lower by up to {100 * lost:.0f} points, both in planning and control; a node that dies is restarted; "
         "golden run: with the planner of the campaign, the other planners have golden runs of their own"
     )
