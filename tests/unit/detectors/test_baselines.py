@@ -6,7 +6,7 @@ import pytest
 from mavfi.detectors import load_detector
 from mavfi.detectors.baselines import library
 from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, Regressors
-from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector
+from mavfi.detectors.baselines.half_space_trees import Forests, HalfSpaceTreesDetector
 from mavfi.detectors.baselines.library import LibraryDetector, columns_of, score_once
 from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, nearest
 from mavfi.detectors.baselines.outliers import IsolationForestDetector, MahalanobisDetector, PcaDetector
@@ -164,6 +164,13 @@ def test_a_state_with_too_few_rows_has_no_regressors():
     rare = np.where(np.arange(600) < 7, 1, 0)
     scores = Regressors(rows, rare, [np.array([0, 1]), np.array([2, 3])]).scores(rows, slots)
     assert (scores[slots == 1] == 0.0).all() and (scores[slots == 0] > 0.0).any()
+
+
+def test_a_state_without_codes_has_no_scores_in_half_space_trees():
+    pytest.importorskip("river", exc_type=ImportError)
+    rows, slots = correlated(5)
+    scores = Forests(rows, slots, [np.arange(4), np.arange(0)]).scores(rows[:200], slots[:200])
+    assert (scores[slots[:200] == 1] == 0.0).all() and (scores[slots[:200] == 0] > 0.0).any()
 
 
 def test_the_nearest_stretch_is_that_of_a_naive_search():

@@ -11,8 +11,14 @@ from mavfi.detectors.everything import Everything
 _TREES, _HEIGHT, _WINDOW = 25, 8, 100
 
 
-class _Forests:
-    """Forests by state, fitted in the order of the rows; they do not learn in flight."""
+class Forests:
+    """Forests by state, fitted in the order of the rows; they do not learn in flight.
+
+    Args:
+        inputs: Training rows, see `Judge.scores`.
+        slots: Their states.
+        columns: By state, the columns of its codes; a state without codes scores 0.
+    """
 
     def __init__(self, inputs: np.ndarray, slots: np.ndarray, columns: list[np.ndarray]) -> None:
         self._columns = columns
@@ -26,7 +32,7 @@ class _Forests:
         limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
         window = max(1, min(_WINDOW, len(rows)))
         forest = make(n_trees=_TREES, height=_HEIGHT, window_size=window, limits=limits, seed=0)
-        for row in rows:
+        for row in rows if limits else ():  # without codes there is nothing to learn
             forest.learn_one(dict(enumerate(row.tolist())))
         return forest
 
@@ -49,4 +55,4 @@ class HalfSpaceTreesDetector(LibraryDetector):
     @classmethod
     def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
         """See `LibraryDetector.judge`."""
-        return _Forests(inputs, slots, columns_of(everything))
+        return Forests(inputs, slots, columns_of(everything))
