@@ -145,16 +145,19 @@ class Definition:
         """Location of the number at a path in a serialized message.
 
         Raises:
+            BadInputError: The type has no such member.
             AbsentError: A list of this message is too short.
             MavfiError: The message is not of this type.
         """
         offset, kind = 0, self.kind
         try:
             for name, index in steps(path):
-                for member in self.types[kind]:
+                for member in self.types.get(kind, ()):
                     if member.name == name:
                         break
                     offset = self._skip(member, data, offset)
+                else:
+                    member = self._member(kind, name, path)  # raises
                 kind = member.kind
                 if index is not None:
                     offset = self._element(member, data, offset, index, path)

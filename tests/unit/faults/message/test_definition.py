@@ -122,6 +122,13 @@ def test_a_path_that_leads_nowhere_is_refused_with_what_is_allowed(path, message
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize("path", ["header.stamp.sec", "position[0].x", "frame"])
+def test_a_member_that_the_type_lacks_is_located_nowhere(path):
+    definition, message = made("sensor_msgs/JointState")
+    with pytest.raises(BadInputError, match="no member"):
+        definition.locate(message, path)
+
+
 def test_an_index_beyond_a_fixed_list_is_refused():
     definition, _ = made("nav_msgs/Odometry")
     with pytest.raises(BadInputError, match=r"allowed: \[0\] to \[35\]"):
