@@ -136,8 +136,8 @@ def test_a_rate_changes_the_transforms_of_these_messages_and_no_others(arm, tran
     done = unless_lost(transforms, lambda: run_json(capsys, *arguments))
     numbers = [injection["details"]["message"] for injection in done["injections"]]
     assert 0 < len(numbers) < done["passed"]
-    changed, unchanged = transforms.changed(), set(transforms.stamps)
-    unchanged -= changed
+    changed = transforms.changed()
+    unchanged = set(transforms.stamps) - changed
     assert set(transforms.found) == {expected(0.5), expected(CHANGED)}
     starts = [arm.stamps[start:] for start in range(len(arm.stamps) - max(numbers))]  # of the relay, unknown here
     sent = ({stamps[number] for number in numbers} for stamps in starts)
