@@ -32,10 +32,13 @@ def load(name, profile):
 
 
 def events():
-    found = flight(6)
+    found, before = flight(6), 0
     for state, _ in found:
         if state.spec.name == "control.command":
             state.header["duration"] = LIMITS["published"].control_period
+        if state.spec.name == "perception.collision_status":
+            counter = int(state.header["future_collision_seq"][0])
+            state.header["collision"], before = counter > before, counter
     for state, count, field, value in STRIKES:
         found = strike(found, later(found, state, count), field, value)
     for tick in range(len(found) // 7):  # tracking reports, among the others
