@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from mavfi.cli import run
-from mavfi.detectors import load_detector
 from mavfi.detectors.chain import Chain
 from mavfi.errors import MavfiError
 from mavfi.faults.sensor.fault import SensorFault
@@ -23,6 +22,7 @@ from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure
 from mavfi.hosts.ros1.session import fly as fly_there
+from mavfi.hosts.watching import detector_for
 from tests.hosts.missions import Scripted, fault, golden, mission
 from tests.hosts.ros1.flights import NODES, same, short, there
 from tests.hosts.ros1.needs import ros
@@ -31,9 +31,7 @@ pytestmark = [*ros, pytest.mark.slow]
 
 
 def detector(name, scenario):
-    fits = {"stack": scenario.autopilot.name, "platform": scenario.platform.name, "v_max": scenario.v_max,
-            "planner": scenario.planner.name}  # fmt: skip
-    return load_detector(name, "paper", None, fits)[0]
+    return detector_for(scenario, name, "paper")[0]
 
 
 def left_behind(folder):
@@ -165,16 +163,13 @@ def test_a_flight_with_the_state_estimator():
 
 
 @pytest.mark.parametrize("coupling", ["observer", pytest.param("inline", marks=pytest.mark.long)])
-def test_an_injected_estimate_and_a_detector_that_wants_it_again(coupling):
+def test_an_injected_estimate_violates_its_rule(coupling):
     scenario = short(localization="estimator")
-    wrong = fault("perception.odometry", "x", 3.0, 56)
-
-    def watching():
-        return Scripted("perception.odometry", n=700, stage="perception")
-
-    log = there(scenario, wrong, watching(), recovery=Recovery(coupling))
-    same(log, fly_here(scenario, wrong, watching(), recovery=Recovery(coupling)).log)
-    assert log.injections[0].activated and [alarm.action for alarm in log.alarms] == ["recompute"]
+    wrong = fault("perception.odometry", "x", 3.0, 62)
+    log = there(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling))
+    same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling)).log)
+    assert log.injections[0].activated
+    assert (log.alarms[0].fields, log.alarms[0].action) == (("perception.odometry.x",), "recompute")
 
 
 def test_every_kind_of_recovery():
