@@ -46,6 +46,7 @@ _OF = re.compile(r"\d of \d")
 _MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others. '
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
+_PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
 _PARTS = re.compile(r"(?: --(?:part|level) \S+)+")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
@@ -168,8 +169,8 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
         del old[title]
     for title, rest in old.items():
         old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
-    for title in SCORED & old.keys() & new.keys():
-        new[title] = _with_rows(new[title], old[title])
+    for title in old.keys() & new.keys():
+        new[title] = (_with_rows if title in SCORED else _with_pairs)(new[title], old[title])
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in (old | new).items())]) + "\n"
 
 
@@ -189,6 +190,14 @@ def _with_rows(section: str, earlier: str) -> str:
     ]
     table, kept = ("\n".join(line for lines in part.values() for line in lines) for part in (own, rows))
     return "\n".join([section.replace(table, f"{table}\n{kept}", 1), *notes])
+
+
+def _with_pairs(section: str, earlier: str) -> str:
+    """A section with the comparisons of an earlier one between schemes whose rows have not changed."""
+    own, others = _schemes(section), _schemes(earlier)
+    same = {name for name in own if own[name] == others.get(name)}
+    notes = [found[0] for found in _PAIR.finditer(earlier) if {found[1], found[2]} <= same and found[0] not in section]
+    return "\n".join([section, *notes])
 
 
 def _schemes(section: str) -> dict[str, list[str]]:

@@ -117,7 +117,8 @@ class MissionSpec(Config):
         "producer's copy is sent again, and only if that is no better the kernel runs again.",
     )
     same_twice: Literal["accept", "escalate"] = Field(
-        "accept", description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node."
+        "accept",
+        description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node (inline).",
     )
     answer_s: float = Field(
         0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."

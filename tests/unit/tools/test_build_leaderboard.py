@@ -144,6 +144,15 @@ def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
     assert with_earlier(page(4, "| a | 4 |", "| b | 4 |", "| c | 4 |"), third, ()).count("flown on") == 0
 
 
+def test_schemes_that_were_not_flown_again_keep_their_comparison():
+    note = "- b against a: missions that only one of them flies to the end 1 : 2 of 9, p = 1"
+    head = "Title\n\nFlown on 2026-01-01.\n\n## T\n\n| scheme | lost |\n| --- | --- |\n| a | 1 |\n| b | 2 |\n"
+    earlier = f"{head}| c | 3 |\n\n{note}\n{note.replace('b against', 'c against')}\n"
+    page = with_earlier(f"{head}| c | 4 |\n\n- rates\n", earlier, {"T"})
+    assert page.endswith(f"- rates\n{note}\n"), "c was flown again, and not with a"
+    assert with_earlier(f"{head}| c | 3 |\n\n{note}\n", earlier, {"T"}).count(note) == 1
+
+
 def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch):
     for name in ("ROOT", "GENERATED", "DOCS", "IMAGES"):
         monkeypatch.setattr(build_leaderboard, name, tmp_path)

@@ -9,7 +9,8 @@ replaces all further commands, see `degraded`.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
 of the alarm, so the kernel is restored at its next step: at the next control period for planning and control, at the
-next image for perception, at the next IMU sample for the state estimator.
+next image for perception, at the next IMU sample for the state estimator.  What consumers compute from that value
+violates rules, too, as does its replacement with the same number: violated twice, a rule restarts no node there.
 """
 
 from collections.abc import Callable
@@ -58,7 +59,7 @@ class Recovery:
         grain: Unit of repetition: the `stage` with its latency; only the `kernel` that wrote the value; or its
             `message`, which the producer retransmits from its copy at no modelled cost.
         same_twice: Policy for a recomputation that violates a rule again (`Alarm.hard`): `accept` it, or `escalate` to
-            a restart of the node.
+            a restart of the node (coupling `inline` only).
         answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
             0 = none.
         degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
@@ -86,9 +87,14 @@ class Recovery:
         return Recovery(*(getattr(spec, key) for key in RECOVERY))
 
     @property
+    def escalates(self) -> bool:
+        """Whether a recomputation that violates a rule again ends in a restart."""
+        return self.same_twice == "escalate" and self.coupling == "inline"
+
+    @property
     def restarts(self) -> bool:
         """Whether the policy includes node restarts."""
-        return self.same_twice == "escalate" or self.answer_s > 0
+        return self.escalates or self.answer_s > 0
 
     @property
     def remembers(self) -> bool:
@@ -106,8 +112,7 @@ class Action:
 
     Attributes:
         kind: "recompute"; a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
-            the node of `kernel`; "resend" the value from its producer's copy; or a degraded mode from
-            now on.
+            the node of `kernel`; "resend" the value from its producer's copy; or a degraded mode from now on.
         stage: The stage whose latency is charged.
         kernel: The kernel whose step is repeated; "" = none, only the latency is charged.
         restores: Kernels whose memory is restored first, in this order.
@@ -267,7 +272,7 @@ class Watch:
             self._seal(state, now)
 
     def __call__(self, state: State, now: int) -> State | None:
-        """Check a value; the result of a recomputation passes without a check unless the policy is `escalate`."""
+        """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
         loop, detector, recovery = self._loop, self._detector, self._recovery
         awaited = loop.awaited.pop(state.spec.name, None)
         self.alarm = self.action = None
@@ -275,7 +280,7 @@ class Watch:
             self._setpoints.note(self.memory.trail, state, flown=not self.memory.degraded)
         if self._setpoints is not None and self.memory.degraded:
             return self._setpoints.command(self.memory.trail, state) if state.spec.name == COMMAND else state
-        asks = not self.memory.silenced and (awaited is None or recovery.same_twice == "escalate")
+        asks = not self.memory.silenced and (awaited is None or recovery.escalates)
         alarm = self._otherwise(state, now) if asks and self._at_once[state.spec.name](state.header) else None
         admitted = asks and alarm is None
         after = self._after(awaited)
@@ -306,7 +311,7 @@ class Watch:
     def _select(self, alarm: Alarm, spec: StateSpec, after: After, *, uncured: bool) -> Action | None:
         """The response to an alarm on a value; None = a faulty one that the policy does not contain."""
         action = decide(alarm, spec, self._recovery, after=after, uncured=uncured, respond=self._respond)
-        may_restart = self._may_restart and self._recovery.same_twice == "escalate"
+        may_restart = self._may_restart and self._recovery.escalates
         return None if action is not None and action.kind == "restart" and not may_restart else action
 
     @property
@@ -324,9 +329,7 @@ class Watch:
         if not alarm.hard or self._recovery.degraded == "none":
             return False
         memory = self.memory
-        if now - memory.last_us > GAP_US:
-            memory.first_us = now
-        memory.last_us = now
+        memory.first_us, memory.last_us = now if now - memory.last_us > GAP_US else memory.first_us, now
         used_up = again and self._recovery.restarts and not self._may_restart
         return used_up or now - memory.first_us > PERSISTS_US
 
@@ -392,7 +395,6 @@ class Watch:
             alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
             uncured = not self._may_restart
             action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=uncured, respond=self._respond)
-            if action is None or action.kind not in ("restart", *MODES):
-                return  # a faulty one: it is about a value
-            self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
-            self._execute(action, state, now)
+            if action is not None and action.kind in ("restart", *MODES):  # else a faulty one: it is about a value
+                self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
+                self._execute(action, state, now)

@@ -234,6 +234,15 @@ def test_a_rule_that_is_broken_twice_restarts_the_node():
     assert detector.accepted == [], "references are values that were published"
 
 
+def test_an_observer_restarts_no_node_for_it():
+    """Consumers have received the first value, so what follows may violate rules without corrupted memory."""
+    flight, detector = Flight(), Always(hard=True)
+    late = replace(ESCALATES, coupling="observer")
+    assert shown(detector, late, [(1, status(5)), (2, status(5))], flight) == [True, True]
+    assert flight.restarted == [] and flight.outcomes == [("recompute", "accepted")]
+    assert late.restarts and not replace(late, answer_s=0.0).restarts
+
+
 @pytest.mark.parametrize("pause", [1, ALARMS_WITHIN_US // (MOST_ALARMS - 1) + 1])
 def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     flight, detector = Flight(), Always(hard=True)
