@@ -107,7 +107,11 @@ class StateEstimator(Remembers):
         return estimate
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Continue from the last estimate, less certain; the last fix is older than that."""
+        """Continue from the last estimate, less certain; the last fix is older than that.
+
+        After repeated restarts the estimate itself may be seconds old: the first fix that contradicts it re-initializes
+        the filter.
+        """
         estimate = last.get(self.writes[0])
         values = np.full(1, np.nan) if estimate is None else floats(estimate.header, _ODOMETRY_WIDTH)
         if not np.isfinite(values).all():
@@ -115,7 +119,7 @@ class StateEstimator(Remembers):
         memory, noise = self.memory.filter, self._noise._replace(position=_MOVED)
         filtering.align(memory.nominal, memory.covariance, np.append(values[:3], 0.0), noise, READ_BACK)
         memory.nominal[:10], memory.nominal[10:] = values[:10], values[13:]
-        memory.time_us, memory.aligned = time_us, True
+        memory.time_us, memory.aligned, memory.refused = time_us, True, PATIENCE - 1
         return ("sensor.position",)
 
     def mark(self) -> None:

@@ -211,6 +211,22 @@ def test_the_estimator_goes_on_from_its_last_estimate_and_takes_the_next_fix():
     assert back.hover(500)[0] == pytest.approx(1.0, abs=0.05)
 
 
+def test_a_fix_that_contradicts_an_old_estimate_initializes_the_estimator_again():
+    """After a second away, the vehicle is elsewhere; its velocity is the best guess that there is."""
+    flown, back = Flight(), Flight()
+    flown.hover(100)
+    (said,) = flown.step()
+    floats(said.header, 19)[3:6] = 1.0, 2.0, 0.0
+    back.kernel.resume(last(said), back.time_us)
+    (state,) = back.step(fix(x=90.0))
+    np.testing.assert_array_equal(floats(state.header, 6)[:3], (90.0, 2.0, 3.0))
+    np.testing.assert_allclose(floats(state.header, 6)[3:], (1.0, 2.0, 0.0), atol=0.01)
+    near = Flight()
+    near.kernel.resume(last(said), near.time_us)
+    (state,) = near.step(fix(x=1.01))
+    assert floats(state.header, 1)[0] not in (1.0, 1.01), "corrected, not replaced"
+
+
 def test_an_estimate_that_is_no_number_is_not_read_back():
     broken = new_state(ODOMETRY["estimator"])
     broken.header["vx"] = np.inf
