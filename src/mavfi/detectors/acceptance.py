@@ -111,7 +111,7 @@ def _admit_waypoint(address: int, odometry: Any, header: Any) -> bool:
 def _admit_status(address: int, header: Any) -> bool:
     record, _ = load(address, _KIND)
     own = header_of(header)
-    if known.is_counted(own, record) or judge_status(own, record) >= 0:
+    if known.is_counted(own, record) or judge_status(own, record) >= 0:  # its time counts, or there is an alarm
         return True
     known.note_status(own, 0, record)
     return False
