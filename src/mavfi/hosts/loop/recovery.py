@@ -9,8 +9,7 @@ replaces all further commands, see `degraded`.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
 of the alarm, so the kernel is restored at its next step: at the next control period for planning and control, at the
-next image for perception, at the next IMU sample for the state estimator.  What consumers compute from that value
-violates rules, too, as does its replacement with the same number: violated twice, a rule restarts no node there.
+next image for perception, at the next IMU sample for the state estimator.
 """
 
 from collections.abc import Callable
@@ -88,7 +87,7 @@ class Recovery:
 
     @property
     def escalates(self) -> bool:
-        """Whether a recomputation that violates a rule again ends in a restart."""
+        """Whether a rule violated twice restarts a node; not with an observer, as its values are consumed first."""
         return self.same_twice == "escalate" and self.coupling == "inline"
 
     @property
@@ -226,7 +225,6 @@ class Watch:
 
     Attributes:
         memory: What it remembers between alarms.
-        keepers: None.
         alarm: The alarm on the last value, None = none.
         action: The response to it.
         seals: Whether it needs each value before injection, as sent by the producer.
@@ -329,7 +327,9 @@ class Watch:
         if not alarm.hard or self._recovery.degraded == "none":
             return False
         memory = self.memory
-        memory.first_us, memory.last_us = now if now - memory.last_us > GAP_US else memory.first_us, now
+        if now - memory.last_us > GAP_US:
+            memory.first_us = now
+        memory.last_us = now
         used_up = again and self._recovery.restarts and not self._may_restart
         return used_up or now - memory.first_us > PERSISTS_US
 
