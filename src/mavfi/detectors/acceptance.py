@@ -107,6 +107,16 @@ def _admit_waypoint(address: int, odometry: Any, header: Any) -> bool:
     return known.accept_unless_violated(judge_waypoint(header_of(header), content_of(odometry), record, blocks), record)
 
 
+@short_jit
+def _admit_status(address: int, header: Any) -> bool:
+    record, _ = load(address, _KIND)
+    own = header_of(header)
+    if known.is_counted(own, record) or judge_status(own, record) >= 0:  # its time counts, or there is an alarm
+        return True
+    known.note_status(own, 0, record)
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class Functions:
     """Entry points from Python into compiled code; a host may supply instrumented ones."""
@@ -178,6 +188,7 @@ class AcceptanceTest:
             places = {name: lent(own) for name, own in header.items()}
             odometry = lent(self.odometry, listed=True)
             self._calls = {
+                _STATUS: entry(_admit_status, 0, places[_STATUS]),
                 _WAYPOINT: entry(_admit_waypoint, 0, odometry, places[_WAYPOINT]),
                 _COMMAND: entry(_admit_command, 0, places[_COMMAND]),
             }
@@ -358,14 +369,6 @@ def _judge_waypoint(test: AcceptanceTest, state: State, now: int) -> int:
     return int(test.judge_waypoint(state.header, bytes_of(test.odometry), test.record, test.blocks))
 
 
-def _judge_estimate(test: AcceptanceTest, state: State, now: int) -> int:
-    return test.estimates.check(state, now)
-
-
-def _note_estimate(test: AcceptanceTest, state: State, now: int) -> None:
-    test.estimates.accept(state, now)
-
-
 def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
     """Record a header other than the one checked last: checking it makes it the candidate."""
     test.check(state, now)
@@ -374,7 +377,9 @@ def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
 
 
 RULES: dict[str, Rule] = {
-    ODOMETRY["estimator"]: Rule(_judge_estimate, _note_estimate),
+    ODOMETRY["estimator"]: Rule(
+        lambda test, *given: test.estimates.check(*given), lambda test, *given: test.estimates.accept(*given)
+    ),
     _STATUS: Rule(_judge_status, _note_status),
     "planning.path": Rule(_judge_path, _note_path),
     "planning.trajectory": Rule(_judge_trajectory, _note_trajectory),

@@ -219,3 +219,10 @@ def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Points of the latest stored trajectory. Shape (n, 11); (0, 11) if there is none."""
     last = used(known[0]["stored"], 0, KEPT) - 1
     return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]
+
+
+@kernel_jit
+def is_counted(header: np.ndarray, known: np.ndarray) -> bool:
+    """Whether the counter of a collision status differs from the last one, so that its time is recorded."""
+    last = used(known[0]["changes"], 1, COUNTERS) - 1
+    return bool(int(header[0]["future_collision_seq"]) != known[0]["counters"][last])

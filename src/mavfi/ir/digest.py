@@ -6,10 +6,11 @@ import re
 from mavfi.ir.module import Module
 
 _PER_PROCESS = re.compile(
-    r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|(?<=pickledata\.)[0-9a-f]+|-?\d{9,}"
+    r"B\d+v\d+(?!\d)|(?<=RecordILi)\d+|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|(?<=pickledata\.)[0-9a-f]+|-?\d{9,}"
 )
-"""Process- or folder-dependent parts of Numba's global names: function counters, addresses, digests of exceptions with
-the path of their source, hashes of strings, which may be negative."""
+"""Process- or folder-dependent parts of Numba's global names: function counters, numbers of record types (each
+further compiled function shifts both), addresses, digests of exceptions with the path of their source, hashes of
+strings, which may be negative."""
 _PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n]*\n\s*store i32 )\d+")
 """Stored length of such an exception: it grows with the path."""
 
