@@ -50,10 +50,13 @@ def _p(found: Any) -> str:
 
 
 def rate(found: Rate | float | None) -> str:
-    """A rate in per cent with its interval and n: "93.3 [78.7, 98.2] 28/30"; a weighted rate has no count: "n=30"."""
-    if found is None or isinstance(found, float):
-        return percent(found)
-    if found.rate is None:
+    """A rate in per cent with its interval and n: "93.3 [78.7, 98.2] 28/30"; a weighted rate has no count: "n=30".
+
+    A float is a published rate: "93.3".
+    """
+    if isinstance(found, float):
+        return f"{100 * found:.1f}"
+    if found is None or found.rate is None:
         return ABSENT
     count = f"n={found.n}" if found.successes is None else f"{found.successes}/{found.n}"
     return f"{100 * found.rate:.1f} {_interval(found)} {count}"

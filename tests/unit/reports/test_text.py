@@ -31,7 +31,7 @@ def test_changes_carry_a_sign():
 @pytest.mark.parametrize(
     ("value", "form", "shown"),
     [
-        (None, "rate", "—"), ("no estimate", "percent with interval", "no estimate"), (0.917, "rate", "91.7 %"),
+        (None, "rate", "—"), ("no estimate", "percent with interval", "no estimate"), (0.917, "rate", "91.7"),
         (Rate(6, -1 / 6, -0.571, 0.265), "percent with interval", "-16.7 % [-57.1, 26.5]"),
         (Rate(6, 0.1, 0.02, 0.2), "points", "+10.0 [2.0, 20.0]"), (Rate(4, 0.25, 0.1, 0.5, 1), "percent", "25.0 %"),
         (EventRate(7, 0.36, 19.3, 5.7, 39.8, 36.2), "per hour", "19.3 [5.7, 39.8]"), (0.090647, "percent 2", "9.06 %"),

@@ -13,12 +13,12 @@ Generated on 2026-11-20 by mavfi 0.1.0 (numba 0.68.1): campaign `table1_instruct
 |  |  | farm | dense |
 | --- | --- | ---: | ---: |
 | Golden run | here | 100.0 [77.2, 100.0] 13/13 | 100.0 [77.2, 100.0] 13/13 |
-|  | paper | 100.0 % | 85.0 % |
+|  | paper | 100.0 | 85.0 |
 | Injection run | here, node restarts | 100.0 [95.3, 100.0] 78/78 | 96.2 [89.3, 98.7] 75/78 |
 |  | here, mission ends | 84.6 [74.6, 91.2] 66/78 | 80.8 [69.1, 88.7] 63/78 |
-|  | paper | 97.3 % | 75.3 % |
+|  | paper | 97.3 | 75.3 |
 | Gaussian-based | here, node restarts | 100.0 [95.3, 100.0] 78/78 | 98.7 [93.1, 99.8] 77/78 |
-|  | paper | 99.3 % | 83.0 % |
+|  | paper | 99.3 | 83.0 |
 
 - smaller differences are not distinguished: farm 16 / 4; dense 16 / 9
 """
@@ -48,7 +48,7 @@ def test_the_table_of_the_readme_has_our_rates_and_the_papers():
         "",
         "One bit in one instruction per mission; a node that dies restarts; n = 13 to 78 per cell.",
     ]
-    for other in ("", TABLE.replace("|  | paper | 99.3 % | 83.0 % |\n", "")):
+    for other in ("", TABLE.replace("|  | paper | 99.3 | 83.0 |\n", "")):
         with pytest.raises(ValueError, match="not a success table"):
             build_readme.compact(other)
 
