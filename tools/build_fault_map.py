@@ -39,8 +39,8 @@ How to read it next to the paper (MAVFI, sections III-B and III-C):
 - **time_to_collision** decides between a stop and a replacement in flight: a wrong value costs time, rarely a mission.
 - **future_collision_seq** is robust in its low bits, as the paper found: consumers accept any growth. A flip of its
   sign bit, or of the collision flag, loses the one-shot alarm, and the vehicle flies on blind.
-- **Sequence numbers of a trajectory** are among the most dangerous numbers: one upward flip makes consumers reject all later
-  plans or alarms. The paper does not show them; no detector of the paper watches them.
+- **Sequence numbers of a trajectory** are among the most dangerous numbers: one upward flip makes consumers reject all
+  later plans or alarms. The paper does not show them; no detector of the paper watches them.
 - **Path vertices** matter while their plan is flown; many are replaced before.
 - **Cloud points and voxels** have no effect: neighbours and the next scan repair them, the paper's first finding.
 - **Commands** last for 20 ms and are bounded by the flight controller: nearly harmless at state level, unlike the
