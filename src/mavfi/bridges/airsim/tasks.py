@@ -1,7 +1,8 @@
 """AirSim's flight tasks as generators that act every 20 ms.
 
-Semantics of AirSim's MultirotorApiBase: take-off climbs 2 m at 0.5 m/s, landing sinks at 0.2 m/s until the vehicle is
-still for 10 periods, a place is reached within 0.5 m, a path is followed by pursuit with a look-ahead.
+Semantics of AirSim's MultirotorApiBase: take-off climbs 2 m at 0.5 m/s, landing sinks at up to 2 m/s, at the end at
+0.2 m/s, until the vehicle is still for 10 periods, a place is reached within 0.5 m, a path is followed by pursuit with
+a look-ahead.
 """
 
 import math
