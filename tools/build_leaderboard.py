@@ -12,6 +12,7 @@ import re
 import shutil
 import sys
 from collections.abc import Collection
+from itertools import pairwise
 from pathlib import Path
 
 from mavfi.api import load, table
@@ -150,10 +151,17 @@ def publish(page: str, scale: str) -> None:
         title, *lines = section.splitlines()
         grid = [line.strip("|").split("|") for line in lines if line.startswith("|")]
         frozen = ROOT / "configs" / FOLDER / NAME / f"{titles.get(title)}-{scale}.csv"
-        if frozen.is_file() and grid and grid[0][0].strip() == "scheme":
+        if frozen.is_file() and grid:
             with frozen.with_suffix(ROWS).open("w", encoding="utf-8", newline="") as file:
-                rows = ([cell.strip() for cell in row] for row in (grid[0], *grid[2:]))
-                csv.writer(file, lineterminator="\n").writerows(rows)
+                csv.writer(file, lineterminator="\n").writerows(_filled([grid[0], *grid[2:]]))
+
+
+def _filled(grid: list[list[str]]) -> list[list[str]]:
+    """Rows of a table with the first cells that a page leaves empty because they are those above."""
+    rows = [[cell.strip() for cell in row] for row in grid]
+    for above, row in pairwise(rows):
+        row[0] = row[0] or above[0]
+    return rows
 
 
 def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:

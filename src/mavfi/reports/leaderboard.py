@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.analysis.table import Cell, Table
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.scores import Scores
 from mavfi.reports import style
@@ -35,28 +35,36 @@ def leaderboard(tables: Mapping[str, Table], bench: str, scale: str, command: st
 
 
 def beside_published(own: Table, published: Sequence[Mapping[str, str]], bench: str) -> Table:
-    """A table with the published rows of other schemes above its own.
+    """A table with the published rows of other schemes above its own, within each group of rows.
 
     Args:
-        own: Table with one row per scheme, named by its first column.
+        own: Table with one row per scheme, or per group and scheme: the last key column names the scheme.
         published: Rows as text, by heading.
         bench: Name of the bench that published them.
 
     Returns:
         The table; published cells of columns that did not exist then are empty.
     """
-    first = own.columns[0].heading
-    known = dict.fromkeys(own.column(own.columns[0].key))
-    others = [row for row in published if first in row and row[first] not in known]
-    if not others or own.keys != 1:
+    scheme = own.columns[own.keys - 1]
+    known = dict.fromkeys(own.column(scheme.key))
+    others = [row for row in published if scheme.heading in row and row[scheme.heading] not in known]
+    if not others:
         return own
-    rows = [tuple(row.get(column.heading) for column in own.columns) for row in others]
     nothing: tuple[tuple[str, ...], ...] = ((),) * len(own.columns)
-    behind = (*(nothing for _ in rows), *own.behind) if own.behind else ()
+    behind = {id(row): cells for row, cells in zip(own.rows, own.behind, strict=False)}
+    rows: list[tuple[Cell, ...]] = [tuple(row.get(column.heading) for column in own.columns) for row in others]
+    rows += own.rows
+    groups = list(dict.fromkeys(row[: own.keys - 1] for row in rows))
+    rows.sort(key=lambda row: groups.index(row[: own.keys - 1]))  # stable: published rows remain above
     note = (
         f"flown here: {', '.join(map(str, known))}; the other rows are those published in {bench}, on the same faults"
     )
-    return replace(own, rows=[*rows, *own.rows], notes=(note, *own.notes), behind=behind)
+    return replace(
+        own,
+        rows=rows,
+        notes=(note, *own.notes),
+        behind=[behind.get(id(row), nothing) for row in rows] if behind else (),
+    )
 
 
 def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:

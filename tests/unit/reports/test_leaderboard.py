@@ -17,6 +17,19 @@ def test_published_rows_stand_above_ones_own():
     )
 
 
+def test_published_rows_of_a_group_stand_above_ones_own_of_the_same_group():
+    columns = (Column("environment", "environment"), Column("setting", "setting"), Column("alarms", "alarms", NUMBER))
+    own = Table("golden", "Golden", columns, [("dense", "mine", 4), ("farm", "mine", 5)], keys=2)
+    rows = [("dense", "theirs", "1"), ("dense", "mine", "2"), ("farm", "theirs", "3"), ("sparse", "theirs", "6")]
+    found = beside_published(
+        own, [dict(zip(("environment", "setting", "alarms"), row, strict=True)) for row in rows], "b"
+    )
+    assert found.rows == [
+        ("dense", "theirs", "1"), ("dense", "mine", 4), ("farm", "theirs", "3"), ("farm", "mine", 5),
+        ("sparse", "theirs", "6"),
+    ]  # fmt: skip
+
+
 def test_without_published_rows_it_stands_alone():
     assert beside_published(OWN, [], "b") is OWN
     assert beside_published(OWN, [{"environment": "dense"}], "b") is OWN

@@ -116,6 +116,10 @@ def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
     publish(page + "\n## Other\n\n| scheme |\n| --- |\n| c |\n", "quick")
     assert [path.name for path in frozen.glob("*.rows.csv")] == ["sites-quick.rows.csv"]
     assert (frozen / "sites-quick.rows.csv").read_text() == 'scheme,lost\na b,"3 [1, 5]"\n'
+    (frozen / "golden-quick.csv").touch()
+    grid = "| environment | setting |\n| --- | --- |\n| dense | a |\n|  | b |\n| farm | a |\n"
+    publish(f"# Top\n\n## {load_bench(NAME).parts['golden'].title}\n\n{grid}", "quick")
+    assert (frozen / "golden-quick.rows.csv").read_text() == "environment,setting\ndense,a\ndense,b\nfarm,a\n"
 
 
 def test_sections_that_were_not_flown_again_remain_with_their_date():
