@@ -117,16 +117,17 @@ def _beside(bench: "Bench", name: str, own: "Table", ledger: Path, scale: str) -
 
 
 def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | None) -> None:
+    """Fly the parts together: those that fly the same missions share their golden flights."""
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.run import run_campaign
+    from mavfi.campaign.run import run_campaigns
     from mavfi.cli.progress import Bar
 
-    for name, entry in flown.items():
-        with Bar(f"bench: {name}", "runs") as bar:
-            run_campaign(
-                entry.campaign, out / name, executor=LocalExecutor(workers), models_dir=models,
-                progress=bar.show_campaign,
-            )  # fmt: skip
+    names = list(flown)
+    with Bar(f"bench: {names[0] if len(names) == 1 else f'{len(names)} parts'}", "runs") as bar:
+        run_campaigns(
+            {out / name: entry.campaign for name, entry in flown.items()}, executor=LocalExecutor(workers),
+            models_dir=models, progress=bar.show_campaigns,
+        )  # fmt: skip
 
 
 def _score_tables(flown: "Mapping[str, Entry]", scored: "Mapping[str, Scores]") -> "dict[str, Table]":

@@ -45,6 +45,7 @@ class Bar:
         self._line = ""
         self._held: int | None = None
         self._waits = True
+        self._campaigns: dict[Path, CampaignProgress] = {}
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -76,6 +77,14 @@ class Bar:
             self._live.update(Group(self._bar, success_counts(progress.settings)))
         pace = f"{speed(progress.rate, self._unit)} · {time_left(progress.remaining_s)}" if progress.rate > 0 else ""
         self._tell(progress.done, progress.total, pace)
+
+    def show_campaigns(self, directory: Path, progress: CampaignProgress) -> None:
+        """Show the progress of campaigns that fly together, in all; of a single one also its successes."""
+        self._campaigns[directory] = progress
+        every = self._campaigns.values()
+        if len(every) == 1 or (progress.compiling and not any(one.flown for one in every)):
+            return self.show_campaign(progress)
+        return self.show(sum(one.done for one in every), sum(one.total for one in every))
 
     def _tell(self, done: int, total: int, pace: str) -> None:
         self._draw(done, total, f"{done}/{total} {self._unit}", pace)

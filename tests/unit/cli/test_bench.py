@@ -4,7 +4,7 @@ import pytest
 
 from mavfi.campaign import overheads
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
+from mavfi.campaign.run import run_campaign, status
 from mavfi.cli.commands import run
 from tests.unit.campaign.fakes import DETECTOR, small
 
@@ -71,6 +71,18 @@ def test_ones_own_detector_stands_beside_the_published_rows_if_its_faults_are_th
     assert "| gaussian |" in page and "| FakeDetector |" in page and "as published in b" in page
     (frozen / "p-quick.csv").write_text("others")
     assert "| gaussian |" not in fly_own(own_bench, capsys)
+
+
+def test_parts_fly_together_with_one_count_of_their_runs(own_bench, capsys):
+    file = own_bench / "b.yaml"
+    bench = json.loads(file.read_text())
+    bench["parts"]["q"] = {**bench["parts"]["p"], "title": "U"}
+    file.write_text(json.dumps(bench))
+    assert run(["bench", "detectors", str(file), "--out", str(own_bench / "out")]) == 0
+    both = sum(status(own_bench / "out" / name).total for name in "pq")
+    assert f"bench: 2 parts {both}/{both} runs" in capsys.readouterr().err
+    page = (own_bench / "out" / "leaderboard.md").read_text()
+    assert "## T\n" in page and "## U\n" in page
 
 
 def test_an_unknown_scale_is_an_option_of_the_command(tmp_path, capsys):

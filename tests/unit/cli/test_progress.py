@@ -3,9 +3,10 @@ import re
 import pytest
 from rich.console import Console
 
+from mavfi.campaign.session import Progress
 from mavfi.campaign.steps import Steps
 from mavfi.cli import progress
-from mavfi.cli.progress import Part, StudyBar, compiling
+from mavfi.cli.progress import Bar, Part, StudyBar, compiling
 from mavfi.errors import BadInputError
 
 
@@ -37,6 +38,18 @@ def test_the_time_left_is_that_of_all_parts_by_what_their_units_take(capsys, clo
         line = capsys.readouterr().err.strip().splitlines()[-1]
     assert line.startswith("study paper, campaign table1 (1 of 3) 7 %, 71/160 flights"), "71 s of 1000 s"
     assert "30 min 58 s left" in line, "29 x 2 s + 60 x 20 s + 3 x 200 s"
+
+
+def test_campaigns_that_fly_together_have_one_count(capsys, clock, tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    with Bar("bench: 2 parts", "runs") as bar:
+        bar.show_campaigns(one, Progress(4, 20))  # of an earlier session
+        bar.show_campaigns(two, Progress(0, 40))
+        bar.show_campaigns(two, Progress(1, 40, flown=1))  # kernels were compiled first
+        clock[0] = 20.0
+        bar.show_campaigns(one, Progress(14, 20, flown=10))
+        line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith("bench: 2 parts 15/60 runs  0.50 runs/s") and "1 min 30 s left" in line
 
 
 def test_a_few_flights_give_no_estimate(capsys, clock, study):
