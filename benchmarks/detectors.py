@@ -12,6 +12,7 @@ import os
 import statistics
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import date
 from pathlib import Path
 
 from mavfi.campaign.overheads import ALL, LONG_S, Cost, cost
@@ -62,7 +63,7 @@ def table(costs: Mapping[Key, list[Cost]], flights: int, repeats: int, left_out:
     }
     times = ", ".join(f"{value:.0f} ms (`{autopilot}`)" for autopilot, value in kernels.items())
     lines = [
-        f"{flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), {repeats} repeats (one where detection "
+        f"Measured on {date.today().isoformat()}: {flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), {repeats} repeats (one where detection "
         f"takes more than {LONG_S:g} s of a flight), detectors in turn; "
         f"load {os.getloadavg()[0]:.1f}. Golden flights, one process; the kernels take {times} of a flight, their "
         "Python included. Medians of flights, in brackets smallest and largest. Detection is what is wanted below the "
