@@ -1,5 +1,7 @@
 """Adapters of libraries: their common part with a model of our own, each library where it is installed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -84,6 +86,20 @@ def check(kind, sample, figures):
 
 def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
     check(NearestDetector, sample, FIGURES)
+
+
+def test_detectors_of_one_model_fit_it_once_and_score_each_on_its_own(sample, monkeypatch):
+    model, fits, scored = fitted(NearestDetector, sample, {**FIGURES, "largest_class": 50}), [], []
+    judge, scores = NearestDetector.judge.__func__, Nearest.scores
+    monkeypatch.setattr(NearestDetector, "judge", classmethod(lambda *given: fits.append(1) or judge(*given)))
+    monkeypatch.setattr(Nearest, "scores", lambda *given: scored.append(1) or scores(*given))
+    flights, counts = flight(2, ticks=50), []
+    for detector in (NearestDetector(model), NearestDetector(model)):
+        fly(detector, flights), fly(detector, flights)  # the second flight has the same publications
+        counts.append(len(scored))
+    assert len(fits) == 1 and counts[1] == 2 * counts[0] > 0
+    NearestDetector(replace(model, parameters={**model.parameters, "rows": model.parameters["rows"][::-1]}))
+    assert len(fits) == 2, "another model"
 
 
 @pytest.mark.slow

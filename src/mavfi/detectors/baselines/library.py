@@ -2,7 +2,7 @@
 
 import functools
 from abc import abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from importlib.util import find_spec
 from typing import Any, Protocol
 
@@ -19,6 +19,8 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import NotInstalledError
 
 _BATCH = 20_000
+_FITTED = 16
+"""Judges that a process keeps."""
 
 
 class Judge(Hashable, Protocol):
@@ -46,6 +48,13 @@ def score_once(judge: Judge, slot: int, content: bytes) -> float:
         content: Bytes of its inputs, float64.
     """
     return float(judge.scores(np.frombuffer(content).copy()[None], np.array([slot]))[0])
+
+
+class Own:
+    """A judge as that of one detector: detectors of one model share what was fitted, but not `score_once`."""
+
+    def __init__(self, judge: Judge) -> None:
+        self.scores = judge.scores
 
 
 def require(package: str) -> None:
@@ -116,8 +125,8 @@ class LibraryDetector(AllFieldsDetector):
         rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
-        judge = cls.learned(rows, slots, scale, everything)
-        return LibraryScorer(everything, judge, scale, float(model.numbers("floor")))
+        judge = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
+        return LibraryScorer(everything, Own(judge), scale, float(model.numbers("floor")))
 
     @classmethod
     def check_installed(cls) -> None:
@@ -168,3 +177,10 @@ class LibraryDetector(AllFieldsDetector):
             "rows": sample.vectors[rows].tolist(), "slots": sample.slots[rows].tolist(), "scale": scale.tolist(),
             "floor": floor, "limit": limit,
         }  # fmt: skip
+
+
+@functools.lru_cache(_FITTED)
+def _refitted(learned: Callable[..., Judge], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Judge:
+    """The judge of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
+    everything, states = Everything(autopilot), np.frombuffer(slots, np.int64)
+    return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), everything)
