@@ -63,8 +63,8 @@ def table(costs: Mapping[Key, list[Cost]], flights: int, repeats: int, left_out:
     }
     times = ", ".join(f"{value:.0f} ms (`{autopilot}`)" for autopilot, value in kernels.items())
     lines = [
-        f"Measured on {date.today().isoformat()}: {flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), {repeats} repeats (one where detection "
-        f"takes more than {LONG_S:g} s of a flight), detectors in turn; "
+        f"Measured on {date.today().isoformat()}: {flights} missions of each profile ({' and '.join(ENVIRONMENTS)}), "
+        f"{repeats} repeats (one where detection takes more than {LONG_S:g} s of a flight), detectors in turn; "
         f"load {os.getloadavg()[0]:.1f}. Golden flights, one process; the kernels take {times} of a flight, their "
         "Python included. Medians of flights, in brackets smallest and largest. Detection is what is wanted below the "
         "bar, and that of `duplicate` the steps that it computes again, per step; recovery is, apart from repeated "
