@@ -48,6 +48,7 @@ _MOVED = 'Where a cell says "of", only faults in the same value count: the schem
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
+_HERE = re.compile(r"^- flown here: (.+); the other rows are those published in .+, on the same faults$", re.MULTILINE)
 _PARTS = re.compile(r"(?: --(?:part|level) \S+)+")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
@@ -208,6 +209,18 @@ def _with_pairs(section: str, earlier: str) -> str:
     return "\n".join([section, *notes])
 
 
+def in_order(page: str, arms: Collection[str]) -> str:
+    """A page whose tables have the schemes in the order of a bench, whenever they were flown."""
+    top, sections = _divided(page)
+    places = {name: place for place, name in enumerate(arms)}
+    for title, section in sections.items():
+        schemes = _schemes(section)
+        sorted_ = sorted(schemes, key=lambda name: places.get(name, len(places)))
+        before, after = ("\n".join(line for name in names for line in schemes[name]) for names in (schemes, sorted_))
+        sections[title] = section.replace(before, after, 1)
+    return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in sections.items())]) + "\n"
+
+
 def _schemes(section: str) -> dict[str, list[str]]:
     """Rows of a section's table by scheme; a row without one belongs to that above it."""
     found: dict[str, list[str]] = {}
@@ -237,10 +250,11 @@ def main(arguments: list[str]) -> int:
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = _PARTS.sub("", page)  # of the command for a detector of one's own: the page has all parts
+        page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
         known = load_bench(NAME)
         titles = {part.title for part in known.parts.values()} | SCORED
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "", titles)
-        page = with_summary(page, known)
+        page = with_summary(in_order(page, known.arms), known)
         freeze(bench, scale)
         publish(page, scale)
     except (BadInputError, OSError) as error:

@@ -11,7 +11,7 @@ from mavfi.campaign.bench import load_bench
 from mavfi.errors import BadInputError
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
 from tools import build_leaderboard
-from tools.build_leaderboard import NAME, RULES, headline, main, publish, rules, with_earlier
+from tools.build_leaderboard import NAME, RULES, headline, in_order, main, publish, rules, with_earlier
 
 
 @pytest.fixture
@@ -134,6 +134,14 @@ def test_sections_that_were_not_flown_again_remain_with_their_date():
     assert "## a" not in renamed and all(f"## {title}" in renamed for title in "bcd"), "no part has the title a"
 
 
+def test_schemes_are_in_the_order_of_the_bench():
+    table = "| scheme | x |\n| --- | --- |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n| a | 4 |\n"
+    golden = "| environment | setting |\n| --- | --- |\n| farm | b |\n|  | a |\n| dense | b |\n"
+    page = in_order(f"# Top\n\n## S\n\n{table}\n- note\n\n## G\n\n{golden}", ["a", "b", "c"])
+    assert "| --- | --- |\n| a | 4 |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n\n- note\n" in page
+    assert golden in page and in_order(page, ["a", "b", "c"]) == page
+
+
 def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
     def page(day, *rows):
         table = "\n".join(["| scheme | regime |", "| --- | --- |", *rows])
@@ -163,11 +171,13 @@ def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch
     (tmp_path / "configs" / "bench").mkdir(parents=True)
     (tmp_path / "bench").mkdir()
     (tmp_path / "bench" / "leaderboard.md").write_text(
-        "# Top\n\n    mavfi bench detectors --part a --part b-c --detector d\n\nFlown on 1.\n\n## a\n\n| 1 |\n"
+        "# Top\n\n    mavfi bench detectors --part a --part b-c --detector d\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n"
+        "- flown here: c, d; the other rows are those published in x, on the same faults\n- note\n"
     )
     (tmp_path / "curves-paper.png").touch()
     assert main([str(tmp_path / "bench"), "paper"]) == 0
     page = (tmp_path / "leaderboard-paper.md").read_text()
     assert "## a\n\n| 1 |" in page and "mavfi bench detectors --detector d\n" in page
+    assert "\n- flown on this day: c, d; the other rows earlier, on the same faults\n- note\n" in page
     assert "curves-paper.png" in page, "drawn earlier"
     assert not (tmp_path / "README.md").exists()
