@@ -42,7 +42,7 @@ LEVELS = {
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 SCORED = {"Detection at fixed rates of false alarms", "False alarms by regime"}
-"""Sections that combine parts: a scheme that was not flown again keeps its rows."""
+"""Sections that combine parts."""
 _OF = re.compile(r"\d of \d")
 _MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others. '
 _FLOWN = "Flown on "
@@ -168,7 +168,8 @@ def _filled(grid: list[list[str]]) -> list[list[str]]:
 def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
     """The page in the order of an earlier one, whose sections remain where it lacks them, each with its date.
 
-    Sections of neither the page nor `titles` are dropped: their part has gone, or has another title.
+    Sections of neither the page nor `titles` are dropped: their part has gone, or has another title.  Schemes that the
+    page lacks keep their rows, if faults and columns are the same.
     """
     top, new = _divided(page)
     head, old = _divided(earlier.partition("\n![")[0].partition(FOOTER)[0])
@@ -179,7 +180,10 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
     for title, rest in old.items():
         old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
     for title in old.keys() & new.keys():
-        new[title] = (_with_rows if title in SCORED else _with_pairs)(new[title], old[title])
+        if title in SCORED or _faults(new[title]) == _faults(old[title]) != []:
+            new[title] = _with_rows(new[title], old[title])
+        if title not in SCORED:
+            new[title] = _with_pairs(new[title], old[title])
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in (old | new).items())]) + "\n"
 
 
@@ -199,6 +203,12 @@ def _with_rows(section: str, earlier: str) -> str:
     ]
     table, kept = ("\n".join(line for lines in part.values() for line in lines) for part in (own, rows))
     return "\n".join([section.replace(table, f"{table}\n{kept}", 1), *notes])
+
+
+def _faults(section: str) -> list[str]:
+    """Hash of a section's faults, and the headings of its table: rows with the same ones can be in one table."""
+    found = re.search(r"^- \d+ faults, sha256 (\S+):", section, re.MULTILINE)
+    return [found[1], *(line for line in section.splitlines() if line.startswith("| scheme"))] if found else []
 
 
 def _with_pairs(section: str, earlier: str) -> str:

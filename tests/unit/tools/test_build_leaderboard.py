@@ -156,6 +156,18 @@ def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
     assert with_earlier(page(4, "| a | 4 |", "| b | 4 |", "| c | 4 |"), third, ()).count("flown on") == 0
 
 
+def test_schemes_keep_their_rows_if_faults_and_columns_are_the_same():
+    def page(day, faults, *rows, heading="| scheme | lost |"):
+        table = "\n".join([heading, "| --- | --- |", *rows])
+        return f"top\n\nFlown on {day}.\n\n## T\n\n{table}\n\n- 9 faults, sha256 {faults}…: as published\n"
+
+    first = page("1", "12ab", "| a | 1 |", "| b | 2 |")
+    second = with_earlier(page("2", "12ab", "| c | 3 |", "| a | 4 |"), first, "T")
+    assert "| c | 3 |\n| a | 4 |\n| b | 2 |\n" in second and second.endswith("- b: flown on 1.\n")
+    for other in (page("2", "34cd", "| c | 3 |"), page("2", "12ab", "| c | 3 |", heading="| scheme | late |")):
+        assert "| b |" not in with_earlier(other, first, "T")
+
+
 def test_schemes_that_were_not_flown_again_keep_their_comparison():
     note = "- b against a: missions that only one of them flies to the end 1 : 2 of 9, p = 1"
     head = "Title\n\nFlown on 2026-01-01.\n\n## T\n\n| scheme | lost |\n| --- | --- |\n| a | 1 |\n| b | 2 |\n"
