@@ -9,6 +9,8 @@ STAMP := $(VENV)/.installed
 # When make began, if there is no $(VENV) yet: the time of set-up counts from here.
 BEGUN := $(if $(wildcard $(BIN)/python),,$(shell date +%s))
 CODE := src tests examples benchmarks tools
+# Many tests wait for programs that they start: one process more than processors.
+TESTERS := $(shell expr $(JOBS) + 1)
 # The summary lists skipped tests with their reasons: otherwise a missing program goes unnoticed.
 PYTEST := $(BIN)/python -m pytest -rfEs
 
@@ -45,7 +47,7 @@ reproduce: setup  ## train, fly, print the tables and tested findings of the pap
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests
-	@$(PYTEST) -n $(JOBS) -m "not long and not alone"
+	@$(PYTEST) -n $(TESTERS) -m "not long and not alone"
 	@$(PYTEST) -n 2 -m "alone and not long"
 
 test-all: setup  ## run all tests, including those that repeat others in more settings

@@ -49,7 +49,7 @@ _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
 _HERE = re.compile(r"^- flown here: (.+); the other rows are those published in .+, on the same faults$", re.MULTILINE)
-_PARTS = re.compile(r"(?: --(?:part|level) \S+)+")
+_COMMAND = re.compile(r"(mavfi bench detectors)(?: \S+\.yaml)?(?: --(?:part|level) \S+)*")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
     "Alarms that come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). Faults that last: "
@@ -259,7 +259,7 @@ def main(arguments: list[str]) -> int:
         if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared) and (bench / "instruction").is_dir():
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
-        page = _PARTS.sub("", page)  # of the command for a detector of one's own: the page has all parts
+        page = _COMMAND.sub(r"\1", page)  # for a detector of one's own: the page has all parts of the shipped bench
         page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
         known = load_bench(NAME)
         titles = {part.title for part in known.parts.values()} | SCORED

@@ -183,8 +183,8 @@ def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch
     (tmp_path / "configs" / "bench").mkdir(parents=True)
     (tmp_path / "bench").mkdir()
     (tmp_path / "bench" / "leaderboard.md").write_text(
-        "# Top\n\n    mavfi bench detectors --part a --part b-c --detector d\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n"
-        "- flown here: c, d; the other rows are those published in x, on the same faults\n- note\n"
+        "# Top\n\n    mavfi bench detectors /a/b.yaml --part a --part b-c --detector d\n\nFlown on 1.\n\n"
+        "## a\n\n| 1 |\n\n- flown here: c, d; the other rows are those published in x, on the same faults\n- note\n"
     )
     (tmp_path / "curves-paper.png").touch()
     assert main([str(tmp_path / "bench"), "paper"]) == 0
