@@ -103,6 +103,7 @@ _PLACES = {  # that of the first prefix counts
     "tests/unit/faults/register/test_inject": 0,  # the longest of those that run after the others
     "tests/unit/campaign/test_bench": 5,  # loads all detectors
     "tests/unit/campaign/test_overheads": 5,  # compiles the paper's detector, as test_pack would at the same time
+    "tests/unit/campaign/test_session": 3,  # finds compiled what the first file compiles
     "tests/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
     "tests/hosts/instruction": 3,
     "tests/hosts/ros1": 4,  # finds compiled what eight nodes would compile at once
