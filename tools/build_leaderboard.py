@@ -188,8 +188,16 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
 
 
 def _with_rows(section: str, earlier: str) -> str:
-    """A section with the rows of an earlier one whose schemes it lacks, and notes that say when they were flown."""
+    """A section with the rows of an earlier one whose schemes it lacks, and notes that say when they were flown.
+
+    Rows that were published, not flown, where a section was flown are those of the earlier one, which are newer.
+    """
     own, others = _schemes(section), _schemes(earlier)
+    here = _HERE.search(section)
+    flown = here[1].split(", ") if here else list(own)
+    for name in (own.keys() & others.keys()).difference(flown):
+        section = section.replace("\n".join(own[name]), "\n".join(others[name]), 1)
+    own = _schemes(section)
     rows = {name: lines for name, lines in others.items() if name not in own}
     if not rows:
         return section
@@ -225,8 +233,8 @@ def in_order(page: str, arms: Collection[str]) -> str:
     places = {name: place for place, name in enumerate(arms)}
     for title, section in sections.items():
         schemes = _schemes(section)
-        sorted_ = sorted(schemes, key=lambda name: places.get(name, len(places)))
-        before, after = ("\n".join(line for name in names for line in schemes[name]) for names in (schemes, sorted_))
+        ordered = sorted(schemes, key=lambda name: places.get(name, len(places)))
+        before, after = ("\n".join(line for name in names for line in schemes[name]) for names in (schemes, ordered))
         sections[title] = section.replace(before, after, 1)
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in sections.items())]) + "\n"
 
@@ -260,10 +268,10 @@ def main(arguments: list[str]) -> int:
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = _COMMAND.sub(r"\1", page)  # for a detector of one's own: the page has all parts of the shipped bench
-        page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
         known = load_bench(NAME)
         titles = {part.title for part in known.parts.values()} | SCORED
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "", titles)
+        page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
         page = with_summary(in_order(page, known.arms), known)
         freeze(bench, scale)
         publish(page, scale)

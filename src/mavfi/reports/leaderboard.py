@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mavfi.campaign.analysis.table import Cell, Table
+from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.scores import Scores
 from mavfi.reports import style
@@ -51,20 +51,15 @@ def beside_published(own: Table, published: Sequence[Mapping[str, str]], bench: 
     if not others:
         return own
     nothing: tuple[tuple[str, ...], ...] = ((),) * len(own.columns)
-    behind = {id(row): cells for row, cells in zip(own.rows, own.behind, strict=False)}
-    rows: list[tuple[Cell, ...]] = [tuple(row.get(column.heading) for column in own.columns) for row in others]
-    rows += own.rows
-    groups = list(dict.fromkeys(row[: own.keys - 1] for row in rows))
-    rows.sort(key=lambda row: groups.index(row[: own.keys - 1]))  # stable: published rows remain above
+    rows = [(tuple(row.get(column.heading) for column in own.columns), nothing) for row in others]
+    rows += zip(own.rows, own.behind or [nothing] * len(own.rows), strict=True)
+    groups = list(dict.fromkeys(row[: own.keys - 1] for row, _ in rows))
+    rows.sort(key=lambda pair: groups.index(pair[0][: own.keys - 1]))  # stable: published rows remain above
     note = (
         f"flown here: {', '.join(map(str, known))}; the other rows are those published in {bench}, on the same faults"
     )
-    return replace(
-        own,
-        rows=rows,
-        notes=(note, *own.notes),
-        behind=[behind.get(id(row), nothing) for row in rows] if behind else (),
-    )
+    behind = [ids for _, ids in rows] if own.behind else ()
+    return replace(own, rows=[row for row, _ in rows], notes=(note, *own.notes), behind=behind)
 
 
 def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:

@@ -166,6 +166,9 @@ def test_schemes_keep_their_rows_if_faults_and_columns_are_the_same():
     assert "| c | 3 |\n| a | 4 |\n| b | 2 |\n" in second and second.endswith("- b: flown on 1.\n")
     for other in (page("2", "34cd", "| c | 3 |"), page("2", "12ab", "| c | 3 |", heading="| scheme | late |")):
         assert "| b |" not in with_earlier(other, first, "T")
+    here = "- flown here: c; the other rows are those published in x, on the same faults\n"
+    older = with_earlier(page("2", "12ab", "| a | 0 |", "| c | 3 |") + here, first, "T")
+    assert "| a | 1 |\n| c | 3 |\n| b | 2 |\n" in older, "a was flown before the page, but not there"
 
 
 def test_schemes_that_were_not_flown_again_keep_their_comparison():
