@@ -3,6 +3,7 @@
     python -m benchmarks.fast_forward --missions 10
     python -m benchmarks.fast_forward --campaign table1 --autopilot hardened --missions 2
     python -m benchmarks.fast_forward --campaign table1_instructions --faults 1 --missions 4
+    python -m benchmarks.fast_forward --part sites --scheme checksum --scheme recommended --missions 1
 
 Every mission is flown in both modes, one after the other, and every record is compared.  Time is CPU time of this
 process and its children, so that other load on the machine affects both.  The exit code is 1 if any record differs.
@@ -16,6 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
+from mavfi.campaign.bench import entries, load_bench, with_schemes
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
@@ -110,13 +112,19 @@ def main() -> int:
     """Parse the command line, fly, and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaign", default="table1", help="name or path")
+    parser.add_argument("--part", help="of the shipped bench, at scale paper, in place of a campaign")
+    parser.add_argument("--scheme", action="append", default=[], help="of the bench; may be repeated")
     parser.add_argument("--missions", type=int, default=3, help="missions per environment")
     parser.add_argument("--faults", type=int, help="per mission and group, instead of the campaign's")
     parser.add_argument("--autopilot", help="instead of the campaign's")
     parser.add_argument("--map", help="instead of the campaign's")
     arguments = parser.parse_args()
     changes = {name: value for name in ("autopilot", "map") if (value := getattr(arguments, name)) is not None}
-    campaign = load_campaign(arguments.campaign)
+    if arguments.part is None:
+        campaign = load_campaign(arguments.campaign)
+    else:
+        bench = with_schemes(load_bench("mavfi-bench-1"), arguments.scheme)
+        campaign = entries(bench, "paper", parts=[arguments.part])[arguments.part].campaign
     campaign = campaign.model_copy(update={"mission": {**campaign.mission, **changes}})
     if arguments.faults is not None:
         campaign = campaign.model_copy(update={"faults": arguments.faults * campaign.missions})

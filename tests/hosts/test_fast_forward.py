@@ -9,14 +9,16 @@ import pytest
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, arms_of
+from mavfi.detectors.duplicate import Duplicate
+from mavfi.detectors.sealed import Checksum, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.local import fast_forward, fly
+from mavfi.hosts.local import branch, fast_forward, fly
 from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.recovery import INLINE, Recovery, Remembered
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
 
@@ -135,7 +137,7 @@ def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched)
     forward, taken = FastForward(mission()), []
     forward.watched = watched
     forward.fly()
-    monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
+    monkeypatch.setattr(branch, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
     assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
     assert bool(taken) is watched
 
@@ -150,13 +152,13 @@ def test_a_masked_fault_costs_a_second_of_flight():
 
 @pytest.mark.slow
 def test_to_stop_too_early_is_noticed(monkeypatch):
-    monkeypatch.setattr(fast_forward, "is_at", lambda *_: True)
+    monkeypatch.setattr(branch, "is_at", lambda *_: True)
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
 @pytest.mark.slow
 def test_a_start_at_the_wrong_place_is_noticed(monkeypatch):
-    monkeypatch.setattr(fast_forward.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
+    monkeypatch.setattr(branch.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
@@ -181,6 +183,81 @@ def test_an_observer_is_fast_forwarded_too():
             mine = forward.fly(injected, detector, make.__name__, Recovery("observer"))
             assert content(mine.log) == content(fly(mission(), injected, make(), recovery=Recovery("observer")).log)
     assert forward.share.flown < forward.share.ticks
+
+
+def escalating(**more):
+    return Recovery(grain="message", same_twice="escalate", answer_s=0.6, **more)
+
+
+TAKING_PART = {
+    "checksum": (lambda: Checksum(), Recovery(grain="message")),
+    "oracle": (lambda: Oracle(), Recovery(grain="kernel")),
+    "duplicate": (lambda: Duplicate(), INLINE),
+    "recommended": (lambda: detector_of("recommended", "paper", mission()), escalating()),
+    "restarts": (lambda: Scripted("perception.map_update", n=25, stage="perception", times=3, hard=True), escalating()),
+    "hover": (lambda: Scripted("control.command", n=300, times=200, hard=True), escalating(degraded="hover")),
+}
+"""Detectors that act on flights without an alarm, or answer one depending on earlier events."""
+
+
+def under(name, forward, faults):
+    """Runs with a detector that takes part of which the answer is another one, and the logs from take-off."""
+    make, recovery = TAKING_PART[name]
+    detector, other, logs = make(), [], []
+    for number, injected in enumerate(faults):
+        mine = forward.fly(injected, detector, name, recovery)
+        logs.append(fly(mission(), injected, make(), recovery=recovery).log)
+        if content(mine.log) != content(logs[-1]):
+            other.append(number)
+    return other, logs
+
+
+STRUCK = [None, *(FAULTS[number] for number in (0, 3, 8, 9, 13, 16, 17, 20))]
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "recommended" else pytest.param(name, marks=pytest.mark.slow) for name in TAKING_PART]
+)
+def test_detectors_that_take_part_are_fast_forwarded_too(name):
+    forward = FastForward(mission())
+    other, logs = under(name, forward, STRUCK)
+    assert other == []
+    assert forward.share.flights == len(STRUCK) and forward.share.flown < 0.95 * forward.share.ticks
+    if name in ("checksum", "oracle", "recommended"):  # a message that is sent again leaves no trace
+        assert forward.share.converged > 0
+    if name in ("restarts", "hover"):
+        kinds = {alarm.action for log in logs for alarm in log.alarms}
+        assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hover": {"hover"}}[name]
+
+
+@pytest.mark.slow
+def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not():
+    forward = FastForward(mission())
+    assert under("recommended", forward, STRUCK[:3])[0] == []
+    assert every_fault("published", "gaussian", forward, ARMS["published"]["gaussian"](), FAULTS[:4]) == []
+    assert under("duplicate", forward, STRUCK[:3])[0] == []
+    assert forward.fly().profile.to_bytes() == golden().profile.to_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "mutant"),
+    [
+        ("checksum", (branch, "takes_part", lambda *_: False)),
+        ("duplicate", (branch, "takes_part", lambda *_: False)),
+        ("restarts", (branch.Branch, "begin_empty", lambda _: None)),
+        ("hover", (Remembered, "copy", lambda _: Remembered())),
+    ],
+)
+def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, name, mutant):
+    monkeypatch.setattr(*mutant)
+    monkeypatch.setattr(fast_forward, "takes_part", branch.takes_part)
+    forward = FastForward(mission())
+    try:
+        forward.fly()
+        assert under(name, forward, STRUCK[:7])[0] != []
+    except Exception as error:  # the flight from take-off would decide
+        assert not isinstance(error, AssertionError), error
 
 
 @cache

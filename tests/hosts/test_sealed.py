@@ -90,7 +90,7 @@ def test_the_oracle_alarms_at_the_injected_publication():
     assert log.alarms[0].time_s == log.injections[0].time_s
 
 
-def test_a_campaign_flies_them_in_full_and_gives_the_same():
+def test_a_campaign_flies_them_and_gives_the_same():
     setup = ArmSetup(mission(), Checksum, RESEND)
     flights = LocalHost().mission({"golden": ArmSetup(mission()), "arm": setup})
     flights.golden("golden")

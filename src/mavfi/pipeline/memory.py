@@ -1,7 +1,7 @@
 """Explicit memory: the persistent state of a kernel, as dataclasses of plain values that can be copied and compared.
 
 Plain values are numbers, text, None, published states (immutable), arrays, and tuples, lists and dictionaries of these
-and of memories.  Maps are too large to copy: they keep undo logs, see `Keeper`.
+and of memories, and sets of text.  Maps are too large to copy: they keep undo logs, see `Keeper`.
 """
 
 import copy
@@ -115,8 +115,8 @@ def copied(value: Any) -> Any:  # noqa: ANN401
         return value
     if isinstance(value, np.ndarray):
         return value.copy()
-    if isinstance(value, list):
-        return [copied(item) for item in value]
+    if isinstance(value, (list, set)):
+        return type(value)(copied(item) for item in value)
     if isinstance(value, dict):
         return {key: copied(item) for key, item in value.items()}
     if isinstance(value, tuple):

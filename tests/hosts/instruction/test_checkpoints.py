@@ -14,7 +14,8 @@ from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly, forks, mission_flights
-from mavfi.hosts.local.fast_forward import Branch, FastForward
+from mavfi.hosts.local.branch import Branch
+from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.forks import WatchedArm, fly_from_checkpoints
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.recovery import INLINE, Recovery

@@ -5,74 +5,36 @@
 - An injected run starts from the golden run's last checkpoint before the fault.
 - At each checkpoint where plant, kernels and queue have converged to those of a known flight, its remainder is reused.
 - A detector without alarms has no effect.  Where the flight without a detector is known, the detector only checks the
-  publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.
+  publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.  This is not done
+  for a detector that takes part in flights without an alarm, see `branch.takes_part`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields
-from itertools import pairwise
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector, admission
+from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
 from mavfi.faults.instruction import Resolving
 from mavfi.faults.state import CounterWatch, StateInjector
-from mavfi.flight_log import FlightLog, Profile
+from mavfi.flight_log import Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.forking import ForkingFunction
-from mavfi.hosts.local.checkpoints import Checkpoint, Instant, has_scratch, is_at, keeper_of, put, take
+from mavfi.hosts.local.branch import Branch, Share, Track, takes_part
+from mavfi.hosts.local.checkpoints import Instant, has_scratch, put, take
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.golden_prefix import prefix_of
-from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
-from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.sim.controller import is_rewindable
-from mavfi.states import State
 
 TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
-
-
-@dataclass(slots=True)
-class Share:
-    """Share of the flights that was simulated.
-
-    Attributes:
-        ticks: Control periods of all flights, of which `flown` were simulated; in those `shown`, a detector only
-            checked the publications of a known flight.
-        converged: Number of flights that converged to another one before their end.
-    """
-
-    flights: int = 0
-    ticks: int = 0
-    flown: int = 0
-    shown: int = 0
-    converged: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """A completed flight, its publications (if it has checkpoints), and its checkpoints by number of rows."""
-
-    log: FlightLog
-    rows: list[np.ndarray]
-    shown: list[tuple[State, int]]
-    checkpoints: dict[int, Checkpoint]
-    end: Checkpoint
-
-    def before(self, time_us: int) -> int:
-        """Number of rows of the last checkpoint before an instant (us); 0 if there is none."""
-        return max((rows for rows in self.checkpoints if rows * CONTROL_PERIOD_US < time_us), default=0)
-
-    def pieces(self, rows: int) -> Iterator[tuple[Checkpoint, Checkpoint]]:
-        """Pairs of consecutive checkpoints from `rows` on, up to the end."""
-        chosen = [self.checkpoints[place] for place in sorted(self.checkpoints) if place >= rows]
-        return pairwise([*chosen, self.end])
 
 
 class FastForward:
@@ -100,7 +62,7 @@ class FastForward:
             field.name: ForkingFunction(field.name, getattr(PLAIN, field.name)) for field in fields(PLAIN)
         }
         table = PLAIN.instrumented(tuple(self.functions), lambda name, _: self.functions[name])
-        self.loop = new_loop(scenario, profile=True, rewindable=True, functions=table)
+        self.loop = new_loop(scenario, rewindable=True, functions=table)
         self.loop.watch_losses()
         for function in self.functions.values():
             function.attach(self.loop)
@@ -112,6 +74,7 @@ class FastForward:
         self._profile: Profile | None = None
         self._last: tuple[StateFault, Track] | None = None
         self.recovery = INLINE
+        self._take_off: Instant | None = None
 
     def fly(
         self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
@@ -123,7 +86,7 @@ class FastForward:
             fault: The fault; None = golden flight.
             detector: The detector, initialized at the start of each flight; None = none.
             arm: Name of the detector's arm; each name must always denote the same detector and recovery policy.
-            recovery: The recovery policy; it must not `remember`, since checkpoints do not contain its state.
+            recovery: The recovery policy.
         """
         self.recovery = recovery
         with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
@@ -168,18 +131,28 @@ class FastForward:
     def golden(self, detector: Detector | None = None, arm: str = "") -> Track:
         """The golden flight, flown on first use."""
         if arm not in self._golden:
-            self._golden[arm] = self._first() if detector is None else self._watched(detector)
+            if detector is None or takes_part(detector, self.recovery):
+                self._golden[arm] = self._simulated(detector)
+            else:
+                self._golden[arm] = self._watched(detector)
         return self._golden[arm]
 
-    def _first(self) -> Track:
-        """The golden flight without a detector, from take-off."""
-        loop = self.loop
-        branch = Branch(self, None, keeps=True)
+    def _simulated(self, detector: Detector | None) -> Track:
+        """A golden flight from take-off; the one without a detector leaves the profile."""
+        loop, plain = self.loop, self._golden.get("")
+        branch = Branch(self, detector, [] if plain is None else [plain], keeps=True)
         loop.taps.injector = CounterWatch()
-        loop.begin()
-        branch.keep(take(loop, scratch=self.scratch))
+        if self._take_off is None:
+            loop.begin()
+            self._take_off = take(loop, scratch=self.scratch)
+        put(loop, self._take_off)
+        branch.begin_empty()
+        if detector is not None:
+            detector.start()
+        branch.keep(self._take_off)
+        loop.record.publications.wanted = detector is None
         track = branch.fly()
-        self._profile = loop.record.publications.profile()
+        self._profile = loop.record.publications.profile() or self._profile
         loop.record.publications.wanted = False
         return track
 
@@ -201,16 +174,18 @@ class FastForward:
         return self._last[1]
 
     def _injected(self, fault: StateFault, detector: Detector | None, arm: str) -> Track:
-        own, plain = self.golden(detector, arm), self.golden()
+        own = self.golden(detector, arm)
         rows = own.before(fault.time_us)
         start = own.checkpoints[rows]
         assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
         injector = StateInjector(fault, start.injector)
-        as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
+        plain = None if takes_part(detector, self.recovery) else self.golden()
+        as_plain = plain is not None and rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # if the prefix has no alarms, the run without a detector is identical up to the first alarm
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
         keeps = self.watched and detector is None
-        branch = Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=keeps)
+        known = [track for track in (along, plain) if track is not None]
+        branch = Branch(self, detector, known, own, keeps=keeps)
         branch.begin(own, start)
         branch.loop.taps.injector = injector
         branch.remember(start.detector)
@@ -223,176 +198,3 @@ class FastForward:
             if keeps:
                 branch.keep(start.here)
         return branch.fly()
-
-
-class Branch:
-    """A flight in progress; it may converge to the `known` flights or to `own`, the golden flight with its detector.
-
-    With `keeps` it has checkpoints; with `shows`, which `keeps` implies, it records publications in `shown`.
-    `comparable` states whether checkpoints contain everything in which it may differ from the known flights.
-    """
-
-    def __init__(
-        self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,
-        keeps: bool = False, shows: bool = False,
-    ) -> None:  # fmt: skip
-        self.loop = forward.loop
-        self.comparable: Callable[[], bool] = lambda: True
-        self._share, self._pitch = forward.share, forward.pitch
-        self._detector = None if detector is None else keeper_of(detector)
-        self._known, self._own, self._keeps = known, own, keeps
-        self._scratch = forward.scratch and own is None  # faults in instructions are injected after golden checkpoints
-        self._checkpoints: dict[int, Checkpoint] = {}
-        self.shown: list[tuple[State, int]] = []
-        self._flown = False
-        self._log: FlightLog | None = None
-        self._recovery = forward.recovery
-        self.loop.status, self.loop.taps.detector, self.loop.taps.seal = None, None, None
-        self._watch()
-        self._shows = keeps or shows
-        self.loop.taps.recorders[:] = [lambda state, now: self.shown.append((state, now))] if self._shows else []
-
-    def _watch(self) -> None:
-        if self._detector is not None:
-            tap = Watch(self.loop, self._detector.content, self._recovery)
-            taps = self.loop.taps
-            taps.detector, taps.watched, taps.seal = tap, tap.states, tap.seal if tap.seals else None
-
-    def remember(self, saved: Any) -> None:  # noqa: ANN401
-        """Restore the detector's memory, if there is a detector, from a checkpoint."""
-        if self._detector is not None:
-            self._detector.restore(saved)
-            self._watch()  # restoring may have replaced the object
-
-    # ---- the record -------------------------------------------------------------------------------------------------
-    def begin(self, track: Track, start: Checkpoint) -> None:
-        """Start with another flight's record up to a checkpoint."""
-        record = self.loop.record
-        record.rows, record.events = track.rows[: start.rows], track.log.events[: start.events]
-        record.alarms, self.shown = list(start.alarms), track.shown[: start.shown]
-        record.set_counts(start.counts)
-
-    def keep(self, instant: Instant) -> None:
-        """Store a checkpoint at the current number of rows."""
-        self._checkpoints[len(self.loop.record.rows)] = self._checkpoint(instant)
-
-    def _checkpoint(self, instant: Instant | None = None) -> Checkpoint:
-        record, injector = self.loop.record, self.loop.taps.injector
-        assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
-        return Checkpoint(
-            instant, len(record.rows), len(record.events), len(self.shown), tuple(record.alarms), record.counts(),
-            injector.copy(), None if self._detector is None else self._detector.save(),
-        )  # fmt: skip
-
-    def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
-        """Append another flight's record between two of its checkpoints."""
-        record, log = self.loop.record, track.log
-        record.rows += track.rows[here.rows : there.rows]
-        record.events += log.events[here.events : there.events]
-        record.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
-        if self._shows:
-            self.shown += track.shown[here.shown : there.shown]
-        so_far = record.counts()
-        record.set_counts(n + b - a for n, a, b in zip(so_far, here.counts, there.counts, strict=True))
-        if there is track.end:
-            self._log = self.loop.log(log.status, log.meta["rejected_commands"])
-        elif self._keeps:
-            self.keep(there.here)
-
-    def keep_from_now_on(self) -> None:
-        """Take checkpoints at all further instants for them."""
-        self._keeps = True
-
-    # ---- reuse of another flight ------------------------------------------------------------------------------------
-    def append_unless_alarm(self, track: Track, start: Checkpoint, there: Checkpoint) -> bool:
-        """Reuse a flight without a detector between two of its checkpoints; False, without effect, at an alarm."""
-        if self._detector is None or self._alarms(track.shown[start.shown : there.shown], self._detector.content):
-            return False
-        self._append(track, start, there)
-        return True
-
-    def converge(self, track: Track, rows: int) -> None:
-        """Reuse the remainder of another flight."""
-        self._share.converged += 1
-        if not self._keeps:
-            self._append(track, track.checkpoints[rows], track.end)
-            return
-        for here, there in track.pieces(rows):
-            self._append(track, here, there)
-
-    def follow(self, track: Track, rows: int) -> None:
-        """Reuse a flight without a detector, to its end or to the first alarm on its publications."""
-        for here, there in track.pieces(rows):
-            if self._detector is None:
-                return self.converge(track, here.rows)
-            if self._own is not None and self._is_own(here):
-                return self.converge(self._own, here.rows)
-            known = self._detector.save()
-            if self._alarms(track.shown[here.shown : there.shown], self._detector.content):
-                self.remember(known)
-                return put(self.loop, here.here)
-            self._share.shown += there.rows - here.rows
-            if not self._flown or isinstance(self.loop.taps.injector, CounterWatch):
-                self.loop.taps.injector = there.injector.copy()
-            self._append(track, here, there)
-
-    def _is_own(self, here: Checkpoint) -> bool:
-        """Whether the remainder equals that of the golden flight with the same detector."""
-        known = None if self._own is None else self._own.checkpoints.get(here.rows)
-        return known is not None and known.instant is here.instant and self._is_through() and self._same_detector(known)
-
-    def _is_through(self) -> bool:
-        """Whether injector and recovery have no further effect."""
-        injector = self.loop.taps.injector
-        return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
-
-    def _same_detector(self, known: Checkpoint) -> bool:
-        return self._detector is None or self._detector.same(known.detector)
-
-    def _alarms(self, shown: list[tuple[State, int]], detector: Detector) -> bool:
-        watched, admit = self.loop.taps.watched, admission(detector)
-        seen = (one for one in shown if watched is None or one[0].spec.name in watched)
-        return any(admit(state, now) is not None for state, now in seen)
-
-    # ---- flying -----------------------------------------------------------------------------------------------------
-    def fly(self) -> Track:
-        """Continue to the end; simulate where no known flight can be reused."""
-        loop, record = self.loop, self.loop.record
-        while self._log is None:
-            self._flown = True
-            before = len(record.rows)
-            loop.run((before // self._pitch + 1) * self._pitch)
-            self._share.flown += len(record.rows) - before
-            if loop.status is None:
-                self._arrive()
-            else:
-                self._log = loop.flight().log
-        loop.taps.recorders.clear()
-        return Track(self._log, record.rows, self.shown, self._checkpoints, self._checkpoint())
-
-    def _arrive(self) -> None:
-        """At a checkpoint instant: reuse another flight if the current state has converged to it."""
-        rows = len(self.loop.record.rows)
-        other = self._converged() if self._is_through() and self.comparable() else None
-        if self._keeps:
-            self.keep(take(self.loop, scratch=self._scratch) if other is None else other.checkpoints[rows].here)
-        if other is not None and other is self._own:
-            self.converge(other, rows)
-        elif other is not None:
-            self.follow(other, rows)
-
-    def _converged(self) -> Track | None:
-        """A known flight in the current state; None = none."""
-        loop, seen = self.loop, set()
-        for track in (*self._known, self._own):
-            here = None if track is None else track.checkpoints.get(len(loop.record.rows))
-            if track is None or here is None or not here.injector.spent or id(here.instant) in seen:
-                continue  # the other flight's injection is still pending
-            seen.add(id(here.instant))
-            if track is self._own and not self._same_detector(here):
-                continue
-            if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(here.injector):
-                continue
-            if is_at(loop, here.here):
-                return track
-        return None

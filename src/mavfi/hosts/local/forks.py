@@ -18,8 +18,9 @@ from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import WAITING, Case, flight_of
 from mavfi.hosts.instruction.forking import Child, Forks
+from mavfi.hosts.local.branch import Branch, Track
 from mavfi.hosts.local.checkpoints import fill, put
-from mavfi.hosts.local.fast_forward import Branch, FastForward, Track
+from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts

@@ -9,6 +9,7 @@ from mavfi.faults.instruction import Resolving
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
 from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local.branch import takes_part
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import LocalFault, fly
 from mavfi.hosts.local.forks import InjectedRuns, WatchedArm, fly_from_checkpoints
@@ -149,7 +150,7 @@ class LocalFlights(ArmFlights):
     ) -> InjectedRuns | None:  # fmt: skip
         """As `_from_take_off`, fast-forwarded; None if that is not possible."""
         golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
-        if golden is None or any(fault.kernel in GUARDS for fault in faults):
+        if golden is None or takes_part(detector, recovery) or any(fault.kernel in GUARDS for fault in faults):
             return None
         followers = [other for other in arms if detector is None and self._follows(other, arm)]
         watched = {other: self._watched_arm(other) for other in followers}
@@ -163,8 +164,9 @@ class LocalFlights(ArmFlights):
 
     def _follows(self, arm: str, plain: str) -> bool:
         """Whether an arm differs from one without a detector by a detector alone, and can be fast-forwarded."""
-        same = self._arms[arm].scenario.key() == self._arms[plain].scenario.key()
-        return same and self._detector(arm) is not None and arm in self._golden and self._can_forward(arm)
+        setup, detector = self._arms[arm], self._detector(arm)
+        same = setup.scenario.key() == self._arms[plain].scenario.key()
+        return same and detector is not None and arm in self._golden and not takes_part(detector, setup.recovery)
 
     def _watched_arm(self, arm: str) -> WatchedArm:
         detector = self._detector(arm)
@@ -174,7 +176,7 @@ class LocalFlights(ArmFlights):
     def _forwarded(self, arm: str, fly: Callable[[FastForward, str], Found]) -> Found | None:
         """Result of `fly`, called with the fast-forward of an arm and the arm's name there; None if not possible."""
         setup, detector = self._arms[arm], self._detector(arm)
-        if not self._can_forward(arm):
+        if not self._fast:
             return None
         key = setup.scenario.key()
         try:
@@ -188,25 +190,16 @@ class LocalFlights(ArmFlights):
         self._forward[key] = forward
         return found
 
-    def _can_forward(self, arm: str) -> bool:
-        """Whether the flights of an arm can be fast-forwarded.
-
-        Excluded are detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
-        detectors with `seal` or `duplicates`, which act on unpublished values.
-        """
-        detector = self._detector(arm)
-        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
-        return self._fast and (detector is None or not (self._arms[arm].recovery.remembers or takes_part))
-
     def _fly(self, arm: str, fault: LocalFault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
 
-        Excluded are also null faults, whose purpose is to exercise the injector, and faults in memory, sensors and
-        motors, which checkpoints do not contain.
+        Excluded are null faults, whose purpose is to exercise the injector; faults in memory, sensors and motors, which
+        checkpoints do not contain; and golden flights whose checkpoints nothing would start from.
         """
         setup, detector = self._arms[arm], self._detector(arm)
         found = None
-        if fault is None or (isinstance(fault, StateFault) and fault.bit is not None):
+        unused = self._scratch and takes_part(detector, setup.recovery)  # faults in instructions follow, from take-off
+        if (fault is None and not unused) or (isinstance(fault, StateFault) and fault.bit is not None):
             found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
         return found or fly(
             setup.scenario,

@@ -55,11 +55,20 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
         return
     check_states(detector)
     loop.marks = True
-    restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
-    tap = Watch(loop, detector, recovery, **restart)
+    install(loop, detector, recovery, restarts_for(loop, recovery))
+    detector.start()
+
+
+def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:
+    """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
+    return Restarts(loop, "readback") if recovery.restarts else None
+
+
+def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> Watch:
+    """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
+    tap = Watch(loop, detector, recovery, **({} if restarts is None else {"restart": restarts.die}))
     loop.taps.detector, loop.taps.watched = tap, tap.states
     loop.taps.seal = tap.seal if tap.seals else None
     duplicates = getattr(detector, "duplicates", ())
-    if duplicates:
-        loop.verify = Duplicates(loop, duplicates)
-    detector.start()
+    loop.verify = Duplicates(loop, duplicates) if duplicates else None
+    return tap

@@ -48,6 +48,7 @@ class LoopMemory(Memory):
     busy: dict[str, State | None]
     awaited: dict[str, Awaited]
     requests: dict[str, Action]
+    down: set[str]
     mapped: bool
     captured_us: int
     failed_plans: int

@@ -178,3 +178,18 @@ def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms, monk
     calls.broken = True
     [(_, error)] = flights.injected([("", FAULT)])
     assert isinstance(error, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("level", ["state", "instruction"])
+def test_golden_flights_whose_checkpoints_nothing_starts_from_are_flown_the_long_way(calls, arms, level):
+    sealing = SimpleNamespace(seal=None)
+    flights = LocalHost().mission({**arms, "s": ArmSetup(Scenario(name="own"), lambda: sealing)})
+    if level == "instruction":
+        flights.know("", Flight("golden"))
+    flights.golden("g")
+    flights.golden("s")
+    list(flights.injected([("s", FAULT)]))
+    golden = "fast" if level == "state" else "long"
+    assert [(way, detector) for way, _, detector, *_ in calls.flown] == [
+        ("fast", "watcher"), (golden, sealing), ("fast", sealing),
+    ]  # fmt: skip
