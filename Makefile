@@ -46,8 +46,8 @@ $(STAMP): requirements.lock pyproject.toml
 reproduce: setup  ## train, fly, print the tables and tested findings of the paper, write $(OUT) (SCALE=quick|paper)
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
-test: setup  ## run the tests (MACHINES=yes: with those of `make machines`)
-	@$(PYTEST) -n $(TESTERS) -m "(not long$(if $(MACHINES), or machines)) and not alone"
+test: setup  ## run the tests
+	@$(PYTEST) -n $(TESTERS) -m "not long and not alone"
 	@$(PYTEST) -n 2 -m "alone and not long"
 
 test-all: setup  ## run all tests, including those that repeat others in more settings

@@ -106,7 +106,6 @@ _PLACES = {  # that of the first prefix counts
     "tests/unit/campaign/test_session": 3,  # finds compiled what the first file compiles
     "tests/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
     "tests/hosts/instruction": 3,
-    "tests/golden/test_machines": 3,  # one process compiles everything again, into a cache of its own
     "tests/hosts/ros1": 4,  # finds compiled what eight nodes would compile at once
     "tests/hosts": 2,
 }  # fmt: skip
