@@ -115,8 +115,8 @@ def test_missions_of_a_worker_that_dies_are_flown_again(tmp_path, monkeypatch, a
 
 @pytest.mark.slow
 def test_faults_in_states_start_at_the_checkpoints_of_a_flight_that_counts_instructions(tmp_path, monkeypatch):
-    first, flown = FastForward._first, []
-    monkeypatch.setattr(FastForward, "_first", lambda forward: flown.append(1) or first(forward))
+    simulated, flown = FastForward._simulated, []
+    monkeypatch.setattr(FastForward, "_simulated", lambda *given: flown.append(1) or simulated(*given))
     monkeypatch.setattr("mavfi.campaign.run.is_compiled", lambda _: True)  # else it flies ahead
     monkeypatch.setattr("mavfi.campaign.samplers.instruction.fly", None)  # one more golden flight, to count
     campaigns = {
