@@ -113,7 +113,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaign", default="table1", help="name or path")
     parser.add_argument("--part", help="of the shipped bench, at scale paper, in place of a campaign")
-    parser.add_argument("--scheme", action="append", default=[], help="of the bench; may be repeated")
+    parser.add_argument("--scheme", action="append", default=[], help="of the bench; may be repeated, all by default")
     parser.add_argument("--missions", type=int, default=3, help="missions per environment")
     parser.add_argument("--faults", type=int, help="per mission and group, instead of the campaign's")
     parser.add_argument("--autopilot", help="instead of the campaign's")
@@ -123,7 +123,8 @@ def main() -> int:
     if arguments.part is None:
         campaign = load_campaign(arguments.campaign)
     else:
-        bench = with_schemes(load_bench("mavfi-bench-1"), arguments.scheme)
+        bench = load_bench("mavfi-bench-1")
+        bench = with_schemes(bench, arguments.scheme or list(bench.arms))
         campaign = entries(bench, "paper", parts=[arguments.part])[arguments.part].campaign
     campaign = campaign.model_copy(update={"mission": {**campaign.mission, **changes}})
     if arguments.faults is not None:

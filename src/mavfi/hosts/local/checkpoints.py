@@ -30,7 +30,7 @@ class Checkpoint:
     """An instant of a flight (None = its end) from which this or another flight can continue.
 
     It holds the numbers of rows, events and publications (`shown`), the alarms with their outcomes so far, counts (see
-    `Record.counts`), a copy of the injector tap, and the detector's memory (see `Watched`).
+    `Record.counts`), a copy of the injector tap, and the memory of detector (see `Watched`) and recovery.
     """
 
     instant: Instant | None

@@ -97,7 +97,7 @@ class Recovery:
 
     @property
     def remembers(self) -> bool:
-        """Whether the response to an alarm depends on earlier alarms, which a checkpoint does not contain."""
+        """Whether the response to an alarm depends on earlier publications and alarms, see `Remembered`."""
         return self.restarts or self.degraded != "none"
 
 
@@ -215,7 +215,7 @@ class Remembered(Memory):
 class Watch:
     """Connects a detector to a loop as a tap, and executes the response to its alarms.
 
-    It is stateful only if its recovery `remembers`; such flights are not fast-forwarded.
+    It is stateful only if its recovery `remembers`; its state between publications is `memory`.
 
     Args:
         loop: The flight.
