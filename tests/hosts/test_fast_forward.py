@@ -9,6 +9,7 @@ import pytest
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, arms_of
+from mavfi.detectors.detector import Alarm
 from mavfi.detectors.duplicate import Duplicate
 from mavfi.detectors.sealed import Checksum, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
@@ -19,6 +20,7 @@ from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.recovery import INLINE, Recovery, Remembered
+from mavfi.hosts.loop.sensing import SensorMemory
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
 
@@ -187,6 +189,84 @@ def test_an_observer_is_fast_forwarded_too():
 
 def escalating(**more):
     return Recovery(grain="message", same_twice="escalate", answer_s=0.6, **more)
+
+
+class Twice(Scripted):
+    """Stops the vehicle at a command after the fault, and again later, by one of `seconds` (commands)."""
+
+    seconds = (60, 200, 300)
+
+    def __init__(self, second):
+        super().__init__("control.command", n=320, stop=True)
+        self.second = second
+
+    def check(self, state, time_us):
+        alarm = super().check(state, time_us)
+        again = state.spec.name == self.state and self.seen == self.n + self.second
+        return Alarm("scripted", self.stage, stop=True) if again else alarm
+
+
+def alike(forward):
+    """Control periods after the fault that are not simulated, by detector; and runs that differ."""
+    saved, other = [], []
+    for second in Twice.seconds:
+        forward.fly(None, Twice(second), f"twice {second}")
+        before = forward.share.flown
+        mine = forward.fly(FAULTS[1], Twice(second), f"twice {second}")
+        saved.append(len(mine.log.rows) - 300 - (forward.share.flown - before))
+        if content(mine.log) != content(fly(mission(), FAULTS[1], Twice(second)).log):
+            other.append(second)
+    return saved, other
+
+
+def test_detectors_share_flights_between_their_alarms():
+    saved, other = alike(FastForward(mission()))
+    assert other == []
+    assert saved[1:] == [0, 150]  # the second one has its stop later than the first, the third one than the second
+
+
+def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
+    stored = FastForward._watched_run
+
+    def silent(forward, injected, detector, arm):
+        track = stored(forward, injected, detector, arm)
+        places = {rows: replace(place, alarms=()) for rows, place in track.checkpoints.items()}
+        forward._tracks(injected)[arm] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
+        return track
+
+    monkeypatch.setattr(FastForward, "_watched_run", silent)
+    assert alike(FastForward(mission()))[1] != []
+
+
+ESTIMATED = [FAULTS[number] for number in (0, 3, 6, 8, 16, 19)]
+ESTIMATED += [fault("sensor.imu", "fx", 4.0, 62), fault("sensor.position", "x", 5.0, 60)]
+ESTIMATED += [fault("perception.odometry", "x", 4.0, 62)]
+
+
+def under_an_estimator(arm):
+    """The fast-forward of a mission with estimated state, and runs of which its answer is another one."""
+    scenario, other = mission(localization="estimator"), []
+    forward = FastForward(scenario)
+    for injected in (None, *ESTIMATED):
+        mine = forward.fly(injected, ARMS["published"][arm](), arm)
+        if content(mine.log) != content(fly(scenario, injected, ARMS["published"][arm]()).log):
+            other.append(injected)
+    return forward, other
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", ["", "nervous"])
+def test_the_estimated_state_is_fast_forwarded_too(arm):
+    forward, other = under_an_estimator(arm)
+    assert other == []
+    if arm != "nervous":
+        assert forward.share.flown < 0.8 * forward.share.ticks
+
+
+@pytest.mark.slow
+def test_a_checkpoint_without_the_sensors_memory_is_noticed(monkeypatch):
+    monkeypatch.setattr(SensorMemory, "copy", lambda memory: memory)
+    assert under_an_estimator("")[1] != []
 
 
 TAKING_PART = {

@@ -56,6 +56,11 @@ class Track:
         chosen = [self.checkpoints[place] for place in sorted(self.checkpoints) if place >= rows]
         return pairwise([*chosen, self.end])
 
+    def is_silent(self, rows: int) -> bool:
+        """Whether its own detector, if there is one, raises no alarm before the checkpoint after the one at `rows`."""
+        here, there = next(self.pieces(rows))
+        return len(here.alarms) == len(there.alarms)
+
 
 def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
     """Whether a detector acts without an alarm, or answers one depending on earlier events.
@@ -168,7 +173,7 @@ class Branch:
     # ---- reuse of another flight ------------------------------------------------------------------------------------
     def append_unless_alarm(self, track: Track, start: Checkpoint, there: Checkpoint) -> bool:
         """Reuse a flight without a detector between two of its checkpoints; False, without effect, at an alarm."""
-        if self._detector is None or self._alarms(track.shown[start.shown : there.shown], self._detector.content):
+        if self._detector is None or self._alarms(track, start, there):
             return False
         self._append(track, start, there)
         return True
@@ -182,17 +187,20 @@ class Branch:
         for here, there in track.pieces(rows):
             self._append(track, here, there)
 
-    def follow(self, track: Track, rows: int) -> None:
-        """Reuse a flight without a detector, to its end or to the first alarm on its publications."""
+    def follow(self, track: Track, rows: int, *, is_there: bool = False) -> None:
+        """Reuse another flight, to its end, to an alarm of its own detector, or to the first one on its publications.
+
+        `is_there`: the loop is at the checkpoint at `rows`.
+        """
         for here, there in track.pieces(rows):
             if self._detector is None:
                 return self.converge(track, here.rows)
             if self._own is not None and self._is_own(here):
                 return self.converge(self._own, here.rows)
             known = self._memory()
-            if self._alarms(track.shown[here.shown : there.shown], self._detector.content):
+            if len(there.alarms) > len(here.alarms) or self._alarms(track, here, there):
                 self.remember(known)
-                return put(self.loop, here.here)
+                return None if is_there and here.rows == rows else put(self.loop, here.here)
             self._share.shown += there.rows - here.rows
             if not self._flown or isinstance(self.loop.taps.injector, CounterWatch):
                 self.loop.taps.injector = there.injector.copy()
@@ -214,9 +222,11 @@ class Branch:
         saved, alarms = known.detector
         return self._detector.same(saved) and self._tap.memory.same(alarms)
 
-    def _alarms(self, shown: list[tuple[State, int]], detector: Detector) -> bool:
-        watched, admit = self.loop.taps.watched, admission(detector)
-        seen = (one for one in shown if watched is None or one[0].spec.name in watched)
+    def _alarms(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
+        """Whether the detector, which must not be None, raises an alarm on publications of another flight."""
+        assert self._detector is not None  # precondition
+        watched, admit = self.loop.taps.watched, admission(self._detector.content)
+        seen = (one for one in track.shown[here.shown : there.shown] if watched is None or one[0].spec.name in watched)
         return any(admit(state, now) is not None for state, now in seen)
 
     # ---- flying -----------------------------------------------------------------------------------------------------
@@ -244,20 +254,24 @@ class Branch:
         if other is not None and other is self._own:
             self.converge(other, rows)
         elif other is not None and self._derived:
-            self.follow(other, rows)
+            self.follow(other, rows, is_there=True)
 
     def _converged(self) -> Track | None:
-        """A known flight in the current state; None = none."""
-        loop, seen = self.loop, set()
+        """A known flight in the current state that can be followed from here; None = none."""
+        loop, rows = self.loop, len(self.loop.record.rows)
+        equal: dict[int, bool] = {}
         for track in (*self._known, self._own):
-            here = None if track is None else track.checkpoints.get(len(loop.record.rows))
-            if track is None or here is None or not here.injector.spent or id(here.instant) in seen:
+            here = None if track is None else track.checkpoints.get(rows)
+            if track is None or here is None or not here.injector.spent:
                 continue  # the other flight's injection is still pending
-            seen.add(id(here.instant))
             if track is self._own and not self._same_detector(here):
+                continue
+            if track is not self._own and not track.is_silent(rows):
                 continue
             if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(here.injector):
                 continue
-            if is_at(loop, here.here):
+            if id(here.instant) not in equal:
+                equal[id(here.instant)] = is_at(loop, here.here)
+            if equal[id(here.instant)]:
                 return track
         return None

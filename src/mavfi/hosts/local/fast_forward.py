@@ -5,8 +5,9 @@
 - An injected run starts from the golden run's last checkpoint before the fault.
 - At each checkpoint where plant, kernels and queue have converged to those of a known flight, its remainder is reused.
 - A detector without alarms has no effect.  Where the flight without a detector is known, the detector only checks the
-  publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.  This is not done
-  for a detector that takes part in flights without an alarm, see `branch.takes_part`.
+  publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.  After an alarm
+  it may follow flights with the same fault under other detectors, between their alarms.  This is not done for a
+  detector that takes part in flights without an alarm, see `branch.takes_part`.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -50,12 +51,10 @@ class FastForward:
 
     Raises:
         BadInputError: The scenario cannot be flown.
-        MavfiError: It uses an estimator or a flight controller whose state is not part of a checkpoint.
+        MavfiError: It uses a flight controller whose state is not part of a checkpoint.
     """
 
     def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
-        if scenario.localization.kind != "truth":
-            raise MavfiError("flights with an estimator are not fast-forwarded")
         if not is_rewindable(scenario.flight_controller):
             raise MavfiError(f"flights with the flight controller {scenario.flight_controller} are not fast-forwarded")
         self.functions = {
@@ -72,7 +71,8 @@ class FastForward:
         self.share = Share()
         self._golden: dict[str, Track] = {}
         self._profile: Profile | None = None
-        self._last: tuple[StateFault, Track] | None = None
+        self._fault: StateFault | None = None
+        self._same_fault: dict[str, Track] = {}
         self.recovery = INLINE
         self._take_off: Instant | None = None
 
@@ -93,7 +93,7 @@ class FastForward:
             if fault is None:
                 track = self.golden(detector, arm)
             else:
-                track = self._unwatched(fault) if detector is None else self._injected(fault, detector, arm)
+                track = self._unwatched(fault) if detector is None else self._watched_run(fault, detector, arm)
         self.share.flights += 1
         self.share.ticks += len(track.rows)
         return Flight(track.log, self._profile if fault is None and detector is None else None)
@@ -168,10 +168,24 @@ class FastForward:
         return branch.fly()
 
     def _unwatched(self, fault: StateFault) -> Track:
-        """The injected run without a detector; the latest one is cached."""
-        if self._last is None or self._last[0] != fault:
-            self._last = fault, self._injected(fault, None, "")
-        return self._last[1]
+        """The injected run without a detector; the one of the latest fault is cached."""
+        known = self._tracks(fault)
+        if "" not in known:
+            known[""] = self._injected(fault, None, "")
+        return known[""]
+
+    def _tracks(self, fault: StateFault) -> dict[str, Track]:
+        """The injected runs that others may follow, by arm; those of the latest fault are kept."""
+        if self._fault != fault:
+            self._fault, self._same_fault = fault, {}
+        return self._same_fault
+
+    def _watched_run(self, fault: StateFault, detector: Detector, arm: str) -> Track:
+        """The injected run with a detector."""
+        track = self._injected(fault, detector, arm)
+        if not takes_part(detector, self.recovery):
+            self._tracks(fault)[arm] = track
+        return track
 
     def _injected(self, fault: StateFault, detector: Detector | None, arm: str) -> Track:
         own = self.golden(detector, arm)
@@ -179,12 +193,14 @@ class FastForward:
         start = own.checkpoints[rows]
         assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
         injector = StateInjector(fault, start.injector)
-        plain = None if takes_part(detector, self.recovery) else self.golden()
+        derived = not takes_part(detector, self.recovery)
+        plain = self.golden() if derived else None
         as_plain = plain is not None and rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # if the prefix has no alarms, the run without a detector is identical up to the first alarm
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
-        keeps = self.watched and detector is None
-        known = [track for track in (along, plain) if track is not None]
+        keeps = self.watched and derived
+        others = self._tracks(fault).values() if detector is not None and derived else ()
+        known = [track for track in (along, plain, *others) if track is not None and track.checkpoints]
         branch = Branch(self, detector, known, own, keeps=keeps)
         branch.begin(own, start)
         branch.loop.taps.injector = injector

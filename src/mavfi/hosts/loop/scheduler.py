@@ -19,7 +19,7 @@ from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.loop.record import Publications, Record
 from mavfi.hosts.loop.recovery import SCANNING, Action, Awaited
-from mavfi.hosts.loop.sensing import Sensors
+from mavfi.hosts.loop.sensing import SensorMemory, Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -40,7 +40,7 @@ _REQUESTED_AT_TICKS = tuple(
 
 @dataclass(slots=True)
 class LoopMemory(Memory):
-    """State of a loop, excluding plant, kernels, sensors and taps; attributes as of `Loop`."""
+    """State of a loop, excluding plant, kernels and taps; attributes as of `Loop`."""
 
     now: int
     order: int
@@ -54,6 +54,7 @@ class LoopMemory(Memory):
     failed_plans: int
     command: np.ndarray
     reference: np.ndarray
+    sensing: SensorMemory
 
 
 class Loop:
@@ -331,6 +332,15 @@ class Loop:
     def memory(self) -> LoopMemory:
         """The loop's state by reference; a checkpoint copies it."""
         return LoopMemory(*(getattr(self, name) for name in LoopMemory.__slots__))
+
+    @property
+    def sensing(self) -> SensorMemory:
+        """State of the sensors."""
+        return self.sensors.memory
+
+    @sensing.setter
+    def sensing(self, memory: SensorMemory) -> None:
+        self.sensors.memory = memory
 
     def restore(self, memory: LoopMemory) -> None:
         """Continue from the state `memory`, which remains valid for further restores."""

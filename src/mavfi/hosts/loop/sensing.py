@@ -1,17 +1,28 @@
 """Publications of the vehicle's sensors: the true odometry, or the inputs of an estimator."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from mavfi.config import LocalizationConfig
 from mavfi.hosts.loop.plant import Plant
+from mavfi.pipeline.memory import Memory
 from mavfi.sim.scene import STEP_US
 from mavfi.states import ODOMETRY, State, floats, new_state
 
 _ESTIMATE = ODOMETRY["estimator"]
 
 
+@dataclass(slots=True)
+class SensorMemory(Memory):
+    """When the next position fix is due (us), and the last estimate published to consumers: position, quaternion."""
+
+    next_fix_us: int = 0
+    estimate: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+
 class Sensors:
-    """The sensors of one flight; `estimating`: whether an estimator is used.
+    """The sensors of one flight; `estimating`: whether an estimator is used; `memory`: their state.
 
     With an estimator, the true pose is published only through sensors: an image carries the last estimate published to
     consumers, whereas the camera renders from the true pose.
@@ -21,9 +32,7 @@ class Sensors:
         self.estimating = localization.kind == "estimator"
         self._plant = plant
         self._period_us = localization.position_period_us
-        self._next_fix_us = 0
-        self._estimate = np.zeros(7)
-        self._estimate[3] = 1.0
+        self.memory = SensorMemory()
 
     def samples_between(self, now: int, later: int) -> range:
         """Sampling instants of the IMU (us) between `now` and the next control period `later`, both exclusive."""
@@ -33,7 +42,7 @@ class Sensors:
         """A depth image with the believed pose."""
         ranges, pose = self._plant.depth()
         state = new_state("sensor.depth", len(ranges))
-        floats(state.header, 7)[:] = self._estimate if self.estimating else pose
+        floats(state.header, 7)[:] = self.memory.estimate if self.estimating else pose
         state.elements["range"] = ranges
         return state
 
@@ -42,8 +51,8 @@ class Sensors:
         if not self.estimating:
             return [_state(ODOMETRY["truth"], self._plant.odometry)]
         measured = []
-        if now >= self._next_fix_us:
-            self._next_fix_us += self._period_us
+        if now >= self.memory.next_fix_us:
+            self.memory.next_fix_us += self._period_us
             measured.append(_state("sensor.position", self._plant.position_fix()))
         return [*measured, _state("sensor.imu", self._plant.imu())]
 
@@ -51,7 +60,7 @@ class Sensors:
         """Store the last estimate published to consumers."""
         if state.spec.name == _ESTIMATE:
             values = floats(state.header, 10)
-            self._estimate[:3], self._estimate[3:] = values[:3], values[6:]
+            self.memory.estimate = np.concatenate([values[:3], values[6:]])
 
 
 def _state(name: str, values: np.ndarray) -> State:
