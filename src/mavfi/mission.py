@@ -114,7 +114,7 @@ class MissionSpec(Config):
     grain: Literal["stage", "kernel", "message"] = Field(
         "stage",
         description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
-        "producer's copy is sent again, and only if that is no better the kernel runs again.",
+        "producer's copy is sent again, also if the message is unreadable; if that is no better the kernel runs again.",
     )
     same_twice: Literal["accept", "escalate"] = Field(
         "accept",

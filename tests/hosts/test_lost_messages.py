@@ -6,9 +6,10 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.hosts.local import fly
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.reports.explain import _fault
-from tests.hosts.missions import mission
+from tests.hosts.missions import Scripted, golden, mission
 
 LOST_AT_S = 4.0
 
@@ -23,6 +24,33 @@ def test_after_a_lost_scan_the_camera_takes_its_next_image(site):
     assert round(1e6 * injection.time_s) not in flight.profile.times_us[state]  # nobody received it
     images = 1e-6 * flight.profile.times_us["sensor.depth"]
     assert np.diff(images).max() < 0.6 and images[-1] > LOST_AT_S + 5.0  # one each 0.1 to 0.3 s without the fault
+
+
+@pytest.mark.parametrize(
+    "site", ["perception.point_cloud.length_x", "perception.map_update.length_voxel", "planning.path.length_z",
+             "planning.trajectory.length_x"],
+)  # fmt: skip
+def test_the_producer_sends_a_message_again_that_nobody_can_read(site):
+    state, field = site.rsplit(".", 1)
+    flight = fly(mission(), StateFault(FaultSite(state, field), 0, 31), Scripted(), recovery=Recovery(grain="message"))
+    assert flight.log.injections[0].details["lost"]
+    (alarm,) = flight.log.alarms
+    assert (alarm.source, alarm.state, alarm.action, alarm.outcome) == ("unreadable", state, "resend", "repaired")
+    np.testing.assert_array_equal(flight.log.rows, golden().log.rows)
+
+
+def test_other_recovery_does_not_send_it_again():
+    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
+    assert fly(mission(), fault, Scripted(), recovery=Recovery(grain="kernel")).log.alarms == []
+
+
+def test_a_node_whose_messages_nobody_can_read_is_restarted():
+    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31, times=3)
+    recovery = Recovery(grain="message", same_twice="escalate")
+    actions = [
+        (alarm.action, alarm.outcome) for alarm in fly(mission(), fault, Scripted(), recovery=recovery).log.alarms
+    ]
+    assert actions == [("resend", "rejected"), ("recompute", "rejected"), ("restart", "restarted")]
 
 
 def test_the_story_says_that_a_message_was_lost():

@@ -24,7 +24,8 @@ from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import SCANNING, Action, Recovery
+from mavfi.hosts.loop.decision import SCANNING, Action
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline

@@ -65,11 +65,12 @@ class Track:
 def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
     """Whether a detector acts without an alarm, or answers one depending on earlier events.
 
-    It seals values before they are published, has steps computed twice, or waits for answers and restarts nodes.
+    It seals values before they are published, has them sent again, or steps computed twice, or waits for answers and
+    restarts nodes.
     Otherwise it has no effect up to its first alarm, and the publications of a flight are all that it needs.
     """
     return detector is not None and (
-        recovery.remembers or hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        recovery.remembers or recovery.resends or hasattr(detector, "seal") or hasattr(detector, "duplicates")
     )  # fmt: skip
 
 
@@ -98,7 +99,7 @@ class Branch:
         self._recovery = forward.recovery
         self._derived = not takes_part(detector, self._recovery)
         self.loop.status, self.loop.verify = None, None
-        self.loop.taps.detector, self.loop.taps.seal = None, None
+        self.loop.taps.detector, self.loop.taps.seal, self.loop.taps.again = None, None, None
         self._shows = keeps or shows
         self.loop.taps.recorders[:] = [lambda state, now: self.shown.append((state, now))] if self._shows else []
         self._restarts = None if detector is None else restarts_for(self.loop, self._recovery)

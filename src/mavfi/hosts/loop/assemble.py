@@ -68,7 +68,7 @@ def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restar
     """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
     tap = Watch(loop, detector, recovery, **({} if restarts is None else {"restart": restarts.die}))
     loop.taps.detector, loop.taps.watched = tap, tap.states
-    loop.taps.seal = tap.seal if tap.seals else None
+    loop.taps.seal, loop.taps.again = tap.seal if tap.seals else None, tap.lost if recovery.resends else None
     duplicates = getattr(detector, "duplicates", ())
     loop.verify = Duplicates(loop, duplicates) if duplicates else None
     return tap

@@ -1,10 +1,11 @@
-"""Responses to alarms: `decide` selects an action by a compiled function; `Watch` connects a detector and executes it.
+"""Recovery: `Watch` connects a detector to a flight, and executes the response that `decision.decide` selects.
 
 Coupling `inline`: the detector is a gate.  A rejected value is withheld, the kernel's memory is restored, and its step
 is repeated at once; the result is published and accepted, even if it is the same value.  With `same_twice: escalate` it
 is checked again: a rule violated twice on the same inputs indicates corrupted node memory, and the node is restarted.
 With `grain: message` the producer's copy is retransmitted first, which repairs a value corrupted in transit; a value
-that was computed incorrectly is rejected again and then recomputed.  If a restart does not help, a degraded mode
+that was computed incorrectly is rejected again and then recomputed.  So is a message that its consumers cannot read,
+whatever the detector: the transport knows that it is lost.  If a restart does not help, a degraded mode
 replaces all further commands, see `degraded`.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
@@ -14,19 +15,19 @@ next image for perception, at the next IMU sample for the state estimator.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 from weakref import proxy
 
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.errors import BadInputError
-from mavfi.flight_log import AlarmRecord
+from mavfi.hosts.loop.decision import Action, After, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
 from mavfi.kernels.recovery import response as responses
 from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.numerics.jit import entry
 from mavfi.pipeline.memory import Memory
-from mavfi.states import KERNELS, STAGE_KERNELS, STATES, Stage, State, StateSpec
+from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec
 
 if TYPE_CHECKING:
     from mavfi.hosts.loop.scheduler import Loop
@@ -34,8 +35,9 @@ if TYPE_CHECKING:
 Coupling = Literal["inline", "observer"]
 Grain = Literal["stage", "kernel", "message"]
 SameTwice = Literal["accept", "escalate"]
-After = Literal["", "resend", "recompute"]
 COMMAND = "control.command"
+UNREADABLE = "unreadable"
+"""Source of the alarm on a message that its consumers cannot read."""
 RESTART_US, BACK_OFF = 20_000, 3
 """Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
 by which the down time grows with each restart in a flight.  Their sum exceeds the duration of a fault of 1 s."""
@@ -45,8 +47,6 @@ PERSISTS_US, GAP_US = 2_000_000, 500_000
 """Hard alarms are persistent if they span the first duration with gaps of at most the second (us)."""
 MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
 """Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
-SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
-"""Kernels that are recomputed together, starting from the image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Recovery:
     Attributes:
         coupling: Coupling of the detector, see the module.
         grain: Unit of repetition: the `stage` with its latency; only the `kernel` that wrote the value; or its
-            `message`, which the producer retransmits from its copy at no modelled cost.
+            `message`, which the producer retransmits from its copy at no modelled cost, also if it cannot be read.
         same_twice: Policy for a recomputation that violates a rule again (`Alarm.hard`): `accept` it, or `escalate` to
             a restart of the node (coupling `inline` only).
         answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
@@ -96,6 +96,11 @@ class Recovery:
         return self.escalates or self.answer_s > 0
 
     @property
+    def resends(self) -> bool:
+        """Whether the producer's copy is retransmitted."""
+        return self.grain == "message"
+
+    @property
     def remembers(self) -> bool:
         """Whether the response to an alarm depends on earlier publications and alarms, see `Remembered`."""
         return self.restarts or self.degraded != "none"
@@ -103,88 +108,6 @@ class Recovery:
 
 INLINE = Recovery()
 """A gate that repeats the stage and accepts the result, even if it is the same value."""
-
-
-@dataclass(frozen=True, slots=True)
-class Action:
-    """Response to an alarm.
-
-    Attributes:
-        kind: "recompute"; a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
-            the node of `kernel`; "resend" the value from its producer's copy; or a degraded mode from now on.
-        stage: The stage whose latency is charged.
-        kernel: The kernel whose step is repeated; "" = none, only the latency is charged.
-        restores: Kernels whose memory is restored first, in this order.
-        awaited: The state whose next value is the result of the recomputation; "" = none.
-        withholds: Whether the value that raised the alarm is withheld.
-        alone: Whether only `kernel` is repeated, on its previous inputs and with its own latency.
-    """
-
-    kind: Literal["recompute", "abandon", "stop", "restart", "resend", "hover", "hold", "back"]
-    stage: Stage
-    kernel: str = ""
-    restores: tuple[str, ...] = ()
-    awaited: str = ""
-    withholds: bool = False
-    alone: bool = False
-
-
-class Awaited(NamedTuple):
-    """A recomputation in progress: the rejected value, and the index of its alarm in the record."""
-
-    rejected: State
-    place: int
-
-
-_AFTER = {"": responses.FIRST, "resend": responses.RESENT, "recompute": responses.RECOMPUTED}
-
-
-def decide(
-    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: After = "", uncured: bool = False,
-    respond: Callable[..., int] = responses.respond,
-) -> Action | None:  # fmt: skip
-    """Select the response to an alarm on a value of state `spec`.
-
-    Only a gate (coupling `inline`) withholds values.  None = no response, after a fault in `respond`.
-
-    Args:
-        alarm: The alarm, checked by `detector.checked_alarm`.
-        spec: The state's specification.
-        recovery: The recovery policy.
-        after: Action that produced the value.
-        uncured: Whether the degraded mode applies: no restart is left or hard alarms persist, and a mode is configured.
-        respond: `kernels.recovery.response.respond`, compiled or instrumented.
-    """
-    stage, gated, own = Stage(alarm.stage), recovery.coupling == "inline", Stage(alarm.stage) is spec.stage
-    stop, abandon, resends = bool(alarm.stop), bool(alarm.abandon_waypoint), recovery.grain == "message"
-    action: Action | None = None
-    match respond(_AFTER[after], uncured, stop, abandon, own, resends):
-        case responses.DEGRADE if recovery.degraded != "none":
-            action = Action(recovery.degraded, Stage.CONTROL)
-        case responses.RESTART if recovery.restarts and spec.writer in KERNELS:
-            action = Action("restart", spec.stage, spec.writer, withholds=gated)
-        case responses.STOP:
-            action = Action("stop", Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
-        case responses.ABANDON:
-            action = Action("abandon", Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
-        case responses.RESEND if resends:
-            action = Action("resend", stage, "", (), spec.name, gated)
-        case responses.RECOMPUTE if own:
-            alone = recovery.grain != "stage"
-            restores = SCANNING if spec.writer in SCANNING and not alone else (spec.writer,)
-            action = Action("recompute", stage, restores[0], restores, spec.name, gated, alone)
-        case responses.CHARGE:
-            kernel = "pid" if stage is Stage.CONTROL else ""
-            action = Action("recompute", stage, kernel, (kernel,) if kernel else ())
-    return action
-
-
-def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRecord:
-    """The record of an alarm, before its outcome is known."""
-    outcome = "restarted" if action.kind == "restart" else "replaced" if action.awaited else "accepted"
-    return AlarmRecord(
-        1e-6 * time_us, alarm.source, state, alarm.stage, alarm.score, tuple(alarm.fields), action.kind, outcome
-    )
 
 
 @dataclass(slots=True)
@@ -250,7 +173,7 @@ class Watch:
             always |= {COMMAND} | self._setpoints.states
         self.states = None if states is None else always.union(states)
         self._seal = getattr(detector, "seal", None)
-        self.seals = self._seal is not None or recovery.grain == "message"
+        self.seals = self._seal is not None or recovery.resends
         self._answer = None
         if recovery.answer_s:
             repeated = repeats(loop.scenario.autopilot)
@@ -271,40 +194,75 @@ class Watch:
 
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
-        loop, detector, recovery = self._loop, self._detector, self._recovery
-        awaited = loop.awaited.pop(state.spec.name, None)
+        detector, memory = self._detector, self.memory
+        awaited = self._loop.awaited.pop(state.spec.name, None)
         self.alarm = self.action = None
         if self._setpoints is not None and state.spec.name in self._setpoints.states:
-            self._setpoints.note(self.memory.trail, state, flown=not self.memory.degraded)
-        if self._setpoints is not None and self.memory.degraded:
-            return self._setpoints.command(self.memory.trail, state) if state.spec.name == COMMAND else state
-        asks = not self.memory.silenced and (awaited is None or recovery.escalates)
+            self._setpoints.note(memory.trail, state, flown=not memory.degraded)
+        if self._setpoints is not None and memory.degraded:
+            return self._setpoints.command(memory.trail, state) if state.spec.name == COMMAND else state
+        asks = self._asks(awaited)
         alarm = self._otherwise(state, now) if asks and self._at_once[state.spec.name](state.header) else None
         admitted = asks and alarm is None
+        if admitted and awaited is None:  # almost always
+            self._keep_waiting(state, now)
+            return state
+        action = self._choose(alarm, state.spec, now, awaited)
+        if not admitted and (action is None or self._recovery.coupling == "observer"):
+            detector.accept(state, now)
+        if awaited is not None:
+            self._settle(awaited, state)
+        if action is None:
+            self._keep_waiting(state, now)
+            return state
+        self._respond_to(state.spec, state, now)
+        withheld = action.withholds or (action.kind in MODES and state.spec.name == COMMAND)
+        return None if withheld else state
+
+    def lost(self, state: State, now: int) -> bool:
+        """Respond to a message that its consumers cannot read; False = there is no response.
+
+        Args:
+            state: The producer's copy.
+            now: Instant (us).
+        """
+        spec = state.spec
+        if spec.stage not in PPC_STAGES or self.memory.degraded:
+            return False
+        awaited = self._loop.awaited.pop(spec.name, None)
+        self.alarm = self.action = None
+        hard = Alarm(UNREADABLE, spec.stage.value, fields=(spec.name,), hard=True)
+        action = self._choose(hard if self._asks(awaited) else None, spec, now, awaited)
+        if awaited is not None:
+            self._settle(awaited, None)
+        if action is not None:
+            self._respond_to(spec, None, now)
+        return action is not None
+
+    def _asks(self, awaited: Awaited | None) -> bool:
+        return not self.memory.silenced and (awaited is None or self._recovery.escalates)
+
+    def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: Awaited | None) -> Action | None:
+        """Select the response to an alarm on a value of state `spec`; it is also in `action`, with its `alarm`."""
         after = self._after(awaited)
         uncured = False
         if alarm is not None:
             self.alarm = alarm  # even if it is refused: the process that decides on it may be another
-            uncured = self._is_uncured(checked_alarm(detector, alarm), now, again=after == "recompute")
+            uncured = self._is_uncured(checked_alarm(self._detector, alarm), now, again=after == "recompute")
         given_up = after == "recompute" and not self._may_restart
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
             alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error
-        action = None if alarm is None else self._select(alarm, state.spec, after, uncured=uncured)
-        alarm = alarm if action is not None else None
-        if not admitted and (alarm is None or recovery.coupling == "observer"):
-            detector.accept(state, now)
-        if awaited is not None:
-            self._settle(awaited, state, alarm)
-        self.alarm, self.action = alarm, action
-        if alarm is None or action is None:
-            self._keep_waiting(state, now)
-            return state
-        if alarm.hard and recovery.restarts:
+        action = None if alarm is None else self._select(alarm, spec, after, uncured=uncured)
+        self.alarm, self.action = None if action is None else alarm, action
+        return action
+
+    def _respond_to(self, spec: StateSpec, rejected: State | None, now: int) -> None:
+        """Record and execute the response to the alarm on a value; `rejected`: the value, None = it is unreadable."""
+        assert self.alarm is not None and self.action is not None  # precondition
+        if self.alarm.hard and self._recovery.restarts:
             self._count(now)
-        loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
-        self._execute(action, state, now)
-        withheld = action.withholds or (action.kind in MODES and state.spec.name == COMMAND)
-        return None if withheld else state
+        self._loop.record.alarms.append(record_of(self.alarm, self.action, spec.name, now))
+        self._execute(self.action, rejected, now)
 
     def _select(self, alarm: Alarm, spec: StateSpec, after: After, *, uncured: bool) -> Action | None:
         """The response to an alarm on a value; None = a faulty one that the policy does not contain."""
@@ -342,17 +300,18 @@ class Watch:
             self.memory.silenced = True
             self._loop.record.note(now, "detector_silenced", {"alarms": MOST_ALARMS})
 
-    def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
-        """Record the outcome of a recomputation, given the alarm on its result."""
+    def _settle(self, awaited: Awaited, state: State | None) -> None:
+        """Record the outcome of a recomputation, given the response to its result (None = an unreadable one)."""
         alarms = self._loop.record.alarms
         if alarms[awaited.place].action in ("recompute", "resend"):
-            passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
-            outcome = passed if alarm is None else "rejected"
+            same = state is not None and awaited.rejected is not None and state.same_bits(awaited.rejected)
+            passed = "accepted" if same else "repaired"
+            outcome = passed if self.action is None and state is not None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
             if outcome == "repaired" and self.memory.hard:
                 self.memory.hard.pop()  # a repaired value confirms the alarm
 
-    def _execute(self, action: Action, state: State, now: int) -> None:
+    def _execute(self, action: Action, rejected: State | None, now: int) -> None:
         loop = self._loop
         if action.kind in MODES:
             assert self._setpoints is not None  # a mode is configured
@@ -365,7 +324,7 @@ class Watch:
             self._restart(action.kernel, now, RESTART_US * BACK_OFF ** (MOST_RESTARTS - left))
             return
         if action.awaited:
-            loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)
+            loop.awaited[action.awaited] = Awaited(rejected, len(loop.record.alarms) - 1)
         if action.kind == "resend":
             assert self._sent is not None  # `seal` precedes the check
             again = self._sent.copy()  # another object: a detector may know this one
@@ -377,7 +336,7 @@ class Watch:
         if self._recovery.coupling == "observer":
             if action.kernel:
                 loop.requests[action.kernel] = action
-        elif action.kind == "recompute" and (action.withholds and state.spec.writer in loop.busy):
+        elif action.kind == "recompute" and (action.withholds and STATES[action.awaited].writer in loop.busy):
             return  # an alarm on another of its states has already requested this recomputation
         elif not action.kernel or (not action.awaited and action.kernel in loop.busy):
             loop.charge(action)

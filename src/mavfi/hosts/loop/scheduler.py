@@ -15,10 +15,10 @@ import numpy as np
 
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
+from mavfi.hosts.loop.decision import SCANNING, Action, Awaited
 from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.loop.record import Publications, Record
-from mavfi.hosts.loop.recovery import SCANNING, Action, Awaited
 from mavfi.hosts.loop.sensing import SensorMemory, Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario

@@ -63,7 +63,9 @@ class Taps:
         recorders: Called in list order.
         watched: Names of the states that the detector receives; None = all.
         seal: Receives each value before injection, as sent by the producer; None = unused.
-        lost: Receives each value that the injector loses; None = unused.
+        again: Receives each value that the injector loses, and returns whether there is a response; it belongs to the
+            detector's tap, and is down with it.  None = unused.
+        lost: Receives each such value without a response; None = unused.
     """
 
     injector: Injector | None = None
@@ -71,6 +73,7 @@ class Taps:
     recorders: list[Recorder] = field(default_factory=list)
     watched: Set[str] | None = None
     seal: Recorder | None = None
+    again: Callable[[State, int], bool] | None = None
     lost: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:
@@ -80,11 +83,16 @@ class Taps:
             self.seal(state, time_us)
         if self.injector is not None:
             seen = self.injector(state, time_us)
-            if seen is None and self.lost is not None:
-                self.lost(state, time_us)
+            if seen is None:
+                self._lose(state, time_us)
         if self.detector is not None and seen is not None and (self.watched is None or seen.spec.name in self.watched):
             seen = self.detector(seen, time_us)
         if seen is not None:
             for record in self.recorders:
                 record(seen, time_us)
         return seen
+
+    def _lose(self, state: State, time_us: int) -> None:
+        answered = self.detector is not None and self.again is not None and self.again(state, time_us)
+        if not answered and self.lost is not None:
+            self.lost(state, time_us)

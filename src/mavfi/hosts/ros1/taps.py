@@ -11,7 +11,8 @@ import numpy as np
 from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.loop.recovery import Action, Watch
+from mavfi.hosts.loop.decision import Action
+from mavfi.hosts.loop.recovery import Watch
 from mavfi.hosts.ros1.convert import to_stamp
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type

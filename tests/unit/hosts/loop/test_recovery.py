@@ -14,17 +14,15 @@ from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.decision import Action, decide, record_of
 from mavfi.hosts.loop.recovery import (
     ALARMS_WITHIN_US,
     INLINE,
     MOST_ALARMS,
     MOST_RESTARTS,
     RESTART_US,
-    Action,
     Recovery,
     Watch,
-    decide,
-    record_of,
 )
 from mavfi.hosts.watching import with_keys_of
 from mavfi.kernels.recovery.response import DEGRADE, RESTART
