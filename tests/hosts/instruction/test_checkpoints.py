@@ -72,6 +72,13 @@ def test_records_are_those_of_flights_from_take_off(which, arm):
     assert len({record.kernel.effect for record in slow}) >= 3
 
 
+@pytest.mark.slow
+def test_faults_in_a_flight_with_an_estimator_start_at_checkpoints_too():
+    fast, slow = both_ways(drawn("all", 4, 1, localization="estimator"), localization="estimator")
+    assert fast == slow
+    assert len({record.kernel.effect for record in slow}) >= 2
+
+
 @pytest.mark.parametrize("which", ["all", pytest.param("address", marks=pytest.mark.long)])
 def test_runs_with_detectors_that_follow_from_those_without_are_the_same(which):
     faults, flown, makers = drawn(which, 4), scenario(), {**ARMS, "autoencoder": autoencoder}
