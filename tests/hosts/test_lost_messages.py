@@ -39,9 +39,13 @@ def test_the_producer_sends_a_message_again_that_nobody_can_read(site):
     np.testing.assert_array_equal(flight.log.rows, golden().log.rows)
 
 
-def test_other_recovery_does_not_send_it_again():
-    fault = StateFault(FaultSite("planning.path", "length_z"), 0, 31)
-    assert fly(mission(), fault, Scripted(), recovery=Recovery(grain="kernel")).log.alarms == []
+@pytest.mark.parametrize(
+    ("state", "field", "grain"), [("planning.path", "length_z", "kernel"), ("sensor.depth", "length_range", "message")]
+)
+def test_it_is_not_sent_again_by_another_policy_nor_by_a_sensor(state, field, grain):
+    fault = StateFault(FaultSite(state, field), 0, 31)
+    flight = fly(mission(), fault, Scripted(), recovery=Recovery(grain=grain))
+    assert flight.log.injections[0].details["lost"] and flight.log.alarms == []
 
 
 def test_a_node_whose_messages_nobody_can_read_is_restarted():

@@ -65,9 +65,9 @@ class Track:
 def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
     """Whether a detector acts without an alarm, or answers one depending on earlier events.
 
-    It seals values before they are published, has them sent again, or steps computed twice, or waits for answers and
-    restarts nodes.
-    Otherwise it has no effect up to its first alarm, and the publications of a flight are all that it needs.
+    It seals values before they are published, has unreadable ones sent again, has steps computed twice, or waits for
+    answers and restarts nodes.  Otherwise it has no effect up to its first alarm, and the publications of a flight are
+    all that it needs.
     """
     return detector is not None and (
         recovery.remembers or recovery.resends or hasattr(detector, "seal") or hasattr(detector, "duplicates")

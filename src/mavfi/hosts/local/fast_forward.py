@@ -200,7 +200,7 @@ class FastForward:
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
         keeps = self.watched and derived
         others = self._tracks(fault).values() if detector is not None and derived else ()
-        known = [track for track in (along, plain, *others) if track is not None and track.checkpoints]
+        known = [track for track in (*others, plain) if track is not None and track.checkpoints]
         branch = Branch(self, detector, known, own, keeps=keeps)
         branch.begin(own, start)
         branch.loop.taps.injector = injector

@@ -69,7 +69,7 @@ def decide(
         respond: `kernels.recovery.response.respond`, compiled or instrumented.
     """
     stage, gated, own = Stage(alarm.stage), recovery.coupling == "inline", Stage(alarm.stage) is spec.stage
-    stop, abandon, resends = bool(alarm.stop), bool(alarm.abandon_waypoint), recovery.grain == "message"
+    stop, abandon, resends = bool(alarm.stop), bool(alarm.abandon_waypoint), recovery.resends
     action: Action | None = None
     match respond(_AFTER[after], uncured, stop, abandon, own, resends):
         case responses.DEGRADE if recovery.degraded != "none":

@@ -4,8 +4,8 @@ Coupling `inline`: the detector is a gate.  A rejected value is withheld, the ke
 is repeated at once; the result is published and accepted, even if it is the same value.  With `same_twice: escalate` it
 is checked again: a rule violated twice on the same inputs indicates corrupted node memory, and the node is restarted.
 With `grain: message` the producer's copy is retransmitted first, which repairs a value corrupted in transit; a value
-that was computed incorrectly is rejected again and then recomputed.  So is a message that its consumers cannot read,
-whatever the detector: the transport knows that it is lost.  If a restart does not help, a degraded mode
+that was computed incorrectly is rejected again and then recomputed.  A message that its consumers cannot read is
+retransmitted whatever the detector is, since the transport knows of it.  If a restart does not help, a degraded mode
 replaces all further commands, see `degraded`.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
