@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal
 from weakref import proxy
 
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
+from mavfi.detectors.sealed import DIFFERENT
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.decision import Action, After, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
@@ -231,7 +232,7 @@ class Watch:
             return False
         awaited = self._loop.awaited.pop(spec.name, None)
         self.alarm = self.action = None
-        hard = Alarm(UNREADABLE, spec.stage.value, fields=(spec.name,), hard=True)
+        hard = Alarm(UNREADABLE, spec.stage.value, score=DIFFERENT, fields=(spec.name,), hard=True)
         action = self._choose(hard if self._asks(awaited) else None, spec, now, awaited)
         if awaited is not None:
             self._settle(awaited, None)
