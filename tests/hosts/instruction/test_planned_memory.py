@@ -9,19 +9,21 @@ from mavfi.campaign.warm_up import warm_up
 from mavfi.faults.instruction import variant
 from mavfi.faults.instruction.build import Built, cached_build
 
-FEW = Campaign(
-    name="few", environments=("dense",), missions=2, faults=2,
-    sampling={"level": "instruction", "kernels": ["acceptance", "limits"]},
-    arms={"recommended": {"detector": "recommended"}, "limits": {"detector": "limits"}},
-)  # fmt: skip
-"""The functions of other detectors of all fields differ from those of `limits` in the last one only."""
+
+def only(detector: str, kernel: str) -> Campaign:
+    """Few faults in the functions of one detector."""
+    return Campaign(
+        name=detector, environments=("dense",), missions=2, faults=2,
+        sampling={"level": "instruction", "kernels": [kernel]}, arms={detector: {"detector": detector}},
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "campaign",
     [
-        FEW,
+        only("recommended", "acceptance"),
         load_campaign("recovery_instructions"),
+        pytest.param(only("limits", "limits"), marks=pytest.mark.long),
         *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
     ],
     ids=lambda campaign: campaign.name,
