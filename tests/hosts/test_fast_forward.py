@@ -226,7 +226,7 @@ def test_detectors_share_flights_between_their_alarms():
 
 
 def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
-    stored = FastForward._watched_run
+    stored = FastForward._injected
 
     def silent(forward, injected, detector, arm):
         track = stored(forward, injected, detector, arm)
@@ -234,7 +234,7 @@ def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypa
         forward._tracks(injected)[arm] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
         return track
 
-    monkeypatch.setattr(FastForward, "_watched_run", silent)
+    monkeypatch.setattr(FastForward, "_injected", silent)
     assert alike(FastForward(mission()))[1] != []
 
 

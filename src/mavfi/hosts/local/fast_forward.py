@@ -93,7 +93,7 @@ class FastForward:
             if fault is None:
                 track = self.golden(detector, arm)
             else:
-                track = self._unwatched(fault) if detector is None else self._watched_run(fault, detector, arm)
+                track = self._unwatched(fault) if detector is None else self._injected(fault, detector, arm)
         self.share.flights += 1
         self.share.ticks += len(track.rows)
         return Flight(track.log, self._profile if fault is None and detector is None else None)
@@ -169,23 +169,13 @@ class FastForward:
 
     def _unwatched(self, fault: StateFault) -> Track:
         """The injected run without a detector; the one of the latest fault is cached."""
-        known = self._tracks(fault)
-        if "" not in known:
-            known[""] = self._injected(fault, None, "")
-        return known[""]
+        return self._tracks(fault).get("") or self._injected(fault, None, "")
 
     def _tracks(self, fault: StateFault) -> dict[str, Track]:
         """The injected runs that others may follow, by arm; those of the latest fault are kept."""
         if self._fault != fault:
             self._fault, self._same_fault = fault, {}
         return self._same_fault
-
-    def _watched_run(self, fault: StateFault, detector: Detector, arm: str) -> Track:
-        """The injected run with a detector."""
-        track = self._injected(fault, detector, arm)
-        if not takes_part(detector, self.recovery):
-            self._tracks(fault)[arm] = track
-        return track
 
     def _injected(self, fault: StateFault, detector: Detector | None, arm: str) -> Track:
         own = self.golden(detector, arm)
@@ -213,4 +203,7 @@ class FastForward:
             put(branch.loop, start.here)
             if keeps:
                 branch.keep(start.here)
-        return branch.fly()
+        track = branch.fly()
+        if derived:
+            self._tracks(fault)[arm] = track
+        return track
