@@ -6,6 +6,7 @@ whether its drawn faults agree with it.
 
 import csv
 import hashlib
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -89,8 +90,11 @@ def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") ->
     """A copy of a bench with these detectors in place of its schemes, each named after its detector.
 
     Raises:
-        BadInputError: Two detectors have the same name, or one is `none`.
+        BadInputError: Two detectors have the same name, or one is `none` or empty.
     """
+    for name in detectors:
+        if not name.strip():
+            raise BadInputError(f"detector {name!r}: allowed: a name, or package:Class")
     if "none" in detectors:
         raise BadInputError("detector 'none': watches nothing; every fault is flown without a detector anyway")
     arms = {name.rpartition(":")[2]: ArmConfig(detector=name, profile=profile) for name in detectors}
@@ -139,7 +143,8 @@ def entries(
     known = {level_of(campaign) for campaign in campaigns.values()}
     for level in levels:
         if level not in known:
-            raise BadInputError(f"bench {bench.name}: level {level!r}: not known; allowed: {', '.join(sorted(known))}")
+            where = f"bench {bench.name}: " + (f"in part {', '.join(parts)}: " if parts else "")
+            raise BadInputError(f"{where}level {level!r}: not known; allowed: {', '.join(sorted(known))}")
     wanted = set(levels) or known
     found = {
         name: _entry(bench, name, campaign, models_dir)
@@ -147,7 +152,8 @@ def entries(
     }  # fmt: skip
     if not any(entry.campaign.arms for entry in found.values()):
         reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
-        raise BadInputError(f"bench {bench.name}: no scheme can fly: {reasons[0] if reasons else 'it has none'}")
+        why = reasons[0] if reasons else "without a detector, a scheme flies only where nodes die (level instruction)"
+        raise BadInputError(f"bench {bench.name}: no scheme can fly: {why}")
     return {name: entry for name, entry in found.items() if entry.campaign.arms}
 
 
@@ -197,7 +203,9 @@ def faults_of(directory: Path) -> str:
             for spec in (run.spec for run in store.runs(done=True))
             if spec.kind == "injected" and spec.setting == FI and spec.fault is not None
         ]  # fmt: skip
-    return "\n".join([",".join(COLUMNS), *(",".join(map(str, row)) for row in rows)]) + "\n"
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
+    return text.getvalue()
 
 
 def _time_of(fault: Any) -> str:

@@ -88,6 +88,8 @@ def table(found: Mapping[str, Sequence[Exposure]]) -> Table:
     notes = (
         f"golden flights of the parts with scores, {exposure:.2f} h, thresholds as shipped, without recovery; the "
         "rates per hour of a scheme's regimes add up",
+        "each publication above the threshold counts: a deviation that lasts counts many times here, and once where "
+        "recovery answers the alarm",
         "regime of a publication: since the last one of its state, or with it, the same way-point was in force, "
         "another one came, or the first one of a trajectory; cloud, map: no regime",
         "95 % interval: bootstrap of flights, at least as wide as Poisson's",

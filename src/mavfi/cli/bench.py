@@ -49,7 +49,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         list[str] | None,
         typer.Option(metavar="NAME", help="This one, e.g. package:Class, in the place of the bench's schemes."),
     ] = None,
-    profile: Annotated[str, typer.Option(help="Of --detector: paper or tuned.")] = "paper",
+    profile: Annotated[str | None, typer.Option(help="Of --detector: paper or tuned.", show_default="paper")] = None,
     models: options.Models = None,
     scale: Annotated[str, typer.Option(help="quick, or paper: enough for narrow intervals.")] = "quick",
     out: Annotated[
@@ -74,10 +74,12 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         )
     if scheme and detector:
         raise BadInputError("--scheme and --detector: allowed: one of them")
+    if profile is not None and not detector:
+        raise BadInputError(f"--profile: {profile!r}: allowed: with --detector; a scheme of the bench has its own")
     if scheme:
         chosen = with_schemes(chosen, scheme)
     if detector:
-        chosen = with_only(chosen, detector, profile)
+        chosen = with_only(chosen, detector, profile or "paper")
     flown = entries(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
     out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector or scheme else ())])
     check_folder(out)
@@ -138,9 +140,9 @@ def _score_tables(flown: "Mapping[str, Entry]", scored: "Mapping[str, Scores]") 
 
     if not scored:
         return {}
-    campaigns = (entry.campaign for entry in flown.values() if entry.part.scores)
+    judged = {name: entry.campaign for name, entry in flown.items() if entry.part.scores}
     return {
-        SCORES: table(scored, unscored(campaigns, scored)),
+        SCORES: table(scored, list(judged), unscored(judged.values(), scored)),
         REGIMES: regimes.table({name: found.flights for name, found in scored.items()}),
     }
 

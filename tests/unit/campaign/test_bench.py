@@ -1,10 +1,14 @@
 """A bench: parts, schemes, who is left out, and the frozen faults."""
 
+import csv
+
 import pytest
 
 from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.bench import (
     COLUMNS,
+    FOLDER,
+    ROWS,
     Bench,
     checksum,
     entries,
@@ -13,12 +17,13 @@ from mavfi.campaign.bench import (
     level_of,
     load_bench,
     with_only,
+    with_schemes,
 )
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import run_campaign
-from mavfi.config import names, parse
+from mavfi.config import config_root, names, parse
 from mavfi.detectors.baselines import library
 from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import BadInputError
@@ -109,6 +114,7 @@ def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
     [
         ({"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
         ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction, memory, message, sensor, state"),
+        ({"levels": ["memory"], "parts": ["sites"]}, "in part sites: level 'memory': not known; allowed: state"),
         ({"scale": "huge"}, "scale 'huge': not known"),
     ],
 )
@@ -120,6 +126,17 @@ def test_what_there_is_not_is_refused(ask, message):
 def test_a_bench_that_nobody_can_fly_is_refused():
     with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
         entries(with_only(SLOW, ["gaussian"]), "quick")
+
+
+def test_schemes_without_a_detector_fly_only_where_nodes_die():
+    with pytest.raises(BadInputError, match="no scheme can fly: without a detector, .* only where nodes die"):
+        entries(with_schemes(BENCH, ["latched"]), "quick", parts=["sites"])
+
+
+@pytest.mark.parametrize("name", ["", " "])
+def test_a_detector_has_a_name(name):
+    with pytest.raises(BadInputError, match=f"detector '{name}': allowed: a name, or package:Class"):
+        with_only(BENCH, [name])
 
 
 def test_a_detector_that_watches_nothing_is_no_scheme():
@@ -152,13 +169,25 @@ def test_a_part_names_a_campaign():
 
 
 def test_the_faults_of_a_ledger_are_listed_once_each(tmp_path):
-    run_campaign(small(missions=2, faults=4), tmp_path, executor=LocalExecutor(1))
+    groups = [{"name": "a way-point, x", "sites": ["planning.waypoint.x"]}]
+    sampling = {"level": "state", "scheme": "groups", "groups": groups}
+    run_campaign(small(missions=2, faults=4, sampling=sampling), tmp_path, executor=LocalExecutor(1))
     head, *lines = faults_of(tmp_path).splitlines()
     assert head == ",".join(COLUMNS)
-    listed = [line.split(",") for line in lines]
+    listed = list(csv.reader(lines))
+    assert {row[2] for row in listed} == {"a way-point, x"}
     assert len({tuple(row[:4]) for row in listed}) == len(listed) > 0
     assert all(row[4].startswith(tuple(STATES)) and row[7] in STRATA for row in listed)
     assert checksum(faults_of(tmp_path)) == checksum("\n".join([head, *lines]) + "\n")
+
+
+def test_shipped_lists_have_one_entry_per_column():
+    shipped = sorted((config_root() / FOLDER / BENCH.name).glob("*.csv"))
+    lists = [path for path in shipped if not path.name.endswith(ROWS)]
+    assert lists
+    for path in lists:
+        head, *rows = csv.reader(path.read_text(encoding="utf-8").splitlines())
+        assert tuple(head) == COLUMNS and rows and all(len(row) == len(COLUMNS) for row in rows), path.name
 
 
 def test_a_bench_without_a_list_has_none():

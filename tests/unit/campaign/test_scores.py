@@ -91,7 +91,11 @@ def test_schemes_without_scores_are_named_with_the_reason():
         "crc": "it compares with a seal, or has no scores",
     }
     found = Scores(np.array([3.0]), 100, 1.5, np.array([2.5]), np.array([True]))
-    assert f"all: not scored: {reasons['all']}" in table({"one": found}, reasons).notes
+    assert f"all: not scored: {reasons['all']}" in table({"one": found}, left_out=reasons).notes
+    assert (
+        "one golden flight for each mission of the parts a, b; their faults together"
+        in table({"one": found}, ["a", "b"]).notes
+    )
 
 
 class CommandsAlarm:

@@ -38,6 +38,11 @@ def test_bad_input_is_one_line(ledger, capsys):
     assert run(["report", str(ledger), "--view", "overheads_as_in_the_paper"]) == 2
 
 
+def test_a_profile_is_that_of_a_detector(capsys):
+    assert run(["bench", "detectors", "--scheme", "limits", "--profile", "tuned"]) == 2
+    assert "--profile: 'tuned': allowed: with --detector" in capsys.readouterr().err
+
+
 @pytest.fixture
 def own_bench(tmp_path, monkeypatch):
     """A bench whose campaign takes microseconds, with a published list of its faults and one published row."""

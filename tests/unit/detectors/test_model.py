@@ -17,8 +17,18 @@ def test_a_model_survives_the_disk(tmp_path):
     assert Model.load(path).sha256 == MODEL.sha256
 
 
+def test_a_file_is_parsed_once_and_again_when_it_changes(tmp_path):
+    path = MODEL.save(tmp_path)
+    first = Model.load(path)
+    assert Model.load(path) is first
+    other = replace(MODEL, parameters={"statistics": [[2.0, 0.1, 1 / 3]]})
+    assert other.save(tmp_path) == path
+    assert Model.load(path) == other and Model.load(path).sha256 != first.sha256
+
+
 def test_a_changed_model_is_refused(tmp_path):
     path = MODEL.save(tmp_path)
+    Model.load(path)
     path.write_text(path.read_text().replace("0.1", "0.2"))
     with pytest.raises(BadInputError, match=r"paper\.json: the content does not match its sha256"):
         Model.load(path)
