@@ -11,14 +11,15 @@ import csv
 import re
 import shutil
 import sys
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Iterable
 from itertools import pairwise
 from pathlib import Path
 
 from mavfi.api import load, table
 from mavfi.campaign.analysis.flight_views import TOTAL
 from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.bench import FOLDER, ROWS, load_bench
+from mavfi.campaign.bench import FOLDER, ROWS, Bench, load_bench
 from mavfi.errors import BadInputError
 from mavfi.reports.text import rate
 from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, fill
@@ -32,16 +33,17 @@ RULES = {
 }  # fmt: skip
 """Rule of the page that protects each site of the part `sites`."""
 LEVELS = {
-    "state": "a value between kernels, all fields alike",
+    "state": "a value between kernels, every stage alike",
     "sites": "a value between kernels, fields and bits that lose most",
     "message": "a message between kernels: sign, exponent or length of a list",
     "instruction": "an instruction of the planner",
-    "memory": "what a node remembers",
+    "memory": "what a node remembers: the words that lose most",
 }
 """Parts in README.md, and the place of their faults in words."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
-SCORED = {"Detection at fixed rates of false alarms", "False alarms by regime"}
+CURVES = "Detection at fixed rates of false alarms"
+SCORED = {CURVES, "False alarms by regime"}
 """Sections that combine parts."""
 _OF = re.compile(r"\d of \d")
 _MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others. '
@@ -49,6 +51,7 @@ _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
 _HERE = re.compile(r"^- flown here: (.+); the other rows are those published in .+, on the same faults$", re.MULTILINE)
+_CONTENTS = re.compile(r"\n\nParts:\n\n(- \[.+\n?)+")
 _COMMAND = re.compile(r"(mavfi bench detectors)(?: \S+\.yaml)?(?: --(?:part|level) \S+)*")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
@@ -100,7 +103,8 @@ def headline(bench: Path, page: str = "leaderboard") -> str:
         raise BadInputError(f"{bench}: no part was flown with {PAPERS}, {PAPERS_OTHER} and {OURS}; needed: one")
     moved = _MOVED if any(map(_OF.search, lines)) else ""
     return "\n".join([
-        "**And what brings them back?** Missions lost to one flipped bit, and how many of them a detector saves:",
+        "**And what brings them back?** Missions in `dense` and `factory` lost to one flipped bit, and how many of "
+        "them a detector saves:",
         "", *lines, "",
         f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
         f"[Leaderboard](docs/generated/{page}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
@@ -227,16 +231,32 @@ def _with_pairs(section: str, earlier: str) -> str:
     return "\n".join([section, *notes])
 
 
-def in_order(page: str, arms: Collection[str]) -> str:
-    """A page whose tables have the schemes in the order of a bench, whenever they were flown."""
-    top, sections = _divided(page)
-    places = {name: place for place, name in enumerate(arms)}
+def in_order(page: str, bench: Bench) -> str:
+    """A page with the parts, and in its tables the schemes, in the order of a bench, whenever they were flown.
+
+    Sections that combine parts are last; a list of all sections is first.
+    """
+    top, found = _divided(page)
+    titles = [part.title for part in bench.parts.values()]
+    sections = {title: found[title] for title in sorted(found, key=[*titles, *sorted(SCORED), *found].index)}
+    places = {name: place for place, name in enumerate(bench.arms)}
     for title, section in sections.items():
         schemes = _schemes(section)
         ordered = sorted(schemes, key=lambda name: places.get(name, len(places)))
         before, after = ("\n".join(line for name in names for line in schemes[name]) for names in (schemes, ordered))
         sections[title] = section.replace(before, after, 1)
+    top = f"{_CONTENTS.sub('', top)}\n\n{_contents(sections)}"
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in sections.items())]) + "\n"
+
+
+def _contents(titles: Iterable[str]) -> str:
+    """A list with a link to each section."""
+    lines, anchors = ["Parts:", ""], Counter[str]()
+    for title in titles:
+        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        lines.append(f"- [{title}](#{anchor}{f'-{anchors[anchor]}' * bool(anchors[anchor])})")
+        anchors[anchor] += 1
+    return "\n".join(lines)
 
 
 def _schemes(section: str) -> dict[str, list[str]]:
@@ -252,6 +272,18 @@ def _divided(page: str) -> tuple[str, dict[str, str]]:
     """What comes before the sections of a page, and the sections by title."""
     top, *sections = page.rstrip().split("\n## ")
     return top.rstrip(), {title: rest.rstrip() for title, _, rest in (one.partition("\n") for one in sections)}
+
+
+def _pictures(bench: Path, name: str, papers: bool) -> str:
+    """Copy the curves of a bench, with the paper's detectors or with others; the pictures of both, with captions."""
+    own, others = (IMAGES / f"{name.replace('leaderboard', 'curves')}{end}.png" for end in ("", "-others"))
+    if (bench / "curves.png").is_file():
+        shutil.copy(bench / "curves.png", own if papers else others)
+    captions = {own: "the detectors of this project", others: "detectors from other libraries, and bounds"}
+    return "".join(
+        f"\n![Detection against false alarms](../images/{image.name})\n\nThe section \"{CURVES}\" as curves: {of}.\n"
+        for image, of in captions.items() if image.is_file()
+    )  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:
@@ -272,17 +304,13 @@ def main(arguments: list[str]) -> int:
         titles = {part.title for part in known.parts.values()} | SCORED
         page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "", titles)
         page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
-        page = with_summary(in_order(page, known.arms), known)
+        page = with_summary(in_order(page, known), known)
         freeze(bench, scale)
         publish(page, scale)
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    image = IMAGES / f"{name.replace('leaderboard', 'curves')}.png"
-    if (bench / "curves.png").is_file():
-        shutil.copy(bench / "curves.png", image)
-    picture = f"\n![Detection against false alarms](../images/{image.name})\n" if image.is_file() else ""
-    file.write_text(banner(COMMAND) + page + picture + FOOTER, encoding="utf-8")
+    file.write_text(banner(COMMAND) + page + _pictures(bench, name, PAPERS in compared) + FOOTER, encoding="utf-8")
     if worth:
         fill(DOCS / "engineers.md", {"rules": worth})
         fill(ROOT / "README.md", {"recovery": recovery})

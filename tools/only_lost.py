@@ -23,7 +23,8 @@ _NOTE = (
     "**Missions lost by the scheme alone** / missions with a fault under the scheme, over all parts below: success "
     "without the scheme, failure with it. Golden flights lost by the scheme alone count as lost, but are not in the "
     "denominator; at level instruction only faults in the same value are compared. Per cent, [95 % interval: Wilson, "
-    "flights in one world taken as independent]."
+    "flights in one world taken as independent]. One fault in one value or instruction; what schemes lose where faults "
+    "last: [their table](lasting.md)."
 )
 Counts = dict[str, dict[str, tuple[int, int]]]
 """Lost and flown missions by scheme and group of parts."""

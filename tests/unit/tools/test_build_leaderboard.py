@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.bench import load_bench
+from mavfi.campaign.bench import Bench, load_bench
+from mavfi.config import parse
 from mavfi.errors import BadInputError
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
 from tools import build_leaderboard
@@ -134,12 +135,38 @@ def test_sections_that_were_not_flown_again_remain_with_their_date():
     assert "## a" not in renamed and all(f"## {title}" in renamed for title in "bcd"), "no part has the title a"
 
 
-def test_schemes_are_in_the_order_of_the_bench():
+def test_parts_and_schemes_are_in_the_order_of_the_bench():
+    part = {"campaign": "bench_sites"}
+    parts = {
+        "g": {**part, "title": "Golden flights, all"},
+        "s": {**part, "title": "S"},
+        "t": {**part, "title": "S*"},
+    }
+    arms = {name: {"detector": "acceptance"} for name in "abc"}
+    bench = parse(Bench, {"name": "b", "parts": parts, "arms": arms}, "b.yaml")
     table = "| scheme | x |\n| --- | --- |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n| a | 4 |\n"
     golden = "| environment | setting |\n| --- | --- |\n| farm | b |\n|  | a |\n| dense | b |\n"
-    page = in_order(f"# Top\n\n## S\n\n{table}\n- note\n\n## G\n\n{golden}", ["a", "b", "c"])
+    sections = {"False alarms by regime": "- r", "S": f"{table}\n- note", "S*": "- t", "Golden flights, all": golden}
+    page = in_order("\n\n".join(["# Top", *(f"## {title}\n\n{rest}" for title, rest in sections.items())]), bench)
     assert "| --- | --- |\n| a | 4 |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n\n- note\n" in page
-    assert golden in page and in_order(page, ["a", "b", "c"]) == page
+    assert golden in page and in_order(page, bench) == page
+    titles = ["Golden flights, all", "S", "S*", "False alarms by regime"]
+    assert re.findall("^## (.+)$", page, re.MULTILINE) == titles
+    assert re.findall(r"^- \[(.+)\]\(#(.+)\)$", page, re.MULTILINE) == list(
+        zip(titles, ["golden-flights-all", "s", "s-1", "false-alarms-by-regime"], strict=True)
+    )
+
+
+def test_curves_of_other_detectors_are_a_picture_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(build_leaderboard, "IMAGES", tmp_path)
+    bench = tmp_path / "bench"
+    bench.mkdir()
+    assert build_leaderboard._pictures(bench, "leaderboard-paper", papers=True) == ""
+    for papers, drawn in ((True, "curves-paper.png"), (False, "curves-paper-others.png")):
+        (bench / "curves.png").write_text(drawn)
+        text = build_leaderboard._pictures(bench, "leaderboard-paper", papers=papers)
+        assert (tmp_path / drawn).read_text() == drawn and f"(../images/{drawn})" in text
+    assert text.count("![") == 2 and (tmp_path / "curves-paper.png").read_text() == "curves-paper.png"
 
 
 def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
