@@ -12,7 +12,7 @@ import re
 import shutil
 import sys
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -49,6 +49,7 @@ _OF = re.compile(r"\d of \d")
 _MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others. '
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
+_UNSCORED = re.compile(r"^- .+: not scored: .+$", re.MULTILINE)
 _PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
 _HERE = re.compile(r"^- flown here: (.+); the other rows are those published in .+, on the same faults$", re.MULTILINE)
 _CONTENTS = re.compile(r"\n\nParts:\n\n(- \[.+\n?)+")
@@ -194,8 +195,11 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
 def _with_rows(section: str, earlier: str) -> str:
     """A section with the rows of an earlier one whose schemes it lacks, and notes that say when they were flown.
 
-    Rows that were published, not flown, where a section was flown are those of the earlier one, which are newer.
+    Rows that were published, not flown, where a section was flown are those of the earlier one, which are newer.  A
+    table in groups, e.g. by environment, has the published rows in its groups already.
     """
+    if not _is_by_scheme(section):
+        return _with_longer_notes(section, earlier)
     own, others = _schemes(section), _schemes(earlier)
     here = _HERE.search(section)
     flown = here[1].split(", ") if here else list(own)
@@ -209,12 +213,22 @@ def _with_rows(section: str, earlier: str) -> str:
     dates = {name: date for name in rows} | {
         name: match[2] for match in _KEPT.finditer(earlier) for name in match[1].split(", ") if name in rows
     }
-    notes = [
+    notes = [found[0] for found in _UNSCORED.finditer(earlier) if found[0] not in section]
+    notes += [
         f"- {', '.join(name for name in rows if dates[name] == date)}: flown on {date}"
         for date in dict.fromkeys(dates.values())
     ]
     table, kept = ("\n".join(line for lines in part.values() for line in lines) for part in (own, rows))
     return "\n".join([section.replace(table, f"{table}\n{kept}", 1), *notes])
+
+
+def _with_longer_notes(section: str, earlier: str) -> str:
+    """A section whose notes have the additions of an earlier one, which are on rows that were not flown again."""
+    old = [line for line in earlier.splitlines() if line.startswith("- ")]
+    return "\n".join(
+        next((note for note in old if line.startswith("- ") and note.startswith(f"{line}; ")), line)
+        for line in section.splitlines()
+    )
 
 
 def _faults(section: str) -> list[str]:
@@ -241,12 +255,28 @@ def in_order(page: str, bench: Bench) -> str:
     sections = {title: found[title] for title in sorted(found, key=[*titles, *sorted(SCORED), *found].index)}
     places = {name: place for place, name in enumerate(bench.arms)}
     for title, section in sections.items():
-        schemes = _schemes(section)
-        ordered = sorted(schemes, key=lambda name: places.get(name, len(places)))
-        before, after = ("\n".join(line for name in names for line in schemes[name]) for names in (schemes, ordered))
-        sections[title] = section.replace(before, after, 1)
+        groups = _schemes(section)
+        before = "\n".join(line for rows in groups.values() for line in rows)
+        if _is_by_scheme(section):
+            ordered = [groups[name] for name in sorted(groups, key=lambda name: places.get(name, len(places)))]
+        else:
+            ordered = [_sorted_group(name, rows, places) for name, rows in groups.items()]
+        sections[title] = section.replace(before, "\n".join(line for rows in ordered for line in rows), 1)
     top = f"{_CONTENTS.sub('', top)}\n\n{_contents(sections)}"
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in sections.items())]) + "\n"
+
+
+def _is_by_scheme(section: str) -> bool:
+    """Whether the first column of a section's table names schemes, not groups of them."""
+    return next((line for line in section.splitlines() if line.startswith("|")), "").startswith("| scheme |")
+
+
+def _sorted_group(group: str, rows: Sequence[str], places: Mapping[str, int]) -> list[str]:
+    """Rows of a group, whose first one has its name, by the scheme in the second column (its golden flights)."""
+    cells = [row.split("|") for row in rows]
+    cells.sort(key=lambda row: places.get(row[2].strip().removeprefix("golden_"), len(places)))
+    named = [group, *[""] * (len(rows) - 1)]
+    return ["|".join(["", f" {name} ", *row[2:]]) for name, row in zip(named, cells, strict=True)]
 
 
 def _contents(titles: Iterable[str]) -> str:
@@ -281,7 +311,7 @@ def _pictures(bench: Path, name: str, papers: bool) -> str:
         shutil.copy(bench / "curves.png", own if papers else others)
     captions = {own: "the detectors of this project", others: "detectors from other libraries, and bounds"}
     return "".join(
-        f"\n![Detection against false alarms](../images/{image.name})\n\nThe section \"{CURVES}\" as curves: {of}.\n"
+        f"\n![Detection against false alarms](../images/{image.name})\n\nThe section \"{CURVES}\" as curves: {of}. Of curves that coincide only the last is seen.\n"
         for image, of in captions.items() if image.is_file()
     )  # fmt: skip
 

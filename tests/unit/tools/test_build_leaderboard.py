@@ -145,16 +145,40 @@ def test_parts_and_schemes_are_in_the_order_of_the_bench():
     arms = {name: {"detector": "acceptance"} for name in "abc"}
     bench = parse(Bench, {"name": "b", "parts": parts, "arms": arms}, "b.yaml")
     table = "| scheme | x |\n| --- | --- |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n| a | 4 |\n"
-    golden = "| environment | setting |\n| --- | --- |\n| farm | b |\n|  | a |\n| dense | b |\n"
+    golden = "| environment | setting |\n| --- | --- |\n| farm | golden_b |\n|  | golden_a |\n| dense | golden_b |\n"
     sections = {"False alarms by regime": "- r", "S": f"{table}\n- note", "S*": "- t", "Golden flights, all": golden}
     page = in_order("\n\n".join(["# Top", *(f"## {title}\n\n{rest}" for title, rest in sections.items())]), bench)
     assert "| --- | --- |\n| a | 4 |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n\n- note\n" in page
-    assert golden in page and in_order(page, bench) == page
+    assert "| farm | golden_a |\n|  | golden_b |\n| dense | golden_b |\n" in page
+    assert in_order(page, bench) == page
     titles = ["Golden flights, all", "S", "S*", "False alarms by regime"]
     assert re.findall("^## (.+)$", page, re.MULTILINE) == titles
     assert re.findall(r"^- \[(.+)\]\(#(.+)\)$", page, re.MULTILINE) == list(
         zip(titles, ["golden-flights-all", "s", "s-1", "false-alarms-by-regime"], strict=True)
     )
+
+
+def test_groups_keep_the_rows_that_were_flown():
+    def page(day, rows, note):
+        table = "\n".join(["| environment | setting |", "| --- | --- |", *rows])
+        drawn = "- 4 faults, sha256 abc: as published"
+        return f"top\n\nFlown on {day}.\n\n## G\n\n{table}\n\n{drawn}\n{note}\n"
+
+    first = page(1, ["| farm | golden_a |"], "- systematic: same state; control.command at 0.40 s")
+    both = with_earlier(page(2, ["| farm | golden_a |", "|  | golden_b |"], "- systematic: same state"), first, ["G"])
+    assert "| farm | golden_a |\n|  | golden_b |\n" in both
+    assert "- systematic: same state; control.command at 0.40 s" in both and "same state\n" not in both
+
+
+def test_reasons_for_the_lack_of_scores_remain_with_the_rows():
+    def page(day, row, note):
+        return (
+            f"top\n\nFlown on {day}.\n\n## False alarms by regime\n\n| scheme | x |\n| --- | --- |\n{row}\n\n{note}\n"
+        )
+
+    reason = "- checksum: not scored: it compares with a seal"
+    both = with_earlier(page(2, "| b | 2 |", "- n"), page(1, "| a | 1 |", reason), ["G"])
+    assert "| a | 1 |" in both and "| b | 2 |" in both and both.count(reason) == 1
 
 
 def test_curves_of_other_detectors_are_a_picture_of_their_own(tmp_path, monkeypatch):
