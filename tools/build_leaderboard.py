@@ -310,8 +310,10 @@ def _pictures(bench: Path, name: str, papers: bool) -> str:
     if (bench / "curves.png").is_file():
         shutil.copy(bench / "curves.png", own if papers else others)
     captions = {own: "the detectors of this project", others: "detectors from other libraries, and bounds"}
+    hidden = "Of curves that coincide only the last is seen."
     return "".join(
-        f"\n![Detection against false alarms](../images/{image.name})\n\nThe section \"{CURVES}\" as curves: {of}. Of curves that coincide only the last is seen.\n"
+        f"\n![Detection against false alarms](../images/{image.name})\n\n"
+        f'The section "{CURVES}" as curves: {of}. {hidden}\n'
         for image, of in captions.items() if image.is_file()
     )  # fmt: skip
 
