@@ -226,8 +226,7 @@ def _with_longer_notes(section: str, earlier: str) -> str:
     """A section whose notes have the additions of an earlier one, which are on rows that were not flown again."""
     old = [line for line in earlier.splitlines() if line.startswith("- ")]
     return "\n".join(
-        next((note for note in old if line.startswith("- ") and note.startswith(f"{line}; ")), line)
-        for line in section.splitlines()
+        next((note for note in old if note.startswith(f"{line}; ")), line) for line in section.splitlines()
     )
 
 

@@ -269,7 +269,7 @@ def _joined(flown: Sequence[tuple[_Task, _Kept]]) -> Scores:
     return Scores(golden, judged, hours, np.array(corrupted), np.array(harmful, bool), flights)
 
 
-def table(found: Mapping[str, Scores], parts: Sequence[str] = (), left_out: Mapping[str, str] | None = None) -> Table:
+def table(found: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[str, str] | None = None) -> Table:
     """Detection of harmful faults at fixed false-alarm rates, and the areas under the ROC and PR curves.
 
     Args:
@@ -288,17 +288,13 @@ def table(found: Mapping[str, Scores], parts: Sequence[str] = (), left_out: Mapp
     notes = (
         "threshold of each detector moved to so many false alarms per hour of golden flight, counted as publications "
         "above it; — = the exposure is too short to show the rate",
-        f"one golden flight for each mission of {_named(parts)}; their faults together",
+        f"one golden flight for each mission of these parts, their faults together: {', '.join(parts)}",
         "harmful: activated faults that lose the mission without a detector; [95 % interval: Wilson], n",
         "ROC: corrupted publications of harmful faults against publications of golden flights; PR: precision over "
         "recall for the same publications (average precision), which falls with their share",
         *(f"{name}: not scored: {reason}" for name, reason in (left_out or {}).items()),
     )
     return Table("scores", "Detection at fixed rates of false alarms", tuple(columns), rows, notes=notes)
-
-
-def _named(parts: Sequence[str]) -> str:
-    return f"the parts {', '.join(parts)}" if len(parts) > 1 else f"part {parts[0]}" if parts else "the campaigns"
 
 
 def curves_csv(found: Mapping[str, Scores]) -> str:

@@ -62,7 +62,7 @@ def test_curves_fall_in_threshold_and_rise_in_alarms(own):
 
 def test_the_table_says_what_an_exposure_cannot_show():
     found = Scores(np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]))
-    (row,) = table({"one": found}).entries()
+    (row,) = table({"one": found}, ["a"]).entries()
     assert row["harmful"] == 2 and row["at_0.1"] is None
     assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h
     assert curves_csv({"one": found}).splitlines()[1:] == [
@@ -91,11 +91,9 @@ def test_schemes_without_scores_are_named_with_the_reason():
         "crc": "it compares with a seal, or has no scores",
     }
     found = Scores(np.array([3.0]), 100, 1.5, np.array([2.5]), np.array([True]))
-    assert f"all: not scored: {reasons['all']}" in table({"one": found}, left_out=reasons).notes
-    assert (
-        "one golden flight for each mission of the parts a, b; their faults together"
-        in table({"one": found}, ["a", "b"]).notes
-    )
+    notes = table({"one": found}, ["a", "b"], reasons).notes
+    assert f"all: not scored: {reasons['all']}" in notes
+    assert "one golden flight for each mission of these parts, their faults together: a, b" in notes
 
 
 class CommandsAlarm:
