@@ -11,8 +11,7 @@ import csv
 import re
 import shutil
 import sys
-from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,7 +21,8 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.bench import FOLDER, ROWS, Bench, load_bench
 from mavfi.errors import BadInputError
 from mavfi.reports.text import rate
-from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, fill
+from tools import detector_pages
+from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, contents, fill
 from tools.only_lost import with_summary
 
 NAME = "mavfi-bench-1"
@@ -261,7 +261,7 @@ def in_order(page: str, bench: Bench) -> str:
         else:
             ordered = [_sorted_group(name, rows, places) for name, rows in groups.items()]
         sections[title] = section.replace(before, "\n".join(line for rows in ordered for line in rows), 1)
-    top = f"{_CONTENTS.sub('', top)}\n\n{_contents(sections)}"
+    top = f"{_CONTENTS.sub('', top)}\n\n{contents('Parts', sections)}"
     return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in sections.items())]) + "\n"
 
 
@@ -276,16 +276,6 @@ def _sorted_group(group: str, rows: Sequence[str], places: Mapping[str, int]) ->
     cells.sort(key=lambda row: places.get(row[2].strip().removeprefix("golden_"), len(places)))
     named = [group, *[""] * (len(rows) - 1)]
     return ["|".join(["", f" {name} ", *row[2:]]) for name, row in zip(named, cells, strict=True)]
-
-
-def _contents(titles: Iterable[str]) -> str:
-    """A list with a link to each section."""
-    lines, anchors = ["Parts:", ""], Counter[str]()
-    for title in titles:
-        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
-        lines.append(f"- [{title}](#{anchor}{f'-{anchors[anchor]}' * bool(anchors[anchor])})")
-        anchors[anchor] += 1
-    return "\n".join(lines)
 
 
 def _schemes(section: str) -> dict[str, list[str]]:
@@ -342,6 +332,7 @@ def main(arguments: list[str]) -> int:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
     file.write_text(banner(COMMAND) + page + _pictures(bench, name, PAPERS in compared) + FOOTER, encoding="utf-8")
+    (GENERATED / detector_pages.PAGE.name).write_text(detector_pages.page(known), encoding="utf-8")
     if worth:
         fill(DOCS / "engineers.md", {"rules": worth})
         fill(ROOT / "README.md", {"recovery": recovery})

@@ -27,7 +27,7 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import build_leaderboard, build_reference, only_lost
+from tools import build_leaderboard, build_reference, detector_pages, only_lost
 from tools.fault_levels import level_table
 from tools.markers import DOCS, GENERATED, between
 
@@ -188,6 +188,7 @@ def pages() -> dict[Path, str]:
         fault_model: between(model, "memory", memory_table()),
         **build_reference.pages(),
         **leaderboards(),
+        detector_pages.PAGE: detector_pages.page(load_bench(build_leaderboard.NAME)),
     }
 
 

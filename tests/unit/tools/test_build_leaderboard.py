@@ -246,4 +246,5 @@ def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch
     assert "## a\n\n| 1 |" in page and "mavfi bench detectors --detector d\n" in page
     assert "\n- flown on this day: c, d; the other rows earlier, on the same faults\n- note\n" in page
     assert "curves-paper.png" in page, "drawn earlier"
+    assert "## recommended\n" in (tmp_path / "detectors.md").read_text(), "sections of single detectors"
     assert not (tmp_path / "README.md").exists()
