@@ -2,9 +2,10 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.mission import MissionStatus
 from mavfi.platforms.compute import stage_latency
-from mavfi.states import STATES, Stage
+from mavfi.states import PPC_STAGES, STATES, Stage
 from tests.hosts.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission
 
 CASES = [
@@ -153,6 +154,33 @@ def test_a_detector_that_always_alarms_breaks_nothing(autopilot):
         mission(autopilot), detector=Everything(("planning.waypoint", "control.command", "control.tracking"), "control")
     )
     assert ends_as_its_status_says(flight)
+
+
+class Nervous(Scripted):
+    """Alarms at every publication whose stage can be recomputed."""
+
+    def check(self, state, time_us):
+        if state.spec.stage not in PPC_STAGES:
+            return None
+        self.state, self.stage, self.n, self.times, self.seen = state.spec.name, state.spec.stage.value, 0, 1, -1
+        return super().check(state, time_us)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("grain", ["kernel", "message"])
+def test_a_detector_that_always_alarms_keeps_no_mission_from_its_goal_if_kernels_are_repeated(autopilot, grain):
+    flight = fly(mission(autopilot), detector=Nervous(), recovery=Recovery(grain=grain))
+    assert flight.log.status is MissionStatus.SUCCESS
+    assert len(flight.log.alarms) > 1000
+    delay = flight.log.column("time")[-1] / golden(autopilot).log.column("time")[-1]
+    assert delay < 1.1
+
+
+@pytest.mark.slow
+def test_the_repetition_of_whole_stages_can_cost_the_mission():
+    flight = fly(mission("hardened"), detector=Nervous())
+    assert flight.log.status is not MissionStatus.SUCCESS
 
 
 def test_abandoning_while_the_way_point_is_run_again_breaks_nothing():

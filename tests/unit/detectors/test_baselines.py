@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import load_detector
-from mavfi.detectors.baselines import library
+from mavfi.detectors.baselines import library, matrix_profile
 from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, Regressors
 from mavfi.detectors.baselines.half_space_trees import Forests, HalfSpaceTreesDetector
 from mavfi.detectors.baselines.library import LibraryDetector, columns_of, score_once
-from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, nearest
+from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, StretchScorer, nearest
 from mavfi.detectors.baselines.outliers import IsolationForestDetector, MahalanobisDetector, PcaDetector
 from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
 from mavfi.detectors.model import Model
+from mavfi.detectors.parts import Verdict
 from mavfi.detectors.registry import settings_of
 from mavfi.detectors.samples import join
 from mavfi.errors import BadInputError
@@ -207,6 +208,25 @@ def test_the_value_is_that_of_an_incremental_matrix_profile():
         profile.update(value)
     # stumpi also compares with stretches that reach into the new values
     assert profile.P_[-1] <= nearest(stretch, history) + 1e-9
+
+
+def test_after_an_anomaly_normal_values_are_normal_again(monkeypatch):
+    """If anomalies were left out of the subsequence, what follows one would not fit what came before it."""
+    history = np.array([0.0] * 20 + [0.5] + [1.0] * 20)
+
+    def naive(last, own):
+        return min(float(np.linalg.norm(own[k : k + LENGTH] - last)) for k in range(len(own) - LENGTH + 1))
+
+    monkeypatch.setattr(matrix_profile, "nearest", naive)
+    everything = Everything("published")
+    scorer = StretchScorer(everything, [history] * len(everything.slots), np.ones(len(everything.fields)))
+    scores = []
+    for value in [0.0] * LENGTH + [9.0] + [1.0] * (2 * LENGTH):
+        monkeypatch.setattr(scorer, "value", lambda slot, value=value: value)
+        scores.append(scorer.score_of(0, 0))
+        scorer.learn(0, Verdict(4.0 * scores[-1], np.array([4.0 * scores[-1]])))
+    assert scores[:LENGTH] == [0.0] * LENGTH and scores[LENGTH] > 8.0
+    assert scores[-LENGTH - 1 :] == [0.0] * (LENGTH + 1), "a subsequence after the anomaly"
 
 
 def test_a_score_is_computed_once_for_each_model_state_and_input():

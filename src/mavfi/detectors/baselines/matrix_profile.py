@@ -55,8 +55,6 @@ class StretchScorer(StateScorer):
         scale: Largest code in training. Shape (n,).
     """
 
-    adapts = True
-
     def __init__(self, everything: Everything, history: list[np.ndarray], scale: np.ndarray) -> None:
         super().__init__(everything)
         self._judge, self._scale = Histories(history), scale
@@ -78,11 +76,13 @@ class StretchScorer(StateScorer):
         return score_once(self._judge, slot, np.append(self._last[slot], self._new).tobytes())
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Store normal values; an anomaly does not affect later subsequences."""
-        if verdict is not None and verdict.score <= 1.0:
-            self._last[slot, :-1] = self._last[slot, 1:]
-            self._last[slot, -1] = self.value(slot)
-            self._published[slot] += 1.0
+        """Store a value that consumers received, normal or not, as in training.
+
+        After an anomaly that was left out, the subsequence ended before it, and any next value was an anomaly as well.
+        """
+        self._last[slot, :-1] = self._last[slot, 1:]
+        self._last[slot, -1] = self.value(slot)
+        self._published[slot] += 1.0
 
 
 class MatrixProfileDetector(AllFieldsDetector):
