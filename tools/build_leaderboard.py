@@ -151,15 +151,43 @@ def freeze(bench: Path, scale: str) -> None:
 
 
 def publish(page: str, scale: str) -> None:
-    """Write the rows of a leaderboard whose faults are frozen to the shipped configurations, one file per part."""
+    """Write the rows of a leaderboard whose faults are frozen to the shipped configurations, one file per part.
+
+    Raises:
+        BadInputError: A shipped row would be lost: the page has neither it nor a newer one.
+    """
     titles = {part.title: name for name, part in load_bench(NAME).parts.items()}
+    written = {}
     for section in page.split("\n## ")[1:]:
         title, *lines = section.splitlines()
         grid = [line.strip("|").split("|") for line in lines if line.startswith("|")]
         frozen = ROOT / "configs" / FOLDER / NAME / f"{titles.get(title)}-{scale}.csv"
         if frozen.is_file() and grid:
-            with frozen.with_suffix(ROWS).open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file, lineterminator="\n").writerows(_filled([grid[0], *grid[2:]]))
+            kept, rows = frozen.with_suffix(ROWS), _filled([grid[0], *grid[2:]])
+            lost = _named(_rows_of(kept)) - _named(rows)
+            if lost:
+                raise BadInputError(
+                    f"{kept}: rows of {', '.join(sorted({key[-1] for key in lost}))}: not on the page; fly them as "
+                    "well, or remove the file first"
+                )
+            written[kept] = rows
+    for kept, rows in written.items():
+        with kept.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+def _rows_of(kept: Path) -> list[list[str]]:
+    """Shipped rows of a part, with their headings; none if there are none."""
+    if not kept.is_file():
+        return []
+    with kept.open(encoding="utf-8", newline="") as file:
+        return list(csv.reader(file))
+
+
+def _named(rows: Sequence[Sequence[str]]) -> set[tuple[str, ...]]:
+    """What identifies the rows below the headings: the scheme, or the group and the scheme."""
+    keys = 1 if rows and rows[0][0] == "scheme" else 2
+    return {tuple(row[:keys]) for row in rows[1:]}
 
 
 def _filled(grid: list[list[str]]) -> list[list[str]]:

@@ -123,6 +123,27 @@ def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
     assert (frozen / "golden-quick.rows.csv").read_text() == "environment,setting\ndense,a\ndense,b\nfarm,a\n"
 
 
+@pytest.mark.parametrize(("part", "heading", "first"), [("sites", "scheme", "a"), ("golden", "environment", "all")])
+def test_rows_that_a_page_lacks_are_not_lost(tmp_path, monkeypatch, part, heading, first):
+    folder = tmp_path / "configs" / "bench" / NAME
+    folder.mkdir(parents=True)
+    (folder / f"{part}-quick.csv").touch()
+    monkeypatch.setattr(build_leaderboard, "ROOT", tmp_path)
+
+    def page(*rows):
+        table = "\n".join(f"| {first if heading != 'scheme' else row} | {row} |" for row in rows)
+        title = load_bench(NAME).parts[part].title
+        return f"# Top\n\n## {title}\n\n| {heading} | setting |\n| --- | --- |\n{table}\n"
+
+    publish(page("golden_a", "golden_b"), "quick")
+    shipped = (folder / f"{part}-quick.rows.csv").read_text()
+    with pytest.raises(BadInputError, match=rf"{part}-quick\.rows\.csv: rows of golden_b: not on the page"):
+        publish(page("golden_a", "golden_c"), "quick")
+    assert (folder / f"{part}-quick.rows.csv").read_text() == shipped
+    publish(page("golden_a", "golden_b", "golden_c"), "quick")
+    assert "golden_c" in (folder / f"{part}-quick.rows.csv").read_text()
+
+
 def test_sections_that_were_not_flown_again_remain_with_their_date():
     earlier = "top\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n- n\n\n## b\n\n| 2 |\n\n![picture](p.png)\n"
     page = with_earlier("top\n\nFlown on 2.\n\n## c\n\n| 5 |\n\n## b\n\n| 3 |\n", earlier, "abc")
