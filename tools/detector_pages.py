@@ -41,9 +41,10 @@ def page(bench: Bench) -> str:
 
 def _section(bench: Bench, name: str, arm: ArmConfig) -> str:
     checks, provenance, description = descriptions()[arm.detector]
+    description = description.replace("](", "](../")  # a link from a folder below
     source = "" if provenance == "–" else f" Source: {provenance}."
     return "\n\n".join([
-        f"`{_option(arm)}`. {checks[:1].upper()}{checks[1:]}.{source} Description: {_from_here(description)}.",
+        f"`{_option(arm)}`. {checks[:1].upper()}{checks[1:]}.{source} Description: {description}.",
         *([_training(arm)] if arm.detector in trainable() else []),
         *_recovery(arm),
         "\n".join(_results(bench, name)),
@@ -53,10 +54,6 @@ def _section(bench: Bench, name: str, arm: ArmConfig) -> str:
 
 def _option(arm: ArmConfig) -> str:
     return f"--detector {arm.detector}{' --profile tuned' if arm.profile == 'tuned' else ''}"
-
-
-def _from_here(links: str) -> str:
-    return re.sub(r"\]\(", "](../", links)
 
 
 def descriptions() -> dict[str, tuple[str, str, str]]:
