@@ -227,7 +227,9 @@ def _flown(
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
     """The mission with the given options replaced."""
     allow_typed(options.values())
-    return parse_config(MissionSpec, {**({} if mission is None else mission.model_dump()), **options}, "mission")
+    return parse_config(
+        MissionSpec, {**({} if mission is None else mission.model_dump(exclude_unset=True)), **options}, "mission"
+    )
 
 
 def _watching(

@@ -116,9 +116,10 @@ class MissionSpec(Config):
         description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
         "producer's copy is sent again, also if the message is unreadable; if that is no better the kernel runs again.",
     )
-    same_twice: Literal["accept", "escalate"] = Field(
+    same_twice: Literal["accept", "escalate", "limit"] = Field(
         "accept",
-        description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node (inline).",
+        description="A recomputation that breaks a rule again: accept, escalate to a restart of the node (inline), or "
+        "limit: accept, and recompute without a change at most 5 times in 10 s; default of a detector of one's own.",
     )
     answer_s: float = Field(
         0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."

@@ -177,13 +177,14 @@ def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way():
 
 
 @pytest.mark.slow
-def test_an_observer_is_fast_forwarded_too():
+@pytest.mark.parametrize("recovery", [Recovery("observer"), Recovery(same_twice="limit")], ids=["observer", "limit"])
+def test_other_recovery_without_restarts_is_fast_forwarded_too(recovery):
     forward = FastForward(mission())
     for make in (Nervous, ARMS["published"]["gaussian"]):
         for injected in (None, FAULTS[0], FAULTS[3], FAULTS[6], FAULTS[8]):
             detector = make()
-            mine = forward.fly(injected, detector, make.__name__, Recovery("observer"))
-            assert content(mine.log) == content(fly(mission(), injected, make(), recovery=Recovery("observer")).log)
+            mine = forward.fly(injected, detector, make.__name__, recovery)
+            assert content(mine.log) == content(fly(mission(), injected, make(), recovery=recovery).log)
     assert forward.share.flown < forward.share.ticks
 
 

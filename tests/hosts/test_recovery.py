@@ -1,12 +1,14 @@
 import pytest
 
+from mavfi import api
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
-from mavfi.hosts.loop.recovery import Recovery
-from mavfi.mission import MissionStatus
+from mavfi.hosts.loop.recovery import MOST_UNCHANGED, Recovery
+from mavfi.hosts.watching import with_keys_of
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.platforms.compute import stage_latency
 from mavfi.states import PPC_STAGES, STATES, Stage
-from tests.hosts.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission
+from tests.hosts.missions import AUTOPILOTS, GOAL, Scripted, ends_as_its_status_says, fault, golden, mission
 
 CASES = [
     ("perception.point_cloud", "x", 5, "perception"),
@@ -169,6 +171,29 @@ def test_a_detector_that_always_alarms_keeps_no_mission_from_its_goal_if_kernels
     assert len(flight.log.alarms) > 1000
     delay = flight.log.column("time")[-1] / golden(autopilot).log.column("time")[-1]
     assert delay < 1.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("states", [COMPUTED, ["planning.waypoint"], ["control.command"]], ids=len)
+@pytest.mark.parametrize("coupling", ["inline", "observer"])
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_detector_of_ones_own_that_always_alarms_keeps_no_mission_from_its_goal(autopilot, coupling, states):
+    spec = with_keys_of(MissionSpec(coupling=coupling), Everything(states))
+    flight = fly(mission(autopilot), detector=Everything(states), recovery=Recovery.of(spec))
+    assert flight.log.status is MissionStatus.SUCCESS
+    if coupling == "inline":  # the next value after one that was consumed differs
+        times = [alarm.time_s for alarm in flight.log.alarms if alarm.outcome == "accepted"]
+        assert len(times) > MOST_UNCHANGED
+        assert all(later - time > 9.999 for time, later in zip(times, times[MOST_UNCHANGED:], strict=False))
+
+
+def test_keys_of_a_mission_hold_against_those_of_a_detector_only_if_they_are_set():
+    spec = MissionSpec(environment="dense", seed=1, goal=GOAL)
+    found = [
+        api.fly(chosen, detector=Scripted("planning.waypoint", 6, "planning")).log.meta["recompute_us"]["planning"]
+        for chosen in (spec, spec.model_copy(update={"grain": "stage"}))
+    ]
+    assert found == [0, stage_latency(mission().platform, Stage.PLANNING)], "the way-point alone takes no time"
 
 
 @pytest.mark.slow

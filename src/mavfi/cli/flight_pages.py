@@ -110,9 +110,9 @@ def fly_command(
     mission: MissionSpec, fault: str | None, fault_seed: int | None, detector: str, profile: str | None,
     models: Path | None,
 ) -> str:  # fmt: skip
-    """The command line of a flight, with the options that differ from their defaults."""
+    """The command line of a flight, with the options that were set."""
     given: dict[str, object] = {"environment": mission.environment, "seed": mission.seed}
-    given |= mission.model_dump(mode="json", exclude_defaults=True)
+    given |= mission.model_dump(mode="json", exclude_unset=True)
     given |= {"fault": fault, "fault_seed": fault_seed, "detector": None if detector == "none" else detector}
     given |= {"profile": profile, "models": models}
     words = [f"--{name.replace('_', '-')} {_word(value)}" for name, value in given.items() if value is not None]

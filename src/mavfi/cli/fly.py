@@ -127,7 +127,7 @@ def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[s
     """Save a flight with its request, from which `mavfi export` flies it again."""
     if isinstance(models := watching["models"], Path):
         watching = watching | {"models": str(models.absolute())}
-    mission = asked.model_dump(mode="json", exclude_defaults=True)
+    mission = asked.model_dump(mode="json", exclude_unset=True)
     fault = None if result.fault is None else result.fault.to_json()
     result.log.meta["request"] = {"mission": mission, "fault": fault, **watching}
     result.log.save(save)

@@ -4,6 +4,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Collection, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
@@ -76,23 +77,32 @@ Shard = Annotated[
 def with_mission_options(verb: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
     """Replace a command's first parameter, a `MissionSpec`, by one option for each field except `without`.
 
-    An invalid value raises `BadInputError`.
+    Only the fields of options that the user has set are set.  An invalid value raises `BadInputError`.
     """
     fields = {name: field for name, field in MissionSpec.model_fields.items() if name not in without}
+    own = {
+        name: parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, parameter in list(inspect.signature(verb, eval_str=True).parameters.items())[1:]
+    }
+    passes_context = "context" in own
+    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 
     @functools.wraps(verb)
-    def wrapped(**given: Any) -> None:
-        mission = mission_of({name: given.pop(name) for name in fields})
-        verb(mission, **given)
+    def wrapped(context: typer.Context, **given: Any) -> None:
+        asked = {name: given.pop(name) for name in fields}
+        sources = {name: context.get_parameter_source(name) for name in fields}
+        mission = mission_of({name: asked[name] for name, source in sources.items() if _is_users(source)})
+        verb(mission, **given, **({"context": context} if passes_context else {}))
 
-    own = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in list(inspect.signature(verb, eval_str=True).parameters.values())[1:]
-    ]
-    parameters = [_parameter(name, field) for name, field in fields.items()] + own
+    own["context"] = context
+    parameters = [*(_parameter(name, field) for name, field in fields.items()), *own.values()]
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped
+
+
+def _is_users(source: Enum | None) -> bool:
+    return source is not None and source.name != "DEFAULT"
 
 
 def mission_of(given: Mapping[str, Any]) -> MissionSpec:

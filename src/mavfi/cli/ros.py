@@ -68,7 +68,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
-    mission = ros_nodes.mission_with(mission, detector)
+    mission = ros_nodes.mission_with(mission, detector, free_running=free_running)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
     request = ros_nodes.request_of(fault, mission)

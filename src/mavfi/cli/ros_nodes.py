@@ -38,17 +38,18 @@ SeedOption = Annotated[
 ]
 
 
-def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
+def mission_with(mission: MissionSpec, detector: str, *, free_running: bool = False) -> MissionSpec:
     """Add the mission keys of a detector; raises `BadInputError` if the mission is not supported on ROS.
 
-    A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
+    A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages; in free-running mode all
+    become `stage`.
     """
     from mavfi.hosts.ros1.plan import check_supported
     from mavfi.hosts.watching import with_keys_of
 
     found = with_keys_of(mission, detector)
-    if found.grain == "message" and mission.grain != "message":
-        found = found.model_copy(update={"grain": "kernel"})
+    if "grain" not in mission.model_fields_set and (free_running or found.grain == "message"):
+        found = found.model_copy(update={"grain": "stage" if free_running else "kernel"})
     check_supported(found)
     return found
 

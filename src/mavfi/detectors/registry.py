@@ -26,11 +26,14 @@ parameters of the model; a class with a true `watches_all` is fitted to all fiel
 preprocessor, and in one profile only.  One with an `extra` needs packages of that extra; `check_installed` checks for
 them.  The figures are those of configs/detectors/<name>.yaml.  A class with a true `needs_limits` is constructed with
 the `MissionLimits` of the mission, one with a true `needs_seed` with its seed.  `recovery` contains
-the mission keys, of `OF_RECOVERY`, that go with a detector; they give way to those of a command or an arm."""
+the mission keys, of `OF_RECOVERY`, that go with a detector; they give way to those of a command or an arm, and replace
+`OF_OWN`."""
 OF_RECOVERY = (
     "coupling", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node", "alarm", "epoch_liveness",
 )  # fmt: skip
 """Mission keys that a detector may set."""
+OF_OWN: Mapping[str, Any] = {"grain": "kernel", "same_twice": "limit"}
+"""Mission keys of a detector that is not part of mavfi, unless it sets them: it may raise alarms without end."""
 ONLY_PROFILE = "tuned"
 """The profile of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
@@ -159,7 +162,7 @@ def settings_of(name: str, profile: str) -> ProfileSettings:
 def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
     """Mission keys that a detector sets by default: recovery from its alarms, and the restart policy of nodes.
 
-    Those of its file in configs/detectors; of a detector without one, its class attribute `recovery`.
+    Those of its file in configs/detectors; of one outside of mavfi, its class attribute `recovery` and `OF_OWN`.
 
     Raises:
         BadInputError: The attribute has other keys than `OF_RECOVERY`.
@@ -176,7 +179,7 @@ def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
     if not isinstance(keys, Mapping) or not set(keys) <= set(OF_RECOVERY):
         name = detector if isinstance(detector, str) else type(detector).__name__
         raise BadInputError(f"detector {name!r}: recovery: {keys!r}: allowed: values of {', '.join(OF_RECOVERY)}")
-    return keys
+    return keys if getattr(found, "__module__", "").startswith("mavfi.") else {**OF_OWN, **keys}
 
 
 def detector_options(name: str) -> Mapping[str, Any]:

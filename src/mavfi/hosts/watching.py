@@ -52,13 +52,12 @@ def detector_for(
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:
-    """The mission with the detector's recommended keys, where the user left the defaults.
+    """The mission with the detector's recommended keys, apart from those that the user has set.
 
     Raises:
         BadInputError: A value of these is not allowed.
     """
-    fields = MissionSpec.model_fields
-    given = {key: getattr(spec, key) for key in fields if getattr(spec, key) != fields[key].default}
+    given = {key: getattr(spec, key) for key in spec.model_fields_set}
     name = detector if isinstance(detector, str) else type(detector).__name__
     return parse(MissionSpec, {**mission_keys(detector), **given}, f"detector {name!r}: recovery")
 

@@ -17,7 +17,7 @@ from mavfi.errors import MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.recovery import MOST_UNCHANGED, Recovery
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure
@@ -219,6 +219,13 @@ def test_a_gate_that_dies_keeps_everything_back_until_it_is_back():
     assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
 
 
+def test_alarms_without_end_get_a_few_recomputations_as_here():
+    alarming, limit = Scripted("control.command", times=10**6), Recovery(same_twice="limit")
+    log = there(short(), None, alarming, recovery=limit)
+    assert len(log.alarms) == MOST_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
+    same(log, fly_here(short(), detector=alarming, recovery=limit).log)
+
+
 class Hanging(Scripted):
     """A detector that does not come back from one call."""
 
@@ -238,7 +245,10 @@ def test_a_hung_node_is_ended_and_restarted():
 def test_time_passes_as_on_the_wall_if_wanted():
     scenario = short()
     alarming = Scripted("control.command", n=150)
-    plan = Plan(scenario, configure(scenario), fault("control.command", "vy", 2.0, 3), alarming, free_running=True)
+    plan = Plan(
+        scenario, configure(scenario), fault("control.command", "vy", 2.0, 3), alarming, Recovery(same_twice="limit"),
+        free_running=True,
+    )  # fmt: skip
     flight = fly_there(plan)
     log = flight.flight.log
     assert log.status.label in ("success", "timeout", "collision")  # the machine may be slow

@@ -55,6 +55,11 @@ def test_each_key_is_an_option(fly, name):
     assert mission == MissionSpec(**{name: VALUES[name]}) != MissionSpec() and loud
 
 
+def test_what_is_set_is_known_even_if_it_is_the_default(fly):
+    mission, _ = fly("--grain", "stage", "--seed", "5")
+    assert mission.model_fields_set == {"grain", "seed"}
+
+
 def test_all_options_together(fly):
     mission, _ = fly(*[part for name in VALUES for part in arguments_for(name)])
     assert mission == MissionSpec(**VALUES)

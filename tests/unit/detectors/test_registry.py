@@ -9,7 +9,7 @@ from mavfi.detectors import detector_names, load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.chain import Chain
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import OF_RECOVERY, NoDetector, mission_keys
+from mavfi.detectors.registry import OF_OWN, OF_RECOVERY, NoDetector, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import RECOVERY, MissionSpec
@@ -121,6 +121,10 @@ class Mine(NoDetector):
     recovery = {"grain": "message", "answer_s": 0.5}  # noqa: RUF012 - as in the documentation
 
 
+class Silent(NoDetector):
+    """It says nothing about recovery."""
+
+
 class Wrong(NoDetector):
     """A value of its recovery is none."""
 
@@ -142,9 +146,12 @@ class Method(NoDetector):
 
 def test_a_detector_of_ones_own_brings_its_recovery():
     name = f"{__name__}:Mine"
-    assert mission_keys(name) == Mine.recovery and mission_keys("nowhere:Mine") == mission_keys("gaussian") == {}
+    assert mission_keys(name) == {"grain": "message", "same_twice": "limit", "answer_s": 0.5}
+    assert mission_keys("nowhere:Mine") == mission_keys("gaussian") == {}
+    assert mission_keys(NoDetector()) == {} and mission_keys(f"{__name__}:Silent") == OF_OWN
     chosen = with_keys_of(MissionSpec(answer_s=2.0), name)
     assert (chosen.grain, chosen.answer_s) == ("message", 2.0), "what is chosen stays"
+    assert with_keys_of(MissionSpec(grain="stage"), name).grain == "stage", "a default, too"
     with pytest.raises(
         BadInputError,
         match=r"Wrong': recovery: key 'grain': 'house': not known; allowed: 'stage', 'kernel' or 'message'",
@@ -155,7 +162,7 @@ def test_a_detector_of_ones_own_brings_its_recovery():
         with pytest.raises(BadInputError, match=rf"{own.__name__}': recovery: .*allowed: values of coupling, grain, "):
             mission_keys(f"{__name__}:{own.__name__}")
     campaign = small(arms={"mine": {"detector": name, "answer_s": 1.0}}, host="local")
-    assert arms_of(campaign)[-1].overrides == {"grain": "message", "answer_s": 1.0}
+    assert arms_of(campaign)[-1].overrides == {"same_twice": "limit", "grain": "message", "answer_s": 1.0}
 
 
 def test_a_detector_may_set_what_becomes_of_its_alarms_and_of_nodes():

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 Coupling = Literal["inline", "observer"]
 Grain = Literal["stage", "kernel", "message"]
-SameTwice = Literal["accept", "escalate"]
+SameTwice = Literal["accept", "escalate", "limit"]
 COMMAND = "control.command"
 UNREADABLE = "unreadable"
 """Source of the alarm on a message that its consumers cannot read."""
@@ -48,6 +48,8 @@ PERSISTS_US, GAP_US = 2_000_000, 500_000
 """Hard alarms are persistent if they span the first duration with gaps of at most the second (us)."""
 MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
 """Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
+MOST_UNCHANGED = 5
+"""Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,8 @@ class Recovery:
         grain: Unit of repetition: the `stage` with its latency; only the `kernel` that wrote the value; or its
             `message`, which the producer retransmits from its copy at no modelled cost, also if it cannot be read.
         same_twice: Policy for a recomputation that violates a rule again (`Alarm.hard`): `accept` it, or `escalate` to
-            a restart of the node (coupling `inline` only).
+            a restart of the node (coupling `inline` only), or `limit` the rate of recomputations that change nothing,
+            so that a detector that raises alarms without end cannot delay a flight at each step.
         answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
             0 = none.
         degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
@@ -97,6 +100,16 @@ class Recovery:
         return self.escalates or self.answer_s > 0
 
     @property
+    def limits(self) -> bool:
+        """Whether the rate of recomputations without a change is limited."""
+        return self.same_twice == "limit"
+
+    @property
+    def confirms(self) -> bool:
+        """Whether another value after an alarm confirms it; an observer's next value differs in any case."""
+        return not self.limits or self.coupling == "inline"
+
+    @property
     def resends(self) -> bool:
         """Whether the producer's copy is retransmitted."""
         return self.grain == "message"
@@ -121,7 +134,7 @@ class Remembered(Memory):
         silenced: Whether the detector is disabled as faulty.
         first_us: First instant of a contiguous series of hard alarms (us).
         last_us: Its last instant (us).
-        hard: Instants of the latest hard alarms (us).
+        hard: Instants of the latest alarms that count against the detector (us): with `limit` all, else the hard ones.
         waiting: The wait for a path.
         trail: Positions for the degraded mode.
     """
@@ -202,7 +215,7 @@ class Watch:
             self._setpoints.note(memory.trail, state, flown=not memory.degraded)
         if self._setpoints is not None and memory.degraded:
             return self._setpoints.command(memory.trail, state) if state.spec.name == COMMAND else state
-        asks = self._asks(awaited)
+        asks = self._asks(awaited) and not self._is_limited(now)
         alarm = self._otherwise(state, now) if asks and self._at_once[state.spec.name](state.header) else None
         admitted = asks and alarm is None
         if admitted and awaited is None:  # almost always
@@ -243,6 +256,13 @@ class Watch:
     def _asks(self, awaited: Awaited | None) -> bool:
         return not self.memory.silenced and (awaited is None or self._recovery.escalates)
 
+    def _is_limited(self, now: int) -> bool:
+        """Whether the limit of recomputations without a change is reached."""
+        if not self._recovery.limits:
+            return False
+        latest = self.memory.hard[-MOST_UNCHANGED:]
+        return len(latest) == MOST_UNCHANGED and now - latest[0] < ALARMS_WITHIN_US
+
     def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: Awaited | None) -> Action | None:
         """Select the response to an alarm on a value of state `spec`; it is also in `action`, with its `alarm`."""
         after = self._after(awaited)
@@ -260,7 +280,7 @@ class Watch:
     def _respond_to(self, spec: StateSpec, rejected: State | None, now: int) -> None:
         """Record and execute the response to the alarm on a value; `rejected`: the value, None = it is unreadable."""
         assert self.alarm is not None and self.action is not None  # precondition
-        if self.alarm.hard and self._recovery.restarts:
+        if self._recovery.limits or (self.alarm.hard and self._recovery.restarts):
             self._count(now)
         self._loop.record.alarms.append(record_of(self.alarm, self.action, spec.name, now))
         self._execute(self.action, rejected, now)
@@ -293,7 +313,7 @@ class Watch:
         return used_up or now - memory.first_us > PERSISTS_US
 
     def _count(self, now: int) -> None:
-        """Count a hard alarm; disable a detector with too many of them as faulty."""
+        """Count an alarm against the detector; disable one with too many of them as faulty."""
         hard = self.memory.hard
         hard.append(now)
         del hard[:-MOST_ALARMS]
@@ -309,7 +329,7 @@ class Watch:
             passed = "accepted" if same else "repaired"
             outcome = passed if self.action is None and state is not None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
-            if outcome == "repaired" and self.memory.hard:
+            if outcome == "repaired" and self.memory.hard and self._recovery.confirms:
                 self.memory.hard.pop()  # a repaired value confirms the alarm
 
     def _execute(self, action: Action, rejected: State | None, now: int) -> None:

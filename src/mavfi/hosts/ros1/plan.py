@@ -100,13 +100,15 @@ class Plan:
 
     def _check_free_running(self) -> None:
         """Refuse policies that require the world to know when nodes compute."""
-        wanted = {"dead_node": (self.scenario.dead_node, "fresh")}
-        wanted |= {
-            key: (getattr(self.recovery, key), getattr(INLINE, key)) for key in ("grain", "same_twice", "answer_s")
-        }
+        recovery = self.recovery
+        wanted: dict[str, tuple[object, tuple[object, ...]]] = {
+            "dead_node": (self.scenario.dead_node, ("fresh",)), "grain": (recovery.grain, ("stage",)),
+            "same_twice": (recovery.same_twice, ("accept", "limit")), "answer_s": (recovery.answer_s, (0.0,)),
+        }  # fmt: skip
         for key, (value, allowed) in wanted.items():
-            if value != allowed:
-                raise BadInputError(f"{key}: {value!r}: not with --free-running; allowed: {allowed}")
+            if value not in allowed:
+                text = f"not with --free-running; allowed: {' or '.join(map(str, allowed))}"
+                raise BadInputError(f"{key}: {value!r}: {text}")
 
     @property
     def state_fault(self) -> StateFault | None:

@@ -20,6 +20,7 @@ from mavfi.hosts.loop.recovery import (
     INLINE,
     MOST_ALARMS,
     MOST_RESTARTS,
+    MOST_UNCHANGED,
     RESTART_US,
     Recovery,
     Watch,
@@ -250,6 +251,30 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     assert [kind for _, kind in flight.events] == (["detector_silenced"] if endless else [])
     assert (len(flight.outcomes) == MOST_ALARMS) == endless
     assert detector.accepted[-1] == values[-1][0], "it continues to take note"
+
+
+@pytest.mark.parametrize("hard", [True, False])
+def test_recomputations_that_change_nothing_are_limited(hard):
+    flight, second, limit = Flight(), 1_000_000, Recovery(same_twice="limit")
+    burst = [(place, status(5)) for place in range(4 * MOST_UNCHANGED)]
+    later = [(ALARMS_WITHIN_US + now, state) for now, state in burst]
+    before, after = [(2 * second, status(5)), (9 * second, status(5))], [(21 * second, status(5))]
+    passed = shown(Always(hard), limit, [*burst, *before, *later, *after], flight)
+    answered = [False, True] * MOST_UNCHANGED + [True] * 2 * MOST_UNCHANGED
+    assert passed == [*answered, True, True, *answered, False]
+    assert flight.events == [] and set(flight.outcomes[:-1]) == {("recompute", "accepted")}
+
+
+@pytest.mark.parametrize(("coupling", "count"), [("inline", 2 * MOST_UNCHANGED), ("observer", MOST_UNCHANGED)])
+def test_recomputations_that_repair_are_limited_only_where_the_next_value_differs_in_any_case(coupling, count):
+    class EverySecond(Always):
+        def check(self, state, now):
+            return super().check(state, now) if state.header["future_collision_seq"][0] == 5 else None
+
+    flight = Flight()
+    values = [(now, status(5 if now % 2 else 6)) for now in range(1, 4 * MOST_UNCHANGED)]
+    shown(EverySecond(hard=False), Recovery(coupling, same_twice="limit"), values, flight)
+    assert len(flight.outcomes) == count
 
 
 @pytest.mark.parametrize(
