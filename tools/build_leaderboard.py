@@ -12,7 +12,6 @@ import re
 import shutil
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 from mavfi.api import load, table
@@ -22,8 +21,8 @@ from mavfi.campaign.bench import FOLDER, ROWS, Bench, load_bench
 from mavfi.errors import BadInputError
 from mavfi.reports.text import rate
 from tools import detector_pages
+from tools.bench_summary import cells, with_summary
 from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, contents, fill
-from tools.only_lost import with_summary
 
 NAME = "mavfi-bench-1"
 COMMAND = "make bench-detectors"
@@ -160,10 +159,10 @@ def publish(page: str, scale: str) -> None:
     written = {}
     for section in page.split("\n## ")[1:]:
         title, *lines = section.splitlines()
-        grid = [line.strip("|").split("|") for line in lines if line.startswith("|")]
+        grid = cells(lines)
         frozen = ROOT / "configs" / FOLDER / NAME / f"{titles.get(title)}-{scale}.csv"
         if frozen.is_file() and grid:
-            kept, rows = frozen.with_suffix(ROWS), _filled([grid[0], *grid[2:]])
+            kept, rows = frozen.with_suffix(ROWS), [grid[0], *grid[2:]]
             lost = _named(_rows_of(kept)) - _named(rows)
             if lost:
                 raise BadInputError(
@@ -188,14 +187,6 @@ def _named(rows: Sequence[Sequence[str]]) -> set[tuple[str, ...]]:
     """What identifies the rows below the headings: the scheme, or the group and the scheme."""
     keys = 1 if rows and rows[0][0] == "scheme" else 2
     return {tuple(row[:keys]) for row in rows[1:]}
-
-
-def _filled(grid: list[list[str]]) -> list[list[str]]:
-    """Rows of a table with the first cells that a page leaves empty because they are those above."""
-    rows = [[cell.strip() for cell in row] for row in grid]
-    for above, row in pairwise(rows):
-        row[0] = row[0] or above[0]
-    return rows
 
 
 def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:

@@ -27,7 +27,7 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import build_leaderboard, build_reference, detector_pages, only_lost
+from tools import bench_summary, build_leaderboard, build_reference, detector_pages
 from tools.fault_levels import level_table
 from tools.markers import DOCS, GENERATED, between
 
@@ -172,7 +172,7 @@ def leaderboards() -> dict[Path, str]:
     """The pages of the bench with the summary of their sections."""
     bench = load_bench(build_leaderboard.NAME)
     return {
-        page: only_lost.with_summary(page.read_text(encoding="utf-8"), bench)
+        page: bench_summary.with_summary(page.read_text(encoding="utf-8"), bench)
         for page in sorted(GENERATED.glob("leaderboard*.md"))
     }
 

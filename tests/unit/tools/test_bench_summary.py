@@ -5,8 +5,8 @@ import pytest
 from mavfi.campaign.analysis.views import VIEWS
 from mavfi.campaign.bench import load_bench
 from tools import build_leaderboard, build_pages
+from tools.bench_summary import BEGIN, COLUMNS, OBSERVER, _sections, brought_back, lost_alone, with_summary
 from tools.build_leaderboard import NAME, main
-from tools.only_lost import BEGIN, COLUMNS, OBSERVER, counts, with_summary
 
 BENCH = load_bench(NAME)
 STATE = "| scheme | faults | only it lost |\n| --- | --- | ---: |\n"
@@ -30,7 +30,7 @@ PAGE = "\n".join([
 
 
 def test_every_part_of_the_levels_counts_and_no_other():
-    found = counts(PAGE, BENCH)
+    found = lost_alone(_sections(PAGE, BENCH))
     assert found["recommended"] == {"state": (0, 2500), OBSERVER: (7, 180), "instruction": (0, 990), "memory": (0, 500)}
     assert found["gaussian"] == {"state": (2, 900)} and "latched" not in found
 
@@ -42,6 +42,35 @@ def test_the_sums_stand_at_the_head_with_their_interval():
         "| recommended | 0/2500 | — | 0/990 | 0/500 | 0 [0, 0.096] 0/3990 | 7/180 | 0.17 [0.081, 0.35] 7/4170 |" in top
     )
     assert "| gaussian | 2/900 | — | — | — | 0.22 [0.061, 0.81] 2/900 | — | 0.22 [0.061, 0.81] 2/900 |" in top
+
+
+BACK = "| scheme | brought back |\n| --- | ---: |\n"
+RANKED = "\n".join([
+    "# Top\n\nParts:\n\n- [a](#a)\n",
+    section("sites", BACK + "| gaussian | 20.0 [3.6, 62.4] 1/5 |\n| recommended | 100.0 [56.6, 100.0] 5/5 |"),
+    section("state", BACK + "| gaussian | 50.0 [9.5, 90.5] 1/2 |\n| recommended | 100.0 [34.2, 100.0] 2/2 |"),
+    section("hardened", BACK + "| recommended | 100.0 [34.2, 100.0] 2/2 |"),
+    section("observer", BACK + "| gaussian | 100.0 [43.9, 100.0] 3/3 |\n| recommended | — |"),
+    section("instruction", BACK + "| gaussian | — |\n| recommended | 0/4 |\n| latched | 75.0 [30.1, 95.4] 3/4 |"),
+    section("golden", "| environment | setting | per hour |\n| --- | --- | ---: |\n| dense | golden_gaussian | 3.0 |\n"
+            "| all | golden_gaussian | 2.0 [1.0, 3.0] |\n|  | golden_recommended | 0.0 [0.0, 0.3] |"),
+])  # fmt: skip
+
+
+def test_what_is_brought_back_is_the_sum_of_parts_with_every_detector_the_most_first():
+    found = brought_back(_sections(RANKED, BENCH), BENCH)
+    assert found["recommended"] == {"state": (7, 7), "instruction": (0, 4)}, "part hardened lacks the other one"
+    assert found["gaussian"] == {"state": (2, 7), OBSERVER: (3, 3)} and found["latched"] == {"instruction": (3, 4)}
+    page = with_summary(RANKED, BENCH)
+    head, _, rest = page.partition("\n\nParts:\n")
+    assert rest.startswith("\n- [a](#a)\n") and with_summary(page, BENCH) == page
+    assert head.splitlines()[5:-1] == [
+        "| scheme | state | instruction | coupling observer | false alarms, `published` |",
+        "| --- | ---: | ---: | ---: | ---: |",
+        "| recommended | 100.0 [64.6, 100.0] 7/7 | 0.0 [0.0, 49.0] 0/4 | — | 0.0 [0.0, 0.3] |",
+        "| gaussian | 28.6 [8.2, 64.1] 2/7 | — | 100.0 [43.9, 100.0] 3/3 | 2.0 [1.0, 3.0] |",
+        "| latched | — | 75.0 [30.1, 95.4] 3/4 | — | — |",
+    ]
 
 
 def test_a_summary_is_replaced_by_the_next():
