@@ -27,6 +27,8 @@ AFTERMATH = 1.0
 """Time from the injection within which every alarm is stored (s)."""
 
 
+LIMITED, SILENCED = "detector_limited", "detector_silenced"
+"""Kinds of events: alarms get no response for a while, or no longer, since too many of them changed nothing."""
 CONTROLLER_LOST = "controller_lost"
 """Kind of the event when a flight controller that is a program of its own ends or hangs."""
 

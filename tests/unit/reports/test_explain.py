@@ -9,7 +9,8 @@ from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault
-from mavfi.flight_log import COLUMNS, AlarmRecord, FlightLog, Injection, KernelEffect
+from mavfi.flight_log import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
+from mavfi.flight_record import LIMITED, SILENCED
 from mavfi.hosts.host import Flight
 from mavfi.mission import MissionStatus
 from mavfi.reports.explain import MOST_ALARMS, alarm_lines, lines, to_json
@@ -132,6 +133,13 @@ def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
     assert last == ("", f"and {12 - MOST_ALARMS} more")
     assert alarm_lines(log(), golden) == []
     assert any("also in the golden run" in sentence for _, sentence in alarm_lines(flight, golden)[2:])
+
+
+@pytest.mark.parametrize("kind", [LIMITED, SILENCED])
+def test_alarms_without_a_response_are_mentioned(kind):
+    flight = log(alarms=[alarm(1.0)], events=[Event(1_000_000, kind, {"alarms": 7}), Event(2_000_000, "plan")])
+    heading, text = alarm_lines(flight, None)[-1]
+    assert heading == "" and text.startswith("no response to further alarms") and " 7 " in text
 
 
 def test_the_detector_is_named_with_its_profile_if_it_has_one():

@@ -21,6 +21,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.detectors.sealed import DIFFERENT
 from mavfi.errors import BadInputError
+from mavfi.flight_record import LIMITED, SILENCED
 from mavfi.hosts.loop.decision import Action, After, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
@@ -317,9 +318,11 @@ class Watch:
         hard = self.memory.hard
         hard.append(now)
         del hard[:-MOST_ALARMS]
+        if self._is_limited(now):
+            self._loop.record.note(now, LIMITED, {"alarms": MOST_UNCHANGED})
         if len(hard) == MOST_ALARMS and now - hard[0] < ALARMS_WITHIN_US:
             self.memory.silenced = True
-            self._loop.record.note(now, "detector_silenced", {"alarms": MOST_ALARMS})
+            self._loop.record.note(now, SILENCED, {"alarms": MOST_ALARMS})
 
     def _settle(self, awaited: Awaited, state: State | None) -> None:
         """Record the outcome of a recomputation, given the response to its result (None = an unreadable one)."""

@@ -12,6 +12,7 @@ from mavfi.detectors.detector import checked_alarm
 from mavfi.detectors.replicas import replicated
 from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
+from mavfi.flight_record import LIMITED, SILENCED
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.decision import Action, decide, record_of
@@ -248,7 +249,7 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     values = [(place * pause, status(5)) for place in range(2 * MOST_ALARMS)]
     shown(detector, ESCALATES, values, flight)
     endless = pause == 1
-    assert [kind for _, kind in flight.events] == (["detector_silenced"] if endless else [])
+    assert [kind for _, kind in flight.events] == ([SILENCED] if endless else [])
     assert (len(flight.outcomes) == MOST_ALARMS) == endless
     assert detector.accepted[-1] == values[-1][0], "it continues to take note"
 
@@ -262,7 +263,8 @@ def test_recomputations_that_change_nothing_are_limited(hard):
     passed = shown(Always(hard), limit, [*burst, *before, *later, *after], flight)
     answered = [False, True] * MOST_UNCHANGED + [True] * 2 * MOST_UNCHANGED
     assert passed == [*answered, True, True, *answered, False]
-    assert flight.events == [] and set(flight.outcomes[:-1]) == {("recompute", "accepted")}
+    assert flight.events[0] == (2 * (MOST_UNCHANGED - 1), LIMITED) and {kind for _, kind in flight.events} == {LIMITED}
+    assert set(flight.outcomes[:-1]) == {("recompute", "accepted")}
 
 
 @pytest.mark.parametrize(("coupling", "count"), [("inline", 2 * MOST_UNCHANGED), ("observer", MOST_UNCHANGED)])
