@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from mavfi.cli import run
+from mavfi.cli.ros_nodes import mission_with
 from mavfi.errors import BadInputError, OlderNameWarning
 from mavfi.hosts.ros1 import finder, install
 from mavfi.hosts.ros1.host import Ros1Host
@@ -163,3 +164,11 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
 
 def test_the_page_has_commands():
     assert len(COMMANDS) >= 5
+
+
+def test_the_grain_of_a_detector_is_one_that_nodes_have():
+    grains = [mission_with(MissionSpec(), "recommended", free_running=free).grain for free in (False, True)]
+    assert grains == ["kernel", "stage"]
+    assert mission_with(MissionSpec(grain="stage"), "recommended").grain == "stage"
+    with pytest.raises(BadInputError, match="grain: 'message': on ROS"):
+        mission_with(MissionSpec(grain="message"), "recommended")
