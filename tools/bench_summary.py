@@ -26,11 +26,11 @@ _HEAD = re.compile(rf"\n*{BEGIN}.*?{END}", re.DOTALL)
 _SECTION, _CONTENTS = "\n## ", "\n\nParts:\n"
 _COUNT = re.compile(r"(\d+)/(\d+)$")
 _BACK_NOTE = (
-    "**Missions brought back** / missions lost to the fault, over the parts below that were flown with every detector; "
-    "at level instruction only faults in the same value are compared. False alarms per hour of flight without a fault, "
-    "by autopilot profile, all environments. Per cent, [95 % interval: Wilson, flights in one world taken as "
-    "independent]; most missions brought back first, schemes without a detector last."
+    "**Missions brought back** / missions lost to the fault, over the parts below that were flown with every detector. "
+    "{}Per cent, [95 % interval: Wilson, flights in one world taken as independent]; most missions brought back first, "
+    "schemes without a detector last."
 )
+_ALARMS_NOTE = "False alarms per hour of flight without a fault, by autopilot profile, all environments. "
 _LOST_NOTE = (
     "**Missions lost by the scheme alone** / missions with a fault under the scheme, over all parts below: success "
     "without the scheme, failure with it. Golden flights lost by the scheme alone count as lost, but are not in the "
@@ -114,7 +114,8 @@ def _back_table(sections: Sections, bench: Bench) -> str:
     if not groups:
         return ""
     headings = [*groups, *(f"false alarms, `{profile}`" for profile in alarms)]
-    lines = [_BACK_NOTE, "", f"| scheme | {' | '.join(headings)} |", "| --- |" + " ---: |" * len(headings)]
+    note = _BACK_NOTE.format(_ALARMS_NOTE if alarms else "")
+    lines = [note, "", f"| scheme | {' | '.join(headings)} |", "| --- |" + " ---: |" * len(headings)]
     bare = {name for name, arm in bench.arms.items() if not arm.detector}
     inline = {scheme: sum(own[level][0] for level in LEVELS if level in own) for scheme, own in found.items()}
     for scheme in sorted(found, key=lambda scheme: (scheme in bare, -inline[scheme])):

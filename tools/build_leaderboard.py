@@ -49,6 +49,7 @@ _MOVED = 'Where a cell says "of", only faults in the same value count: the schem
 _FLOWN = "Flown on "
 _KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
 _UNSCORED = re.compile(r"^- .+: not scored: .+$", re.MULTILINE)
+_SCORED_PARTS = re.compile(r"^- one golden flight for each mission of these parts, .+$", re.MULTILINE)
 _PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
 _HERE = re.compile(r"^- flown here: (.+); the other rows are those published in .+, on the same faults$", re.MULTILINE)
 _CONTENTS = re.compile(r"\n\nParts:\n\n(- \[.+\n?)+")
@@ -193,7 +194,8 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
     """The page in the order of an earlier one, whose sections remain where it lacks them, each with its date.
 
     Sections of neither the page nor `titles` are dropped: their part has gone, or has another title.  Schemes that the
-    page lacks keep their rows, if faults and columns are the same.
+    page lacks keep their rows, if faults and columns are the same.  Scores of other parts do not replace those of the
+    earlier page.
     """
     top, new = _divided(page)
     head, old = _divided(earlier.partition("\n![")[0].partition(FOOTER)[0])
@@ -201,6 +203,9 @@ def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
     for title in [title for title in old if title not in titles and title not in new]:
         print(f"dropped the section {title!r}: no part has this title", file=sys.stderr)
         del old[title]
+    if has_other_scores(page, earlier):
+        print("kept the scores and curves of the earlier page: they are of other parts", file=sys.stderr)
+        new = {title: rest for title, rest in new.items() if title not in SCORED}
     for title, rest in old.items():
         old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
     for title in old.keys() & new.keys():
@@ -247,6 +252,12 @@ def _with_longer_notes(section: str, earlier: str) -> str:
     return "\n".join(
         next((note for note in old if note.startswith(f"{line}; ")), line) for line in section.splitlines()
     )
+
+
+def has_other_scores(page: str, earlier: str) -> bool:
+    """Whether an earlier page has scores, and of other parts than this one."""
+    own, others = (_SCORED_PARTS.findall(one) for one in (page, earlier))
+    return bool(others) and own != others
 
 
 def _faults(section: str) -> list[str]:
@@ -312,10 +323,10 @@ def _divided(page: str) -> tuple[str, dict[str, str]]:
     return top.rstrip(), {title: rest.rstrip() for title, _, rest in (one.partition("\n") for one in sections)}
 
 
-def _pictures(bench: Path, name: str, papers: bool) -> str:
-    """Copy the curves of a bench, with the paper's detectors or with others; the pictures of both, with captions."""
+def _pictures(bench: Path, name: str, papers: bool, kept: bool) -> str:
+    """Copy the curves of a bench, with the paper's detectors or with others, unless earlier ones are kept; captions."""
     own, others = (IMAGES / f"{name.replace('leaderboard', 'curves')}{end}.png" for end in ("", "-others"))
-    if (bench / "curves.png").is_file():
+    if (bench / "curves.png").is_file() and not kept:
         shutil.copy(bench / "curves.png", own if papers else others)
     captions = {own: "the detectors of this project", others: "detectors from other libraries, and bounds"}
     hidden = "Of curves that coincide only the last is seen."
@@ -342,7 +353,9 @@ def main(arguments: list[str]) -> int:
         page = _COMMAND.sub(r"\1", page)  # for a detector of one's own: the page has all parts of the shipped bench
         known = load_bench(NAME)
         titles = {part.title for part in known.parts.values()} | SCORED
-        page = with_earlier(page, file.read_text(encoding="utf-8") if file.exists() else "", titles)
+        earlier = file.read_text(encoding="utf-8") if file.exists() else ""
+        kept = has_other_scores(page, earlier)
+        page = with_earlier(page, earlier, titles)
         page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
         page = with_summary(in_order(page, known), known)
         freeze(bench, scale)
@@ -350,7 +363,9 @@ def main(arguments: list[str]) -> int:
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    file.write_text(banner(COMMAND) + page + _pictures(bench, name, PAPERS in compared) + FOOTER, encoding="utf-8")
+    file.write_text(
+        banner(COMMAND) + page + _pictures(bench, name, PAPERS in compared, kept) + FOOTER, encoding="utf-8"
+    )
     (GENERATED / detector_pages.PAGE.name).write_text(detector_pages.page(known), encoding="utf-8")
     if worth:
         fill(DOCS / "engineers.md", {"rules": worth})

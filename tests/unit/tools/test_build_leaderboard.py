@@ -12,7 +12,7 @@ from mavfi.config import parse
 from mavfi.errors import BadInputError
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
 from tools import build_leaderboard
-from tools.build_leaderboard import NAME, RULES, headline, in_order, main, publish, rules, with_earlier
+from tools.build_leaderboard import CURVES, NAME, RULES, SCORED, headline, in_order, main, publish, rules, with_earlier
 
 
 @pytest.fixture
@@ -206,12 +206,29 @@ def test_curves_of_other_detectors_are_a_picture_of_their_own(tmp_path, monkeypa
     monkeypatch.setattr(build_leaderboard, "IMAGES", tmp_path)
     bench = tmp_path / "bench"
     bench.mkdir()
-    assert build_leaderboard._pictures(bench, "leaderboard-paper", papers=True) == ""
+    assert build_leaderboard._pictures(bench, "leaderboard-paper", papers=True, kept=False) == ""
     for papers, drawn in ((True, "curves-paper.png"), (False, "curves-paper-others.png")):
         (bench / "curves.png").write_text(drawn)
-        text = build_leaderboard._pictures(bench, "leaderboard-paper", papers=papers)
+        text = build_leaderboard._pictures(bench, "leaderboard-paper", papers=papers, kept=False)
         assert (tmp_path / drawn).read_text() == drawn and f"(../images/{drawn})" in text
     assert text.count("![") == 2 and (tmp_path / "curves-paper.png").read_text() == "curves-paper.png"
+    (bench / "curves.png").write_text("of other parts")
+    assert build_leaderboard._pictures(bench, "leaderboard-paper", papers=False, kept=True) == text
+    assert (tmp_path / "curves-paper-others.png").read_text() == "curves-paper-others.png"
+
+
+def test_scores_of_other_parts_do_not_replace_earlier_ones():
+    def page(day, row, parts):
+        table = f"| scheme | regime |\n| --- | --- |\n{row}\n"
+        note = f"- one golden flight for each mission of these parts, their faults together: {parts}\n"
+        scores = f"## {CURVES}\n\n{table}\n{note}\n## False alarms by regime\n\n{table}"
+        return f"top\n\nFlown on {day}.\n\n## T\n\n| {day} |\n\n{scores}"
+
+    first = page(1, "| a | x |", "golden, sites")
+    other = with_earlier(page(2, "| a | y |", "state, words"), first, {"T", *SCORED})
+    assert "| 2 |" in other and other.count("| a | x |") == 2 and "| a | y |" not in other
+    same = with_earlier(page(2, "| a | y |", "golden, sites"), first, {"T", *SCORED})
+    assert same.count("| a | y |") == 2 and "| a | x |" not in same
 
 
 def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
