@@ -255,9 +255,9 @@ def _with_longer_notes(section: str, earlier: str) -> str:
 
 
 def has_other_scores(page: str, earlier: str) -> bool:
-    """Whether an earlier page has scores, and of other parts than this one."""
+    """Whether a page and an earlier one have scores, but of other parts."""
     own, others = (_SCORED_PARTS.findall(one) for one in (page, earlier))
-    return bool(others) and own != others
+    return bool(own and others) and own != others
 
 
 def _faults(section: str) -> list[str]:
