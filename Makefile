@@ -100,7 +100,7 @@ fast-forward: setup  ## fly runs of table1 with and without fast-forward, compar
 many-injections: setup  ## inject 100,000 faults in forked children, and look for leaks (N=...)
 	@$(BIN)/python -m benchmarks.many_injections $(N)
 
-bench-detectors: setup  ## fly every detector on the same faults, write docs/generated/leaderboard.md and docs/engineers.md
+bench-detectors: setup  ## fly every detector on the same faults, write docs/generated/leaderboard.md (SCALE=paper: leaderboard-paper.md, docs/engineers.md, README.md)
 	@$(BIN)/mavfi bench detectors --scale $(SCALE) --out out/bench-$(SCALE) --workers $(JOBS)
 	@$(BIN)/python -m tools.build_leaderboard out/bench-$(SCALE) $(SCALE)
 

@@ -2,9 +2,9 @@
 
 python -m tools.build_leaderboard out/bench [quick|paper]
 
-Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  A bench without the paper's detectors
-or without faults in instructions leaves engineers.md and README.md as they are; sections of the page that it did not
-fly remain, with their date, and count in the summary at the head of the page.
+Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  Scale quick, and a bench without the
+paper's detectors or without faults in instructions, leave engineers.md and README.md as they are.  Sections of the page
+that were not flown remain, with their date, and count in the summary at the head of the page.
 """
 
 import csv
@@ -270,7 +270,10 @@ def _with_pairs(section: str, earlier: str) -> str:
     """A section with the comparisons of an earlier one between schemes whose rows have not changed."""
     own, others = _schemes(section), _schemes(earlier)
     same = {name for name in own if own[name] == others.get(name)}
-    notes = [found[0] for found in _PAIR.finditer(earlier) if {found[1], found[2]} <= same and found[0] not in section]
+    here = {found.groups() for found in _PAIR.finditer(section)}
+    notes = [
+        found[0] for found in _PAIR.finditer(earlier) if set(found.groups()) <= same and found.groups() not in here
+    ]
     return "\n".join([section, *notes])
 
 
@@ -328,7 +331,10 @@ def _pictures(bench: Path, name: str, papers: bool, kept: bool) -> str:
     own, others = (IMAGES / f"{name.replace('leaderboard', 'curves')}{end}.png" for end in ("", "-others"))
     if (bench / "curves.png").is_file() and not kept:
         shutil.copy(bench / "curves.png", own if papers else others)
-    captions = {own: "the detectors of this project", others: "detectors from other libraries, and bounds"}
+    captions = {
+        own: "the detectors of this project" if others.is_file() else "the detectors above",
+        others: "detectors from other libraries, and bounds",
+    }
     hidden = "Of curves that coincide only the last is seen."
     return "".join(
         f"\n![Detection against false alarms](../images/{image.name})\n\n"
@@ -347,7 +353,8 @@ def main(arguments: list[str]) -> int:
     try:
         compared = set(load(bench / "sites").values("arm")) if (bench / "sites").is_dir() else set()
         worth = recovery = ""
-        if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared) and (bench / "instruction").is_dir():
+        whole = scale != "quick" and {PAPERS, PAPERS_OTHER, OURS}.issubset(compared)
+        if whole and (bench / "instruction").is_dir():
             worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
         page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
         page = _COMMAND.sub(r"\1", page)  # for a detector of one's own: the page has all parts of the shipped bench
