@@ -63,7 +63,7 @@ class Track:
 
 
 def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
-    """Whether a detector acts without an alarm, or answers one depending on earlier events.
+    """Whether a detector acts without an alarm, or answers one depending on earlier events other than its alarms.
 
     It seals values before they are published, has unreadable ones sent again, has steps computed twice, or waits for
     answers and restarts nodes.  Otherwise it has no effect up to its first alarm, and the publications of a flight are

@@ -117,7 +117,7 @@ class Recovery:
 
     @property
     def remembers(self) -> bool:
-        """Whether the response to an alarm depends on earlier publications and alarms, see `Remembered`."""
+        """Whether it depends on more than its own earlier alarms, on which a limit depends, see `Remembered`."""
         return self.restarts or self.degraded != "none"
 
 
@@ -153,7 +153,7 @@ class Remembered(Memory):
 class Watch:
     """Connects a detector to a loop as a tap, and executes the response to its alarms.
 
-    It is stateful only if its recovery `remembers`; its state between publications is `memory`.
+    It is stateful only if its recovery `remembers`, or limits recomputations; its state is `memory`.
 
     Args:
         loop: The flight.

@@ -254,6 +254,11 @@ def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     assert detector.accepted[-1] == values[-1][0], "it continues to take note"
 
 
+def test_the_limit_is_that_of_the_key():
+    described = MissionSpec.model_fields["same_twice"].description
+    assert f"at most {MOST_UNCHANGED} times in {ALARMS_WITHIN_US // 1_000_000} s" in described
+
+
 @pytest.mark.parametrize("hard", [True, False])
 def test_recomputations_that_change_nothing_are_limited(hard):
     flight, second, limit = Flight(), 1_000_000, Recovery(same_twice="limit")
