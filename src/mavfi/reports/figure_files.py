@@ -3,7 +3,6 @@
 import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -14,17 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.text import Text
 
 from mavfi.errors import writing
+from mavfi.reports.column import fit_to_column
 
-COLUMN, PAGE = 3.5, 7.16
-"""Widths of one column and of the page (in), in IEEE's two-column format."""
-LETTERS = 7.0
-"""Font size (pt)."""
-_LETTER, _ENTRY = 0.062, 1.15
-"""Approximate widths of a letter and of a legend entry (in)."""
-_PANELS = 2  # maximum number side by side in one column
 _DOTS_PER_INCH = 600
 _FIELDS = ("panel", "series", "x", "x_label", "y", "y_label", "low", "high")
 Row = dict[str, Any]
@@ -47,51 +39,6 @@ def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
         table.writeheader()
         table.writerows(rows)
     return paths
-
-
-def fit_to_column(figure: Figure) -> None:
-    """Resize a figure to column width, or to page width with more than two panels side by side.
-
-    Fonts, markers and lines are reduced to journal sizes, and legends and long labels are wrapped; the title of a
-    single panel is removed, since the caption replaces it.
-    """
-    width, height = figure.get_size_inches()
-    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
-    columns = max((axes.get_subplotspec().get_gridspec().ncols for axes in panels), default=1)  # type: ignore[union-attr]
-    target = COLUMN if columns <= _PANELS else PAGE
-    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns)))
-    for text in figure.findobj(Text):
-        text.set_fontsize(LETTERS)
-    for line in figure.findobj(Line2D):
-        line.set_markersize(min(line.get_markersize(), 3.5))
-        line.set_linewidth(min(line.get_linewidth(), 1.4))
-    for legend in figure.findobj(Legend):
-        _fold(figure, legend, max(1, int(target / _ENTRY)))
-    if len(panels) == 1:
-        panels[0].set_title("", loc="left")
-    labels = {axes.get_xlabel() for axes in panels}
-    if len(labels) == 1:  # individual labels of narrow panels would overlap
-        for axes in panels:
-            axes.set_xlabel("")
-        figure.supxlabel(_folded(labels.pop(), target), fontsize=LETTERS)
-    for axes in panels:
-        axes.set_xlabel(_folded(axes.get_xlabel(), target / columns))
-
-
-def _folded(label: str, width: float) -> str:
-    """Wrap a label to a width (in)."""
-    return "\n".join(line for part in label.splitlines() for line in wrap(part, int(width / _LETTER)))
-
-
-def _fold(figure: Figure, legend: Legend, columns: int) -> None:
-    """Replace a legend by one above the panels with at most `columns` columns."""
-    labels = [text.get_text() for text in legend.get_texts()]
-    handles = [handle for handle in legend.legend_handles if handle is not None]
-    legend.remove()
-    figure.legend(
-        handles, labels, loc="outside upper left", ncols=min(columns, len(labels)), fontsize=LETTERS, frameon=False,
-        handlelength=1.6, columnspacing=1.0, borderpad=0.2, labelspacing=0.3,
-    )  # fmt: skip
 
 
 def drawn_data(figure: Figure) -> Iterator[Row]:
