@@ -75,7 +75,7 @@ def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
 def _join_labels(figure: Figure, panels: Sequence[Axes]) -> None:
     """Replace equal labels below all panels by one: those of narrow panels would overlap."""
     labels = {axes.get_xlabel() for axes in panels}
-    if len(labels) == 1:
+    if len(labels) == 1 and "" not in labels:
         for axes in panels:
             axes.set_xlabel("")
         figure.supxlabel(labels.pop(), fontsize=LETTERS)

@@ -118,3 +118,11 @@ def test_wide_lines_remain_wider_than_narrow_ones():
     lines = [*axes.plot([0, 1], [0, 1], linewidth=5.0), *axes.plot([0, 1], [0, 1], linewidth=1.5)]
     fit_to_column(figure)
     assert [line.get_linewidth() for line in lines] == [2.5, 0.75]
+
+
+def test_the_note_below_a_figure_stays():
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    figure.subplots(1, 2)
+    figure.supxlabel("bar: quartiles")
+    fit_to_column(figure)
+    assert figure.get_supxlabel() == "bar: quartiles"
