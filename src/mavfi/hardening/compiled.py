@@ -3,6 +3,9 @@
 import ctypes
 from typing import Any
 
+import llvmlite.binding as llvm
+
+from mavfi.hardening.candidates import callees
 from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
@@ -38,8 +41,36 @@ class Compiled:
 
 
 def text_of(module: Module) -> str:
-    """IR of a module, without its metadata."""
-    return "\n".join([*module.preamble, *(function.text() for function in module.functions), *module.others, ""])
+    """IR of a module, without its metadata; in protected code, functions that others call are marked for `inlined`."""
+    called = set().union(*map(callees, module.functions)) if _is_protected(module) else set()
+    functions = [
+        _marked(function.text()) if function.name in called else function.text() for function in module.functions
+    ]
+    return "\n".join([*module.preamble, *functions, *module.others, ""])
+
+
+def _is_protected(module: Module) -> bool:
+    return any(one.role for function in module.functions for block in function.blocks for one in block.body)
+
+
+def _marked(text: str) -> str:
+    """A function that is inlined wherever it is called."""
+    head, body = text.split("\n", 1)
+    return f"{head.removesuffix('{')}alwaysinline {{\n{body}"
+
+
+def inlined(module: Any, machine: Any) -> Any:
+    """A module of LLVM in which marked functions are inlined, for `translate`.
+
+    Calls with many arguments take time, which in protected code pays for a part of the shadows.  No passes are run but
+    inlining and what puts the results of inlined calls into registers: others might take a shadow for its original
+    where both have been compared, or compute both by one instruction.
+    """
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_always_inliner_pass()
+    passes.add_sroa_pass()
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    return module
 
 
 def compiled(function: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> tuple[Compiled, int]:
@@ -57,7 +88,7 @@ def compiled(function: Any, signature: tuple[Any, ...], rewrite: Rewrite | None 
     module = parse_module(source.text, source.kernel)
     if rewrite is not None:
         module = rewrite(module)
-    code = Compiled(source, translate(text_of(module)), environment_of(function, signature))
+    code = Compiled(source, translate(text_of(module), inlined), environment_of(function, signature))
     return code, code.address(main_function(module, source.wrapper).name)
 
 

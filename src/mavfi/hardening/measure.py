@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.hardening.compiled import Compiled, main_function, text_of
+from mavfi.hardening.compiled import Compiled, inlined, main_function, text_of
 from mavfi.hardening.recorded import copied
 from mavfi.ir.build import Source, translate
 from mavfi.ir.module import Function, Module
@@ -50,7 +50,7 @@ class Timed(Compiled):
     @staticmethod
     def code_of(source: Source, module: Module) -> bytes:
         """Machine code of a variant of a function's module, with its loop."""
-        return translate(looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
+        return translate(looping(text_of(module), source.wrapper, main_function(module, source.wrapper)), inlined)
 
     def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
         """Ticks per repetition of a call; modifies the arguments as so many calls do."""
