@@ -1,0 +1,59 @@
+"""Machine code of modules: what is inlined, and that protected code does as the plain one."""
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from mavfi.hardening.candidates import callees, candidates
+from mavfi.hardening.compiled import compiled, inlined, text_of
+from mavfi.hardening.duplicate import protect
+from mavfi.hardening.sources import cached_source
+from mavfi.ir.build import target_machine
+from mavfi.ir.parser import parse_module
+from mavfi.kernels.perception.clearance import OCCUPIED, apply_updates
+from mavfi.numerics.voxels import Grid
+
+
+def arguments():
+    """A map update with voxels at the border and inside, twice the same one, and one outside the grid."""
+    ball = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
+    grid = Grid(0.0, 0.0, 0.0, 1.0, 6, 5, 4)
+    voxels, log_odds = np.array([0, 46, 119, 46, -1, 60], np.int32), np.array([1, 1, 1, -1, 1, np.nan], np.float32)
+    counters = [np.zeros(120, np.int16) for _ in range(2)]
+    return (voxels, log_odds, grid, np.zeros(120, np.uint8), counters[0], ball, counters[1], ball[9:18],
+            np.zeros(6, np.int32), np.zeros(6, np.uint8))  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def module():
+    apply_updates(*arguments())
+    source = cached_source(apply_updates, apply_updates.signatures[-1])
+    return parse_module(source.text, source.kernel)
+
+
+def everything(module):
+    return protect(module, candidates(module), addresses=False)
+
+
+def calls_within(module):
+    """Number of calls of a module's functions in its first one, once inlined."""
+    names = {function.name for function in module.functions}
+    called = names & set().union(*map(callees, module.functions))
+    text = str(inlined(llvm.parse_assembly(text_of(module)), target_machine()))
+    (main,) = names - called
+    body = text.split(f" {main}(", 1)[1].split("\n}\n", 1)[0]
+    return sum(body.count(f" {name}(") for name in called)
+
+
+def test_functions_of_protected_code_are_inlined_those_of_plain_code_are_not(module):
+    assert calls_within(module) > 0
+    assert calls_within(everything(module)) == 0
+
+
+def test_protected_code_does_as_the_plain_one(module):
+    plain, protected = arguments(), arguments()
+    code, _ = compiled(apply_updates, apply_updates.signatures[-1], everything)
+    assert code(*protected) == apply_updates(*plain) == 5
+    for one, other in zip(plain, protected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert protected[3][46] != OCCUPIED and protected[3][0] == OCCUPIED
