@@ -62,13 +62,14 @@ def _marked(text: str) -> str:
 def inlined(module: Any, machine: Any) -> Any:
     """A module of LLVM in which marked functions are inlined, for `translate`.
 
-    Calls with many arguments take time, which in protected code pays for a part of the shadows.  No passes are run but
-    inlining and what puts the results of inlined calls into registers: others might take a shadow for its original
-    where both have been compared, or compute both by one instruction.
+    Calls with many arguments take time, which in protected code pays for a part of the shadows.  After inlining,
+    results of calls are put into registers and loops are tested at their end.  Other passes are not run: they might
+    take a shadow for its original where both have been compared, or compute both by one instruction.
     """
     passes = llvm.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
     passes.add_sroa_pass()
+    passes.add_loop_rotate_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     return module
 
