@@ -1,6 +1,8 @@
 """Machine code of a module, plain or protected, as a function of Python."""
 
 import ctypes
+from collections.abc import Collection
+from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -41,31 +43,32 @@ class Compiled:
 
 
 def text_of(module: Module) -> str:
-    """IR of a module, without its metadata; in protected code, functions that others call are marked for `inlined`."""
-    called = set().union(*map(callees, module.functions)) if _is_protected(module) else set()
-    functions = [
-        _marked(function.text()) if function.name in called else function.text() for function in module.functions
-    ]
-    return "\n".join([*module.preamble, *functions, *module.others, ""])
+    """IR of a module, without its metadata."""
+    return "\n".join([*module.preamble, *(function.text() for function in module.functions), *module.others, ""])
 
 
-def _is_protected(module: Module) -> bool:
-    return any(one.role for function in module.functions for block in function.blocks for one in block.body)
+def code_of(module: Module, text: str) -> bytes:
+    """Machine code of a module; in protected code, functions that others call are inlined.
 
+    Calls with many arguments take time, which pays for a part of the shadows.  After inlining, results of calls are put
+    into registers and loops are tested at their end.  Other passes are not run: they might take a shadow for its
+    original where both have been compared, or compute both by one instruction.  None is run on plain code.
 
-def _marked(text: str) -> str:
-    """A function that is inlined wherever it is called."""
-    head, body = text.split("\n", 1)
-    return f"{head.removesuffix('{')}alwaysinline {{\n{body}"
-
-
-def inlined(module: Any, machine: Any) -> Any:
-    """A module of LLVM in which marked functions are inlined, for `translate`.
-
-    Calls with many arguments take time, which in protected code pays for a part of the shadows.  After inlining,
-    results of calls are put into registers and loops are tested at their end.  Other passes are not run: they might
-    take a shadow for its original where both have been compared, or compute both by one instruction.
+    Args:
+        module: The module.
+        text: Its IR, see `text_of`, with additions.
     """
+    if not any(one.role for function in module.functions for block in function.blocks for one in block.body):
+        return translate(text)
+    called = set().union(*map(callees, module.functions)) & {function.name for function in module.functions}
+    return translate(text, partial(inlined, names={name[1:].strip('"') for name in called}))
+
+
+def inlined(module: Any, machine: Any, names: Collection[str]) -> Any:
+    """A module of LLVM in which the named functions are inlined."""
+    for function in module.functions:
+        if function.name in names:
+            function.add_function_attribute("alwaysinline")
     passes = llvm.create_new_module_pass_manager()
     passes.add_always_inliner_pass()
     passes.add_sroa_pass()
@@ -89,7 +92,7 @@ def compiled(function: Any, signature: tuple[Any, ...], rewrite: Rewrite | None 
     module = parse_module(source.text, source.kernel)
     if rewrite is not None:
         module = rewrite(module)
-    code = Compiled(source, translate(text_of(module), inlined), environment_of(function, signature))
+    code = Compiled(source, code_of(module, text_of(module)), environment_of(function, signature))
     return code, code.address(main_function(module, source.wrapper).name)
 
 

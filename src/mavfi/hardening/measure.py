@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.hardening.compiled import Compiled, inlined, main_function, text_of
+from mavfi.hardening.compiled import Compiled, code_of, main_function, text_of
 from mavfi.hardening.recorded import copied
-from mavfi.ir.build import Source, translate
+from mavfi.ir.build import Source
 from mavfi.ir.module import Function, Module
 
 _REPETITIONS, _TICKS = "mavfi_repetitions", "mavfi_ticks"
@@ -50,7 +50,7 @@ class Timed(Compiled):
     @staticmethod
     def code_of(source: Source, module: Module) -> bytes:
         """Machine code of a variant of a function's module, with its loop."""
-        return translate(looping(text_of(module), source.wrapper, main_function(module, source.wrapper)), inlined)
+        return code_of(module, looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
 
     def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
         """Ticks per repetition of a call; modifies the arguments as so many calls do."""
