@@ -14,7 +14,7 @@ import numpy as np
 from mavfi.faults.sampling import draw, stage_target
 from mavfi.hosts.local import Flight, fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between

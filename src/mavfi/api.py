@@ -25,7 +25,7 @@ from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
 from mavfi.hosts.host import ArmSetup, Flight, Host, host_for
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed

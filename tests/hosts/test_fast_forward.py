@@ -19,7 +19,8 @@ from mavfi.hosts.local import branch, fast_forward, fly
 from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
-from mavfi.hosts.loop.recovery import INLINE, Recovery, Remembered
+from mavfi.hosts.loop.policy import INLINE, Recovery
+from mavfi.hosts.loop.recovery import Remembered
 from mavfi.hosts.loop.sensing import SensorMemory
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of

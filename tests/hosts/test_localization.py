@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import MemoryFault
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with

@@ -6,7 +6,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.hosts.local import fly
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.reports.explain import _fault
 from tests.hosts.missions import Scripted, golden, mission

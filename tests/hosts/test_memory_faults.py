@@ -18,7 +18,8 @@ from mavfi.faults.spec import MemoryRequest
 from mavfi.hosts.local import fly
 from mavfi.hosts.local.memory_faults import DetectorMemory, MemoryInjector, flip_bit
 from mavfi.hosts.loop.assemble import new_loop
-from mavfi.hosts.loop.recovery import Recovery, Watch
+from mavfi.hosts.loop.policy import Recovery
+from mavfi.hosts.loop.recovery import Watch
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator

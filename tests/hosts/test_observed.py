@@ -4,7 +4,7 @@ import pytest
 
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.states import ODOMETRY
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 

@@ -1,9 +1,12 @@
+from itertools import pairwise
+
 import pytest
 
 from mavfi import api
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
-from mavfi.hosts.loop.recovery import MOST_UNCHANGED, Recovery
+from mavfi.hosts.loop.policy import Recovery
+from mavfi.hosts.loop.recovery import MOST_UNCHANGED
 from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.platforms.compute import stage_latency
@@ -111,6 +114,28 @@ def test_abandoning_takes_the_next_way_point():
     assert after == before + 1
     assert after_time == when + stage_latency(mission().platform, Stage.CONTROL)
     assert flight.log.meta["recompute_us"]["control"] == stage_latency(mission().platform, Stage.CONTROL)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_without_a_next_way_point_abandoning_holds(autopilot):
+    observed = []
+    detector = Scripted("planning.waypoint", 1, "control", abandon_waypoint=True)
+    flight = fly(mission(autopilot), detector=detector, recorders=[stamped(observed)])
+    assert [(alarm.time_s, alarm.action) for alarm in flight.log.alarms] == [(0.0, "abandon")]
+    first = next(v for _, name, v in observed if name == "planning.waypoint")
+    assert int(first.header["index"][0]) == -1 and first.same_bits(detector.alarmed[0][1])
+    assert flight.log.status is MissionStatus.SUCCESS
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("state", ["control.command", "planning.waypoint"])
+def test_requests_for_the_next_way_point_without_end_keep_no_mission_from_its_goal(state, autopilot):
+    detector = Scripted(state, 0, "control", times=10**9, abandon_waypoint=True)
+    spec = with_keys_of(MissionSpec(environment="dense", seed=7, autopilot=autopilot), detector)
+    log = api.fly(spec, detector=detector).log
+    assert log.status is MissionStatus.SUCCESS
+    times = [alarm.time_s for alarm in log.alarms]
+    assert len(times) > 1 and all(later - time > 9.999 for time, later in pairwise(times))
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)

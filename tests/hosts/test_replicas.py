@@ -11,7 +11,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.ros1.plan import check_supported
 from mavfi.hosts.watching import detector_for

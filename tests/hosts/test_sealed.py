@@ -12,7 +12,7 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.states import KERNELS
 from tests.hosts.instruction.test_detectors import faults, scenario  # noqa: F401 - a fixture
 from tests.hosts.missions import fault, golden, mission

@@ -26,7 +26,7 @@ from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_fa
 from mavfi.faults.fault import Fault
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.ir.forked import WALL_CLOCK, run_in_child
 from mavfi.mission import Scenario

@@ -25,7 +25,7 @@ from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.decision import SCANNING, Action
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline

@@ -201,7 +201,7 @@ def _score(task: _Task) -> dict[str, _Kept]:
     log = fly(scenario, recorders=[scorer]).log
     hours = quality_of_flight(log).flight_time_s / 3600
     for kept in scorer.kept.values():
-        kept.exposure.hours = hours
+        kept.exposure.environment, kept.exposure.hours = task.mission.environment, hours
     return scorer.kept
 
 

@@ -149,7 +149,7 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     from mavfi.cli.fly import load_watcher
     from mavfi.hosts.host import ArmSetup
     from mavfi.hosts.loop.compose import resolve
-    from mavfi.hosts.loop.recovery import Recovery
+    from mavfi.hosts.loop.policy import Recovery
     from mavfi.hosts.watching import with_keys_of
 
     if request is None:

@@ -8,7 +8,7 @@ from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import Fault
 from mavfi.hosts.host import ArmSetup, Flight
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports.explain import Lines, detector_name, end_of, lines, steps, verdict
 from mavfi.reports.flight_result import FlightResult

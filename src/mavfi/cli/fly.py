@@ -67,7 +67,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
         from mavfi.hosts.loop.compose import resolve
-        from mavfi.hosts.loop.recovery import Recovery
+        from mavfi.hosts.loop.policy import Recovery
         from mavfi.hosts.watching import with_keys_of
 
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)

@@ -79,7 +79,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     finder.require()
     from mavfi.hosts.loop.compose import resolve
-    from mavfi.hosts.loop.recovery import Recovery
+    from mavfi.hosts.loop.policy import Recovery
     from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from mavfi.detectors.bounded import limited
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
@@ -103,12 +104,16 @@ class Admission(NamedTuple):
 
 
 def admission(detector: Detector) -> Admission:
-    """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these."""
+    """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these.
+
+    A detector that is not part of mavfi has a time limit; a call that exceeds it raises `bounded.StuckError`.
+    """
+    check, accept = limited(detector, "check"), limited(detector, "accept")
 
     def admit(state: State, time_us: int) -> Alarm | None:
-        alarm = detector.check(state, time_us)
+        alarm: Alarm | None = check(state, time_us)
         if alarm is None:
-            detector.accept(state, time_us)
+            accept(state, time_us)
         return alarm
 
     most = min(_level_of(detector, "check"), _level_of(detector, "accept"))

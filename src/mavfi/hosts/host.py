@@ -11,7 +11,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.flight_record import FlightRecord, record_of
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import load_object
 

@@ -110,9 +110,10 @@ class SetpointGenerator(Remembers):
         return self._governed_point() if self._governed else self._held_point()
 
     def abandon(self, time_us: int) -> list[State]:
-        """Skip from the way-point in force to the next one."""
+        """Skip from the way-point in force to the next one; before any trajectory there is the initial hold only."""
         if self.memory.now.trajectory is None:
-            return self.step(time_us)
+            first = self.memory.now.last_seq < 0  # nothing may have been received yet
+            return self.step(time_us) or ([self._hold()] if first else [])
         if self._governed:
             position, rate, change = self.memory.now.clock
             self._set(clock=(position + 1.0, rate, change))

@@ -9,7 +9,7 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
-from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, INSTANT, LIMITED, SILENCED
+from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, INSTANT, LIMITED, SILENCED, STUCK
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.reports.text import change, lost, signed_percent
@@ -236,6 +236,7 @@ def _path(parted: Departure) -> str:
 
 _UNANSWERED = {
     LIMITED: "no response to further alarms for a while, {alarms} had changed nothing (same_twice: limit)",
+    STUCK: "the detector is disabled from then on, a call of it did not return within {seconds:g} s",
     SILENCED: "no response to further alarms, the detector is faulty: {alarms} on violated rules had changed nothing",
 }
 """What follows from these events."""
@@ -243,7 +244,8 @@ _UNANSWERED = {
 
 def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARMS) -> Lines:
     """Number of alarms, then up to `most` of them, those within `AFTERMATH` of the injection first."""
-    if not log.alarms:
+    events = {event.kind: event for event in log.events if event.kind in _UNANSWERED}
+    if not (log.alarms or events):
         return []
     near, others = around(log)
     known = set() if golden is None else {_key(alarm) for alarm in golden.alarms}
@@ -255,7 +257,6 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARM
     story = [("alarms", ", ".join(parts))]
     story += [("", _alarm(alarm, also=_key(alarm) in known)) for alarm in (*near, *others)[:most]]
     story += [("", f"and {len(log.alarms) - most} more")] if len(log.alarms) > most else []
-    events = {event.kind: event for event in log.events if event.kind in _UNANSWERED}
     return story + [("", _UNANSWERED[kind].format(**event.data)) for kind, event in events.items()]
 
 

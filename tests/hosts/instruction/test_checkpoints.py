@@ -18,7 +18,7 @@ from mavfi.hosts.local.branch import Branch
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.forks import WatchedArm, fly_from_checkpoints
 from mavfi.hosts.local.mission_flights import LocalHost
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from tests.hosts.missions import Scripted, mission

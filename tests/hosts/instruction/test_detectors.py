@@ -12,7 +12,7 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.forking import ForksFromTakeOff
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tests.hosts.missions import Scripted

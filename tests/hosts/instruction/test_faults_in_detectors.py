@@ -25,7 +25,8 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery, Remembered
+from mavfi.hosts.loop.policy import Recovery
+from mavfi.hosts.loop.recovery import Remembered
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus

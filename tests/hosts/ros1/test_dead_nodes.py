@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import INLINE, MOST_ALARMS, Recovery, Watch
+from mavfi.hosts.loop.policy import INLINE, Recovery
+from mavfi.hosts.loop.recovery import MOST_ALARMS, Watch
 from mavfi.hosts.loop.restarts import CHANGES, Restarts
 from mavfi.hosts.ros1.ports import Kept
 from mavfi.hosts.ros1.taps import Shadow

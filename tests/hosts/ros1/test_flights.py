@@ -17,7 +17,8 @@ from mavfi.errors import MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
-from mavfi.hosts.loop.recovery import MOST_UNCHANGED, Recovery
+from mavfi.hosts.loop.policy import Recovery
+from mavfi.hosts.loop.recovery import MOST_UNCHANGED
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure

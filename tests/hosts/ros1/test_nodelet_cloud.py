@@ -16,7 +16,7 @@ from mavfi.errors import BadInputError
 from mavfi.flight_log import Event, Injection
 from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.nodelet_cloud import points_of

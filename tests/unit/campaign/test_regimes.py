@@ -38,8 +38,8 @@ def test_regimes_are_those_of_their_definition(autopilot):
     assert {SAME, NEW, TRAJECTORY, NONE} == set(found)
 
 
-def exposure(hours, judged, alarms):
-    return Exposure(hours, judged, alarms)
+def exposure(hours, judged, alarms, environment="dense"):
+    return Exposure(hours, judged, alarms, environment)
 
 
 def test_rates_by_regime_add_up_and_have_their_own_exposure():
@@ -54,6 +54,22 @@ def test_rates_by_regime_add_up_and_have_their_own_exposure():
     assert none["per_hour"].per_hour == 0.0 and none["per_hour"].high > 0.0
     assert same["per_hour"].low <= 0.5 <= same["per_hour"].high
     assert "4.00 h" in found.notes[0]
+
+
+def test_rates_of_environments_count_their_flights_alone():
+    flights = [
+        exposure(1.0, [10, 10, 0, 0], [2, 1, 0, 0]),
+        exposure(1.0, [10, 10, 0, 0], [1, 0, 0, 0]),
+        exposure(4.0, [40, 40, 0, 0], [0, 2, 0, 0], "farm"),
+    ]
+    found = table({"one": flights, "two": flights[:2]})
+    assert [column.heading for column in found.columns[-3:]] == ["per hour of flight", "dense", "farm"]
+    shown = [(row["arm"], row["regime"], *(None if row[key] is None else (row[key].events, row[key].hours)
+             for key in ("per_hour", "dense", "farm"))) for row in found.entries()]  # fmt: skip
+    assert shown == [
+        ("one", NAMES[SAME], (3, 6.0), (3, 2.0), (0, 4.0)), ("one", NAMES[NEW], (3, 6.0), (1, 2.0), (2, 4.0)),
+        ("two", NAMES[SAME], (3, 2.0), (3, 2.0), None), ("two", NAMES[NEW], (1, 2.0), (1, 2.0), None),
+    ]  # fmt: skip
 
 
 def test_only_scores_above_one_are_alarms():

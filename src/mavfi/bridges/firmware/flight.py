@@ -16,9 +16,9 @@ from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import CONTROLLER_LOST
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.record import Record
-from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.mission import Scenario

@@ -30,7 +30,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.local.mission_flights import LocalFlights
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.ir.build import Rewriting, name_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions

@@ -24,7 +24,7 @@ from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
 from mavfi.hosts.instruction.case import check_watched
 from mavfi.hosts.local.memory_faults import memory_of
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US, Loop
 from mavfi.mission import Scenario
 from mavfi.pipeline.words import Words, collapsed, words_of

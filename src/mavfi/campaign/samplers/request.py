@@ -9,7 +9,7 @@ from mavfi.faults.sensor.fault import RANDOM, SensorFault
 from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, SensorRequest, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.mission import Scenario
 from mavfi.states import GUARDS, WATCHING

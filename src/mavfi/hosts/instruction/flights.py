@@ -10,7 +10,7 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import Published, flight_of
 from mavfi.hosts.instruction.forking import ForksFromTakeOff
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 
 

@@ -34,8 +34,8 @@ from mavfi.hosts.instruction.case import DETECTED, WAITING, Case, ChildReport, O
 from mavfi.hosts.instruction.protected import alarm_of, is_detection, paired, repetition_of, rewriting_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.protection import check_flown
-from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.ir.build import name_of

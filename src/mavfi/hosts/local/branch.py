@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavfi.detectors.bounded import StuckError
 from mavfi.detectors.detector import Detector, admission
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, keeper_of, put, take
 from mavfi.hosts.loop.assemble import install, restarts_for
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.states import State
 
@@ -224,11 +225,17 @@ class Branch:
         return self._detector.same(saved) and self._tap.memory.same(alarms)
 
     def _alarms(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
-        """Whether the detector, which must not be None, raises an alarm on publications of another flight."""
+        """Whether the detector, which must not be None, raises an alarm on publications of another flight.
+
+        One that does not return is asked again in the flight.
+        """
         assert self._detector is not None  # precondition
         watched, admit = self.loop.taps.watched, admission(self._detector.content)
         seen = (one for one in track.shown[here.shown : there.shown] if watched is None or one[0].spec.name in watched)
-        return any(admit(state, now) is not None for state, now in seen)
+        try:
+            return any(admit(state, now) is not None for state, now in seen)
+        except StuckError:
+            return True
 
     # ---- flying -----------------------------------------------------------------------------------------------------
     def fly(self) -> Track:

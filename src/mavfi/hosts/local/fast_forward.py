@@ -29,7 +29,7 @@ from mavfi.hosts.local.branch import Branch, Share, Track, takes_part
 from mavfi.hosts.local.checkpoints import Instant, has_scratch, put, take
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.golden_prefix import prefix_of
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.sim.controller import is_rewindable

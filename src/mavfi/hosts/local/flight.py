@@ -11,8 +11,8 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.plant import MakePlant
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.protection import check_flown
-from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.hosts.loop.taps import Recorder

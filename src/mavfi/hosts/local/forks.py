@@ -22,7 +22,7 @@ from mavfi.hosts.local.branch import Branch, Track
 from mavfi.hosts.local.checkpoints import fill, put
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, prefix_of
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 
 

@@ -7,7 +7,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction import fly_with_publications
 from mavfi.hosts.instruction.case import Published
 from mavfi.hosts.local.flight import LocalFault, fly
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.states import State
 

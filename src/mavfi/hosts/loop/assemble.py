@@ -7,7 +7,8 @@ from mavfi.detectors.detector import Detector, check_states
 from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.loop.duplicate import Duplicates
 from mavfi.hosts.loop.plant import MakePlant
-from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
+from mavfi.hosts.loop.policy import INLINE, Recovery
+from mavfi.hosts.loop.recovery import Watch
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import Scenario

@@ -2,16 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from mavfi.detectors.detector import Alarm
 from mavfi.flight_log import AlarmRecord
+from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.loop.waiting import WAYPOINT
 from mavfi.kernels.recovery import response as responses
 from mavfi.states import KERNELS, STAGE_KERNELS, Stage, State, StateSpec
-
-if TYPE_CHECKING:
-    from mavfi.hosts.loop.recovery import Recovery
 
 After = Literal["", "resend", "recompute"]
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
@@ -53,7 +51,7 @@ _AFTER = {"": responses.FIRST, "resend": responses.RESENT, "recompute": response
 
 
 def decide(
-    alarm: Alarm, spec: StateSpec, recovery: "Recovery", *, after: After = "", uncured: bool = False,
+    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: After = "", uncured: bool = False,
     respond: Callable[..., int] = responses.respond,
 ) -> Action | None:  # fmt: skip
     """Select the response to an alarm on a value of state `spec`.

@@ -15,18 +15,18 @@ next image for perception, at the next IMU sample for the state estimator.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 from weakref import proxy
 
+from mavfi.detectors.bounded import LIMIT_S, StuckError, limited
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.detectors.sealed import DIFFERENT
-from mavfi.errors import BadInputError
-from mavfi.flight_record import LIMITED, SILENCED
+from mavfi.flight_record import LIMITED, SILENCED, STUCK
 from mavfi.hosts.loop.decision import Action, After, Awaited, decide, record_of
-from mavfi.hosts.loop.degraded import MODES, Degraded, Setpoints, Trail
+from mavfi.hosts.loop.degraded import MODES, Setpoints, Trail
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
 from mavfi.kernels.recovery import response as responses
-from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.numerics.jit import entry
 from mavfi.pipeline.memory import Memory
 from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec
@@ -34,9 +34,6 @@ from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec
 if TYPE_CHECKING:
     from mavfi.hosts.loop.scheduler import Loop
 
-Coupling = Literal["inline", "observer"]
-Grain = Literal["stage", "kernel", "message"]
-SameTwice = Literal["accept", "escalate", "limit"]
 COMMAND = "control.command"
 UNREADABLE = "unreadable"
 """Source of the alarm on a message that its consumers cannot read."""
@@ -50,79 +47,8 @@ PERSISTS_US, GAP_US = 2_000_000, 500_000
 MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
 """Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
 MOST_UNCHANGED = 5
-"""Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond."""
-
-
-@dataclass(frozen=True, slots=True)
-class Recovery:
-    """Recovery policy for the alarms of a detector; the attributes are keys of a mission.
-
-    Attributes:
-        coupling: Coupling of the detector, see the module.
-        grain: Unit of repetition: the `stage` with its latency; only the `kernel` that wrote the value; or its
-            `message`, which the producer retransmits from its copy at no modelled cost, also if it cannot be read.
-        same_twice: Policy for a recomputation that violates a rule again (`Alarm.hard`): `accept` it, or `escalate` to
-            a restart of the node (coupling `inline` only), or `limit` the rate of recomputations that change nothing,
-            so that a detector that raises alarms without end cannot delay a flight at each step.
-        answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
-            0 = none.
-        degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
-            continues the mission, all others give it up, see `degraded.Setpoints`.
-        copies: Number of copies of the detector that vote on an alarm, see `detectors.replicas`.
-
-    Raises:
-        BadInputError: A degraded mode with coupling `observer`, which cannot withhold commands.
-    """
-
-    coupling: Coupling = "inline"
-    grain: Grain = "stage"
-    same_twice: SameTwice = "accept"
-    answer_s: float = 0.0
-    degraded: Degraded = "none"
-    copies: int = 1
-
-    def __post_init__(self) -> None:
-        if self.degraded != "none" and self.coupling != "inline":
-            raise BadInputError(f"degraded: {self.degraded}: withholds commands; allowed: with coupling inline")
-
-    @staticmethod
-    def of(spec: MissionSpec) -> "Recovery":
-        """The recovery policy of a mission."""
-        return Recovery(*(getattr(spec, key) for key in RECOVERY))
-
-    @property
-    def escalates(self) -> bool:
-        """Whether a rule violated twice restarts a node; not with an observer, as its values are consumed first."""
-        return self.same_twice == "escalate" and self.coupling == "inline"
-
-    @property
-    def restarts(self) -> bool:
-        """Whether the policy includes node restarts."""
-        return self.escalates or self.answer_s > 0
-
-    @property
-    def limits(self) -> bool:
-        """Whether the rate of recomputations without a change is limited."""
-        return self.same_twice == "limit"
-
-    @property
-    def confirms(self) -> bool:
-        """Whether another value after an alarm confirms it; an observer's next value differs in any case."""
-        return not self.limits or self.coupling == "inline"
-
-    @property
-    def resends(self) -> bool:
-        """Whether the producer's copy is retransmitted."""
-        return self.grain == "message"
-
-    @property
-    def remembers(self) -> bool:
-        """Whether it depends on more than its own earlier alarms, on which a limit depends, see `Remembered`."""
-        return self.restarts or self.degraded != "none"
-
-
-INLINE = Recovery()
-"""A gate that repeats the stage and accepts the result, even if it is the same value."""
+"""Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond.  A
+way-point that is skipped counts as so many: it changes the route, and several can lead into an obstacle."""
 
 
 @dataclass(slots=True)
@@ -132,7 +58,7 @@ class Remembered(Memory):
     Attributes:
         restarts_left: Remaining number of node restarts.
         degraded: Whether it is in degraded mode: it replaces every command and checks nothing.
-        silenced: Whether the detector is disabled as faulty.
+        silenced: Whether the detector is disabled as faulty or stuck.
         first_us: First instant of a contiguous series of hard alarms (us).
         last_us: Its last instant (us).
         hard: Instants of the latest alarms that count against the detector (us): with `limit` all, else the hard ones.
@@ -148,6 +74,10 @@ class Remembered(Memory):
     hard: list[int] = field(default_factory=list)
     waiting: Waiting = field(default_factory=Waiting)
     trail: Trail = field(default_factory=Trail)
+
+
+def _ignore(state: State, now: int) -> None:
+    """Instead of `accept`."""
 
 
 class Watch:
@@ -178,6 +108,7 @@ class Watch:
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self._at_once, self._otherwise = admission(detector)
+        self._accept, self._seal = limited(detector, "accept"), limited(detector, "seal")
         self._respond = entry(loop.functions.respond, responses.FIRST, *[False] * 5)
         self.forget()
         states = getattr(detector, "states", None)
@@ -187,7 +118,6 @@ class Watch:
             self._setpoints = Setpoints(recovery.degraded, loop.scenario.v_max)
             always |= {COMMAND} | self._setpoints.states
         self.states = None if states is None else always.union(states)
-        self._seal = getattr(detector, "seal", None)
         self.seals = self._seal is not None or recovery.resends
         self._answer = None
         if recovery.answer_s:
@@ -205,11 +135,14 @@ class Watch:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state
         if self._seal is not None:
-            self._seal(state, now)
+            try:
+                self._seal(state, now)
+            except StuckError:
+                self._give_up(now)
 
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
-        detector, memory = self._detector, self.memory
+        memory = self.memory
         awaited = self._loop.awaited.pop(state.spec.name, None)
         self.alarm = self.action = None
         if self._setpoints is not None and state.spec.name in self._setpoints.states:
@@ -217,14 +150,20 @@ class Watch:
         if self._setpoints is not None and memory.degraded:
             return self._setpoints.command(memory.trail, state) if state.spec.name == COMMAND else state
         asks = self._asks(awaited) and not self._is_limited(now)
-        alarm = self._otherwise(state, now) if asks and self._at_once[state.spec.name](state.header) else None
+        alarm = None
+        try:
+            if asks and self._at_once[state.spec.name](state.header):
+                alarm = self._otherwise(state, now)
+        except StuckError:
+            asks = False
+            self._give_up(now)
         admitted = asks and alarm is None
         if admitted and awaited is None:  # almost always
             self._keep_waiting(state, now)
             return state
         action = self._choose(alarm, state.spec, now, awaited)
         if not admitted and (action is None or self._recovery.coupling == "observer"):
-            detector.accept(state, now)
+            self._note(state, now)
         if awaited is not None:
             self._settle(awaited, state)
         if action is None:
@@ -233,6 +172,19 @@ class Watch:
         self._respond_to(state.spec, state, now)
         withheld = action.withholds or (action.kind in MODES and state.spec.name == COMMAND)
         return None if withheld else state
+
+    def _note(self, state: State, now: int) -> None:
+        """Pass a published value to the detector that it has not admitted itself."""
+        try:
+            self._accept(state, now)
+        except StuckError:
+            self._give_up(now)
+
+    def _give_up(self, now: int) -> None:
+        """Disable a detector of which a call did not return."""
+        if not self.memory.silenced:
+            self._silence(now, STUCK, seconds=LIMIT_S)
+        self._accept, self._seal = _ignore, None
 
     def lost(self, state: State, now: int) -> bool:
         """Respond to a message that its consumers cannot read; False = there is no response.
@@ -282,7 +234,7 @@ class Watch:
         """Record and execute the response to the alarm on a value; `rejected`: the value, None = it is unreadable."""
         assert self.alarm is not None and self.action is not None  # precondition
         if self._recovery.limits or (self.alarm.hard and self._recovery.restarts):
-            self._count(now)
+            self._count(now, MOST_UNCHANGED if self._recovery.limits and self.action.kind == "abandon" else 1)
         self._loop.record.alarms.append(record_of(self.alarm, self.action, spec.name, now))
         self._execute(self.action, rejected, now)
 
@@ -313,16 +265,20 @@ class Watch:
         used_up = again and self._recovery.restarts and not self._may_restart
         return used_up or now - memory.first_us > PERSISTS_US
 
-    def _count(self, now: int) -> None:
+    def _count(self, now: int, times: int) -> None:
         """Count an alarm against the detector; disable one with too many of them as faulty."""
         hard = self.memory.hard
-        hard.append(now)
+        hard += [now] * times
         del hard[:-MOST_ALARMS]
         if self._is_limited(now):
             self._loop.record.note(now, LIMITED, {"alarms": MOST_UNCHANGED})
         if len(hard) == MOST_ALARMS and now - hard[0] < ALARMS_WITHIN_US:
-            self.memory.silenced = True
-            self._loop.record.note(now, SILENCED, {"alarms": MOST_ALARMS})
+            self._silence(now, SILENCED, alarms=MOST_ALARMS)
+
+    def _silence(self, now: int, kind: str, **data: float) -> None:
+        """Ask the detector no more in this flight."""
+        self.memory.silenced = True
+        self._loop.record.note(now, kind, data)
 
     def _settle(self, awaited: Awaited, state: State | None) -> None:
         """Record the outcome of a recomputation, given the response to its result (None = an unreadable one)."""

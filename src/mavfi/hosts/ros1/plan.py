@@ -9,7 +9,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault, StateFault
 from mavfi.faults.sensor.fault import SensorFault
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
 from mavfi.mission import FROM_MEMORY, DeadNode, MissionSpec, Scenario

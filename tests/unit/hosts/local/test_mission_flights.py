@@ -11,7 +11,7 @@ from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local import mission_flights
 from mavfi.hosts.local.forks import InjectedRuns
 from mavfi.hosts.local.mission_flights import LocalHost
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.policy import INLINE, Recovery
 
 SITE = FaultSite("control.command", "vx")
 FAULT, NULL = StateFault(SITE, 5, 62), StateFault(SITE, 5)

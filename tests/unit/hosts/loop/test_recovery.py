@@ -16,16 +16,8 @@ from mavfi.flight_record import LIMITED, SILENCED
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.decision import Action, decide, record_of
-from mavfi.hosts.loop.recovery import (
-    ALARMS_WITHIN_US,
-    INLINE,
-    MOST_ALARMS,
-    MOST_RESTARTS,
-    MOST_UNCHANGED,
-    RESTART_US,
-    Recovery,
-    Watch,
-)
+from mavfi.hosts.loop.policy import INLINE, Recovery
+from mavfi.hosts.loop.recovery import ALARMS_WITHIN_US, MOST_ALARMS, MOST_RESTARTS, MOST_UNCHANGED, RESTART_US, Watch
 from mavfi.hosts.watching import with_keys_of
 from mavfi.kernels.recovery.response import DEGRADE, RESTART
 from mavfi.mission import MissionSpec, MissionStatus

@@ -1,0 +1,51 @@
+"""A time limit on calls of detectors that are not part of mavfi: one that never returns must not block a flight.
+
+Here alone a flight depends on the wall clock; without the limit it would not end.
+"""
+
+import signal
+import threading
+from collections.abc import Callable
+from typing import Any
+
+LIMIT_S = 60.0
+"""Wall time of a call (s), as on ROS."""
+
+
+class StuckError(BaseException):
+    """A call did not return in time; not an `Exception`, since the code called may handle those."""
+
+
+def limited(detector: Any, method: str) -> Any:  # noqa: ANN401 - a user's own
+    """A method of a detector, with the limit if it, or one of its parts, is not part of mavfi; None = it has none."""
+    call = getattr(detector, method, None)
+    return bounded(call) if call is not None and _is_foreign(detector) else call
+
+
+def bounded(call: Callable[..., Any]) -> Callable[..., Any]:
+    """A call with the limit in the main thread; other threads receive no signals.
+
+    The limit stops Python code and system calls, not compiled code.
+    """
+
+    def timed(*args: Any) -> Any:  # noqa: ANN401
+        if threading.current_thread() is not threading.main_thread():
+            return call(*args)
+        before = signal.signal(signal.SIGALRM, _stop)
+        timer = signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
+        try:
+            return call(*args)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, *timer)
+            signal.signal(signal.SIGALRM, before or signal.SIG_DFL)
+
+    return timed
+
+
+def _is_foreign(detector: Any) -> bool:  # noqa: ANN401
+    own = type(detector).__module__.startswith("mavfi.")
+    return not own or any(map(_is_foreign, getattr(detector, "parts", ())))
+
+
+def _stop(number: int, frame: Any) -> None:  # noqa: ANN401
+    raise StuckError
