@@ -27,7 +27,8 @@ class Timing:
     """Time of variants of a function over recorded calls.
 
     Attributes:
-        ratios: Time of each variant / time of plain code: median over rounds.
+        ratios: Time of each variant / time of plain code, over all recorded calls: mean of the ratios of calls, each a
+            median over rounds, weighted by the time of plain code.
         ticks: Ticks of the time stamp counter per plain call: mean over the recorded calls.
     """
 
@@ -103,17 +104,28 @@ def compare(
 ) -> Timing:  # fmt: skip
     """Time variants in turn on recorded calls, until `enough` of the number of rounds, each with one call.
 
-    The order of the variants changes from round to round; each runs on a copy of the arguments.
+    The order of the variants changes from round to round; each runs on a copy of the arguments.  A short call follows
+    one that is not timed: between so many variants the caches hold none of its code.
     """
     clocks = {"": plain, **variants}
     names = list(clocks)
     rows: list[dict[str, float]] = []
     first = min(plain(copied(calls[0]), 1) for _ in range(3))
     repetitions = int(np.clip(_LONG_ENOUGH / max(first, 1.0), 1, _MOST_REPETITIONS))
+
+    def timed(clock: Clock, args: tuple[Any, ...]) -> float:
+        if repetitions > 1:
+            clock(copied(args), 1)
+        return clock(copied(args), repetitions)
+
     while len(rows) < max(_FEWEST_ROUNDS, len(calls)) or not enough(len(rows)):
         place = len(rows) % len(names)
         args = calls[len(rows) % len(calls)]
-        rows.append({name: clocks[name](copied(args), repetitions) for name in names[place:] + names[:place]})
-    ratios = {name: float(np.median([row[name] / row[""] for row in rows])) for name in variants}
-    by_call = [float(np.median([row[""] for row in rows[place :: len(calls)]])) for place in range(len(calls))]
-    return Timing(ratios, float(np.mean(by_call)))
+        rows.append({name: timed(clocks[name], args) for name in names[place:] + names[:place]})
+    by_call = [rows[place :: len(calls)] for place in range(len(calls))]
+    plainly = np.array([np.median([row[""] for row in own]) for own in by_call])
+    ratios = {
+        name: float(np.average([np.median([row[name] / row[""] for row in own]) for own in by_call], weights=plainly))
+        for name in variants
+    }
+    return Timing(ratios, float(plainly.mean()))

@@ -28,26 +28,41 @@ def test_a_call_repeats_the_kernel_and_reads_the_counter():
     assert total[0] == 9.0
 
 
-def test_ratios_are_medians_within_rounds_and_each_call_weighs_the_same():
-    slow, order = [1.0], []
+def clocks(order, slower=1.01):
+    """Plain code and two variants, on a machine that gets slower all the time; `b` takes longer in short calls."""
+    slow = [1.0]
 
-    def clock(factor, name):
+    def clock(name, factor):
         def ticks(args, repetitions):
-            order.append(name)
-            slow[0] *= 1.01  # the machine gets slower all the time
-            return args[0] * factor * slow[0]
+            order.append((name, repetitions))
+            slow[0] *= slower
+            return args[0] * factor(args[0]) * slow[0]
 
         return ticks
 
-    found = compare(
-        clock(1.0, "plain"), {"a": clock(1.5, "a"), "b": clock(3.0, "b")}, [(1e5,), (3e5,)], lambda n: n >= 30
-    )
-    assert found.ratios == pytest.approx({"a": 1.5, "b": 3.0}, rel=0.03)
-    assert len(order) == 3 + 3 * 30
-    assert {tuple(order[3 + 3 * i : 6 + 3 * i]) for i in range(30)} == {
+    plain = clock("plain", lambda _: 1.0)
+    return plain, {"a": clock("a", lambda _: 1.5), "b": clock("b", lambda long: 2.0 if long > 2e5 else 6.0)}
+
+
+def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
+    order = []
+    found = compare(*clocks(order), [(1e5,), (3e5,)], lambda n: n >= 30)
+    assert found.ratios == pytest.approx({"a": 1.5, "b": (1e5 * 6.0 + 3e5 * 2.0) / 4e5}, rel=0.03)
+    names = [name for name, _ in order]
+    assert len(names) == 3 + 3 * 30
+    assert {tuple(names[3 + 3 * i : 6 + 3 * i]) for i in range(30)} == {
         ("plain", "a", "b"), ("a", "b", "plain"), ("b", "plain", "a"),
     }  # fmt: skip
     assert found.ticks > 2e5 * 0.9
+
+
+def test_a_short_call_follows_one_that_is_not_timed():
+    order = []
+    found = compare(*clocks(order, slower=1.0), [(1e4,)], lambda n: n >= 9)
+    assert found.ratios == pytest.approx({"a": 1.5, "b": 6.0})
+    pairs = list(zip(order[3::2], order[4::2], strict=True))
+    assert len(pairs) == 27 and {(first, second) for (_, first), (_, second) in pairs} == {(1, 6)}
+    assert all(one == other for (one, _), (other, _) in pairs)
 
 
 def test_arguments_of_recorded_calls_are_not_modified():
