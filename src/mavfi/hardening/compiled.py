@@ -13,6 +13,10 @@ from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
 from mavfi.ir.parser import parse_module
 
+_LIBRARY = "_ZN5numba"
+"""Start of the names of Numba's own functions; not inlined, since most compose messages of exceptions, and take long to
+translate."""
+
 
 class Compiled:
     """A function of one signature; call it with arguments of these types only.
@@ -60,8 +64,14 @@ def code_of(module: Module, text: str) -> bytes:
     """
     if not any(one.role for function in module.functions for block in function.blocks for one in block.body):
         return translate(text)
-    called = set().union(*map(callees, module.functions)) & {function.name for function in module.functions}
-    return translate(text, partial(inlined, names={name[1:].strip('"') for name in called}))
+    own = {name for function in module.functions if not (name := _plain(function.name)).startswith(_LIBRARY)}
+    called = set().union(*map(callees, module.functions))
+    return translate(text, partial(inlined, names=own & set(map(_plain, called))))
+
+
+def _plain(name: str) -> str:
+    """Name of a function as LLVM has it, without the sigil and quotation marks of the IR."""
+    return name[1:].strip('"')
 
 
 def inlined(module: Any, machine: Any, names: Collection[str]) -> Any:
