@@ -10,6 +10,7 @@ from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import translate
 from mavfi.ir.parser import parse_module
 from mavfi.kernels.perception.clearance import OCCUPIED, apply_updates
+from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid
 
 
@@ -44,6 +45,21 @@ def test_functions_of_protected_code_are_inlined(module):
     main, *called = (function.name for function in module.functions)
     assert called and compiled_apart(module) == [main, *called]
     assert compiled_apart(everything(module)) == [main]
+
+
+@kernel_jit
+def copy_into(out, values):
+    """Numba's own function composes the message about different shapes."""
+    out[1:] = values
+    return out.sum()
+
+
+def test_functions_of_numba_are_not_inlined():
+    copy_into(np.zeros(4), np.ones(3))
+    source = cached_source(copy_into, copy_into.signatures[-1])
+    module = parse_module(source.text, source.kernel)
+    library = [function.name for function in module.functions if "@_ZN5numba" in function.name]
+    assert library and set(library) <= set(compiled_apart(everything(module)))
 
 
 def test_plain_code_is_as_numba_makes_it(module):
