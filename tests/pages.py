@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from tests.architecture.source import ROOT
 
@@ -54,7 +54,11 @@ def serving(command, says, folder, patience_s=120.0):
                 output += part
             yield process
             process.send_signal(signal.SIGINT)
-            process.communicate(timeout=60)
+            with suppress(subprocess.TimeoutExpired):
+                process.communicate(timeout=20)
+            if process.poll() is None:  # the first one arrived in a destructor, whose exceptions Python ignores
+                process.send_signal(signal.SIGINT)
+                process.communicate(timeout=60)
             assert process.returncode in (0, 130)
         finally:
             process.kill()

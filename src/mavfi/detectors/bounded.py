@@ -17,9 +17,17 @@ class StuckError(BaseException):
 
 
 def limited(detector: Any, method: str) -> Any:  # noqa: ANN401 - a user's own
-    """A method of a detector, with the limit if it, or one of its parts, is not part of mavfi; None = it has none."""
-    call = getattr(detector, method, None)
-    return bounded(call) if call is not None and _is_foreign(detector) else call
+    """A method of a detector, with the limit if it, or one of its parts, is not part of mavfi; None = it has none.
+
+    Like a call, it takes the method that the detector has by then.
+    """
+    if getattr(detector, method, None) is None:
+        return None
+
+    def call(*args: Any) -> Any:  # noqa: ANN401
+        return getattr(detector, method)(*args)
+
+    return bounded(call) if _is_foreign(detector) else call
 
 
 def bounded(call: Callable[..., Any]) -> Callable[..., Any]:

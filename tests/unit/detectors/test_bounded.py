@@ -9,8 +9,10 @@ import pytest
 
 from mavfi.detectors import bounded as module
 from mavfi.detectors.bounded import StuckError, bounded, limited
+from mavfi.detectors.chain import Chain
 from mavfi.detectors.registry import NoDetector
 from mavfi.detectors.replicas import replicated
+from mavfi.states import new_state
 
 
 class Own:
@@ -88,10 +90,19 @@ def test_another_thread_has_no_limit(short):
     assert found == [None]
 
 
-def test_detectors_of_mavfi_have_no_limit_unless_a_part_is_foreign():
-    own, shipped = Own(), NoDetector()
-    assert limited(shipped, "check") == shipped.check
-    assert limited(own, "check") != own.check
-    pair = replicated(own, 2)
-    assert type(pair).__module__.startswith("mavfi.") and limited(pair, "check") != pair.check
-    assert limited(own, "seal") is None and limited(SimpleNamespace(seal=None), "seal") is None
+@pytest.mark.parametrize(
+    ("detector", "has"), [(NoDetector(), False), (Own(), True), (replicated(Own(), 2), True), (Chain(Own()), True)]
+)
+def test_detectors_have_a_limit_if_a_part_is_foreign(monkeypatch, detector, has):
+    found = []
+    monkeypatch.setattr(module, "bounded", lambda call: found.append(call) or call)
+    assert limited(detector, "check")(new_state("control.command"), 0) is None
+    assert bool(found) == has
+    assert limited(Own(), "seal") is None and limited(SimpleNamespace(seal=None), "seal") is None
+
+
+def test_a_method_that_is_replaced_later_is_called():
+    own = Own()
+    check = limited(own, "check")
+    own.check = lambda state, now: now
+    assert check(None, 7) == 7
