@@ -1,6 +1,7 @@
 """A time limit on calls of detectors that are not part of mavfi: one that never returns must not block a flight.
 
-Here alone a flight depends on the wall clock; without the limit it would not end.
+Such a flight depends on the wall clock, like one whose forked kernel or ROS node hangs; without the limit it would not
+end.
 """
 
 import signal
