@@ -3,8 +3,8 @@
 python -m tools.build_hardening out/hardening [--learn 3] [--faults 200] [--seconds 20]
     [--fractions 0.5,1] [--flights 10]
 
-Each choice has `--learn` times as many injections as those of `mavfi harden`, which has a minute, and a function is
-timed for `--seconds`: two steps may differ by 1 % in time.  Certified are these
+Each choice has `--learn` times as many injections as those of `mavfi harden`, which has a minute, all steps are timed,
+and a function is timed for `--seconds`: two steps may differ by 1 % in time.  Certified are these
 fractions, and for functions with a bar the largest one within its time.  What is measured is kept in
 DIR/hardening.jsonl: the command continues where it was stopped, and can be repeated with more faults, fractions or
 flights.
@@ -23,7 +23,7 @@ from typing import Any
 
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.fingerprint import code
-from mavfi.campaign.hardening.advise import Advice, Curve, Step
+from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
 from mavfi.campaign.hardening.certification import merged
 from mavfi.campaign.hardening.certify import certify, pairs_of, rate_of, verdict_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
@@ -32,6 +32,7 @@ from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.study import Study, advise, plan_of, planned_of
 from mavfi.campaign.hardening.summary import growth_of, summary
+from mavfi.campaign.hardening.target import Target
 from mavfi.campaign.hardening.ways import CUT
 from mavfi.campaign.overheads import processor
 from mavfi.hardening.plan import Plan, save_plan
@@ -52,6 +53,8 @@ COMPARED_SHARE = 0.25
 """Share of the cost of full duplication at which ways to choose are compared."""
 MORE = {"plan_rrt_connect": 24, "time_to_collision": 40, "insert_scan": 16}
 """Times more faults in the largest step within the time, where a lower bound is required, or few faults are silent."""
+FINE = tuple(place / 40 for place in range(1, 41))
+"""Steps of functions with a bar: twice those of others."""
 LONG = 2_000_000
 """Instructions per call above which a quarter of the faults must do."""
 _MACHINE = "<!-- machine-level:begin -->", "<!-- machine-level:end -->"
@@ -84,6 +87,11 @@ class Records:
         if row is None:
             row = self.put(key, {"injections": [astuple(one) for one in injections_in(seen, times=self._times)]})
         return [Injected(*one) for one in row["injections"]]
+
+
+def choices(target: Target) -> Ladder:
+    """All steps of a function: where few faults are silent, a larger one may remove more although none is seen."""
+    return every_choice(target, FINE if target.seen.entry in REQUIRED else FRACTIONS)
 
 
 def code_of(plan: Plan) -> str:
@@ -282,6 +290,7 @@ def main() -> None:
         learn=records.learn,
         workers=os.cpu_count() or 1,
         seconds=given.seconds,
+        choices=choices,
     )
     advice = summary(study, advices, harm_of(study.runs))
     plan = plan_of(study, advices)

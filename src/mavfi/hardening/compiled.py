@@ -8,10 +8,10 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from mavfi.hardening.candidates import callees
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 
 _LIBRARY = "_ZN5numba"
 """Start of the names of Numba's own functions; not inlined, since most compose messages of exceptions, and take long to

@@ -4,9 +4,9 @@ from typing import Any
 
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import FunctionPlan, signature_text
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.digest import digest_of
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 
 
 def full_plan(kernel: str, function: Any, signature: tuple[Any, ...]) -> FunctionPlan:

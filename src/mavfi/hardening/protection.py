@@ -5,8 +5,8 @@ from typing import Any
 
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.plan import FunctionPlan, Plan, check_code
-from mavfi.hardening.sources import shape_of
 from mavfi.ir.module import Module
+from mavfi.ir.sources import shape_of
 
 
 def protection_of(plan: Plan, function: str, signature: tuple[Any, ...]) -> "Protection | None":

@@ -5,7 +5,8 @@ from collections import Counter
 
 from mavfi.faults.instruction import budget_for
 from mavfi.faults.instruction.api import digest
-from mavfi.faults.instruction.build import assemble, prepare
+from mavfi.faults.instruction.build import assemble
+from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.variant import Variant, signature_of
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.duplicate import protect
@@ -36,7 +37,9 @@ def module_of(kernel, args):
 def variant(kernel, args, rewrite=None):
     """The instrumented variant, built in this process."""
     signature = signature_of(args)
-    return Variant(assemble(*prepare(kernel, signature, rewrite)), environment_of(kernel, signature))
+    source = source_of(kernel, signature)
+    built = assemble(instrument(source.text, source.kernel, rewrite), source)
+    return Variant(built, environment_of(kernel, signature))
 
 
 def sites_of(struck, args):

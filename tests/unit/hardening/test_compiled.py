@@ -6,9 +6,9 @@ import pytest
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.compiled import code_of, compiled, text_of
 from mavfi.hardening.duplicate import protect
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import translate
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 from mavfi.kernels.perception.clearance import OCCUPIED, apply_updates
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid

@@ -17,11 +17,11 @@ from mavfi.hardening.duplicate import protect
 from mavfi.hardening.plan import FunctionPlan, signature_text
 from mavfi.hardening.protection import Protection
 from mavfi.hardening.recorded import copied
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import name_of, target_machine
 from mavfi.ir.digest import bodies_of, digest_of
 from mavfi.ir.module import is_floating
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 from tests.unit.faults.instruction.kernels import STRAIGHT, straight
 from tests.unit.hardening.kernels import CASES, WALK, blend, mean_square, walk
 from tests.unit.hardening.strikes import Full, module_of, strike_all, variant

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavfi.hardening.measure import Timed, compare
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 from mavfi.numerics.jit import kernel_jit
 
 

@@ -35,6 +35,10 @@ _ROUNDS = 400
 """Number of rounds per second of that time that are enough: short functions have thousands."""
 
 
+Ladder = list[tuple[float, Choice, Judged]]
+"""Fraction, choice and prediction of each step of a function, from nothing to everything."""
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
     """A choice for one function.
@@ -132,12 +136,27 @@ def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
     return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
 
 
-def choices_of(target: Target, fractions: Sequence[float] = FRACTIONS) -> list[tuple[float, Choice, Judged]]:
-    """Fraction, choice and prediction of each step of a function, from nothing to everything."""
-    found: list[tuple[float, Choice, Judged]] = []
-    for fraction in (0.0, *fractions):
-        choose = partial(_share_of, fraction)
-        found.append((fraction, choose(target.chooser), target.judged(choose)))
+def every_choice(target: Target, fractions: Sequence[float] = FRACTIONS) -> Ladder:
+    """Nothing, and the best choices that add at most these fractions of the instructions of full duplication."""
+    chosen = [partial(_share_of, fraction) for fraction in (0.0, *fractions)]
+    return [
+        (fraction, choose(target.chooser), target.judged(choose))
+        for fraction, choose in zip((0.0, *fractions), chosen, strict=True)
+    ]
+
+
+def choices_of(target: Target) -> Ladder:
+    """Those of all choices that are predicted to remove more than each cheaper one, and full duplication.
+
+    The others would be built and timed in vain.
+    """
+    found: Ladder = []
+    most = -1
+    for fraction, choice, judged in every_choice(target):
+        removed = sum(hit for _, hit in judged)
+        if removed > most or fraction == FRACTIONS[-1]:
+            found.append((fraction, choice, judged))
+        most = max(most, removed)
     return found
 
 
@@ -154,24 +173,33 @@ class Prepared:
 
     Attributes:
         injections: In its recorded calls.
-        choices: As of `choices_of`.
-        codes: As of `codes_of`, for all choices.
+        choices: Its steps.
+        codes: As of `codes_of`, for all of them.
         compared: As of `Curve`.
     """
 
     injections: list[Injected]
-    choices: list[tuple[float, Choice, Judged]]
+    choices: Ladder
     codes: list[bytes]
     compared: tuple[Compared, ...] = ()
 
 
-def prepare(target: Target, fractions: Sequence[float] = FRACTIONS, learn: Learn = injections_in) -> Prepared:
-    """Inject faults in a function that has none although it has `fractions`, predict and build its steps."""
-    if fractions and not target.injections:
+Choices = Callable[[Target], Ladder]
+"""Makes the steps of a function, as `choices_of`."""
+
+
+def prepare(target: Target, choices: Choices = choices_of, learn: Learn = injections_in) -> Prepared:
+    """Inject faults in a function that has none, predict and build its steps."""
+    if not target.injections:
         target.injections = learn(target.seen)
-    choices = choices_of(target, fractions)
-    codes = codes_of(target, [target.sites(choice) for _, choice, _ in choices[1:]])
-    return Prepared(target.injections, choices, codes)
+    made = choices(target)
+    codes = codes_of(target, [target.sites(choice) for _, choice, _ in made[1:]])
+    return Prepared(target.injections, made, codes)
+
+
+def unprotected(target: Target) -> Prepared:
+    """The same for a function of which only the time of its plain code is of interest."""
+    return Prepared([], [(0.0, NOTHING, [])], codes_of(target, []))
 
 
 def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
@@ -211,6 +239,7 @@ def prepare_all(
     tell: Callable[[str], None] = lambda _: None,
     learn: Learn = injections_in,
     workers: int = 1,
+    choices: Choices = choices_of,
 ) -> list[Prepared]:
     """Inject, choose and build for the functions of some flights; the functions keep their injections.
 
@@ -220,12 +249,14 @@ def prepare_all(
         tell: Called with the name of each function.
         learn: Injects faults in a function without injections.
         workers: Number of processes.
+        choices: Makes the steps of a function.
     """
-    fractions = [() if set(wanted).isdisjoint(target.kernels) else FRACTIONS for target in targets]
 
     def at(place: int) -> Prepared:
-        own = prepare(targets[place], fractions[place], learn)
-        return replace(own, compared=compare_ways(targets[place]))
+        target = targets[place]
+        if set(wanted).isdisjoint(target.kernels):
+            return unprotected(target)
+        return replace(prepare(target, choices, learn), compared=compare_ways(target))
 
     longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
     ready: dict[int, Prepared] = {}

@@ -25,10 +25,10 @@ from mavfi.faults.sampling import stream
 from mavfi.hardening.measure import Timed
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, check_code
 from mavfi.hardening.protection import Protection
-from mavfi.hardening.sources import cached_shape, cached_source
 from mavfi.ir.build import name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_shape, cached_source
 
 CONFIRMED, REFUTED, BETTER, UNDECIDED, UNKNOWN = "confirmed", "refuted", "better", "undecided", "unknown"
 RESOLVED = 0.2

@@ -10,8 +10,8 @@ import numpy as np
 from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
 from mavfi.hardening.plan import signature_text
 from mavfi.hardening.recorded import Recording
-from mavfi.hardening.sources import cached_source
 from mavfi.hosts.local import fly
+from mavfi.ir.sources import cached_source
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE

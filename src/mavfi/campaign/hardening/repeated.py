@@ -12,10 +12,10 @@ from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import Variant, signature_of
 from mavfi.hardening.measure import Timed, compare
 from mavfi.hardening.recorded import copied, size_of
-from mavfi.hardening.sources import cached_source
 from mavfi.hardening.wrapper import MESSAGE
 from mavfi.ir.build import environment_of
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 from mavfi.numerics.jit import kernel_jit
 
 _WORD = 8

@@ -9,7 +9,16 @@ from pathlib import Path
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.hardening.advise import TIMED_S, Advice, Step, allocate, curves_of, prepare_all
+from mavfi.campaign.hardening.advise import (
+    TIMED_S,
+    Advice,
+    Choices,
+    Step,
+    allocate,
+    choices_of,
+    curves_of,
+    prepare_all,
+)
 from mavfi.campaign.hardening.learned import Learn, injections_in
 from mavfi.campaign.hardening.observed import observe
 from mavfi.campaign.hardening.target import Target, targets_of
@@ -119,12 +128,12 @@ class Study:
 
 def advise(
     study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False,
-    learn: Learn = injections_in, workers: int = 1, seconds: float = TIMED_S,
+    learn: Learn = injections_in, workers: int = 1, seconds: float = TIMED_S, choices: Choices = choices_of,
 ) -> list[Advice]:  # fmt: skip
     """Advice by planner of the missions, that of the campaign's planner first.
 
     The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
-    is that of `Target`, `learn` and `workers` are those of `prepare_all`, `seconds` is that of `curves_of`.
+    is that of `Target`; `learn`, `workers` and `choices` are those of `prepare_all`, `seconds` is that of `curves_of`.
 
     Raises:
         BadInputError: A mission cannot be flown.
@@ -140,7 +149,7 @@ def advise(
         flights.append((shared, [target for target in targets if target.key not in known]))
         known |= {target.key: target for target in flights[-1][1]}
     every = [target for _, new in flights for target in new]
-    own = prepare_all(every, study.kernels, tell, learn, workers)
+    own = prepare_all(every, study.kernels, tell, learn, workers, choices)
     ready = {target.key: one for target, one in zip(every, own, strict=True)}
     found: list[Advice] = []
     for shared, new in flights:

@@ -12,10 +12,10 @@ from mavfi.faults.instruction.table import Site as TableSite
 from mavfi.hardening.choose import Choice, Chooser
 from mavfi.hardening.flow import Value, values_of
 from mavfi.hardening.plan import Site
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.build import Source, name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 
 Judged = Sequence[tuple[Injected, bool]]
 """Silent corruptions, and whether they are removed."""

@@ -12,8 +12,9 @@ from mavfi.faults.instruction.accesses import Constant
 from mavfi.faults.instruction.instrument import Instrumented, instrument
 from mavfi.faults.instruction.table import Table
 from mavfi.faults.instruction.tally import optimised
-from mavfi.ir.build import Rewrite, Source, build_apart, source_of, translate
+from mavfi.ir.build import Rewrite, Source, build_apart, translate
 from mavfi.ir.object_cache import ObjectCache, folder_text
+from mavfi.ir.sources import cached_source
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,20 +72,13 @@ def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = Non
 
     Raises a RefusedError for an unknown construct, a BuildError if the compiler crashes, and the errors of `rewrite`.
     """
-    return Built.unpack(build_apart(kernel, signature, partial(make, rewrite=rewrite)))
+    source = cached_source(kernel, signature)
+    return Built.unpack(build_apart(kernel, signature, partial(make, source=source, rewrite=rewrite)))
 
 
-def make(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> bytes:
+def make(kernel: Any, signature: tuple[Any, ...], source: Source, rewrite: Rewrite | None = None) -> bytes:
     """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
-    return assemble(*prepare(kernel, signature, rewrite)).pack()
-
-
-def prepare(
-    kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None
-) -> tuple[Instrumented, Source]:  # fmt: skip
-    """Recompile a kernel in this process and instrument its IR."""
-    source = source_of(kernel, signature)
-    return instrument(source.text, source.kernel, rewrite), source
+    return assemble(instrument(source.text, source.kernel, rewrite), source).pack()
 
 
 def assemble(made: Instrumented, source: Source) -> Built:

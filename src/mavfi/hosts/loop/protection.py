@@ -10,8 +10,8 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.hardening.plan import FunctionPlan, Plan, check_code, load_plan, signature_text
-from mavfi.hardening.sources import cached_shape
 from mavfi.ir.build import name_of
+from mavfi.ir.sources import cached_shape
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
 

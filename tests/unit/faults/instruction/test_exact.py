@@ -9,9 +9,11 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.faults.instruction.build import assemble, prepare
+from mavfi.faults.instruction.build import assemble
+from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.runtime import Control
 from mavfi.faults.instruction.variant import Variant
+from mavfi.ir.build import source_of
 from mavfi.ir.forked import run_in_child
 from mavfi.numerics.jit import uncached_copy
 from tests.unit.faults.instruction.interpreter import HANG, Interpreter, flipped, same, signed
@@ -31,11 +33,16 @@ def interpreter(kernel, args):
     return Interpreter(copy.inspect_llvm(signature(args)), kernel.py_func.__name__)
 
 
+def instrumented(kernel, args):
+    source = source_of(kernel, signature(args))
+    return instrument(source.text, source.kernel), source
+
+
 @functools.cache
 def variant_for(kernel, args):
     """Of the IR that the interpreter has: this process compiles for its own CPU, `variant.variant_for` for any."""
     kernel(*args)
-    return Variant(assemble(*prepare(kernel, signature(args))), kernel.overloads[signature(args)].environment)
+    return Variant(assemble(*instrumented(kernel, args)), kernel.overloads[signature(args)].environment)
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +246,7 @@ def sample(oracle, trace):
 
 @pytest.fixture(scope="module")
 def prepared():
-    return prepare(loop, signature(LOOP))
+    return instrumented(loop, LOOP)
 
 
 def mismatches(prepared, change, sample, limit):
