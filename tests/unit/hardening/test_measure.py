@@ -41,28 +41,30 @@ def clocks(order, slower=1.01):
         return ticks
 
     plain = clock("plain", lambda _: 1.0)
-    return plain, {"a": clock("a", lambda _: 1.5), "b": clock("b", lambda long: 2.0 if long > 2e5 else 6.0)}
+    return plain, {"a": clock("a", lambda _: 1.5), "b": clock("b", lambda long: 2.0 if long > 2e7 else 6.0)}
 
 
 def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
     order = []
-    found = compare(*clocks(order), [(1e5,), (3e5,)], lambda n: n >= 30)
-    assert found.ratios == pytest.approx({"a": 1.5, "b": (1e5 * 6.0 + 3e5 * 2.0) / 4e5}, rel=0.03)
+    found = compare(*clocks(order), [(1e7,), (3e7,)], lambda n: n >= 30)
+    assert found.ratios == pytest.approx({"a": 1.5, "b": (1e7 * 6.0 + 3e7 * 2.0) / 4e7}, rel=0.03)
     names = [name for name, _ in order]
     assert len(names) == 3 + 3 * 30
     assert {tuple(names[3 + 3 * i : 6 + 3 * i]) for i in range(30)} == {
         ("plain", "a", "b"), ("a", "b", "plain"), ("b", "plain", "a"),
     }  # fmt: skip
-    assert found.ticks > 2e5 * 0.9
+    assert found.ticks > 2e7 * 0.9
 
 
-def test_a_short_call_follows_one_that_is_not_timed():
+@pytest.mark.parametrize(("ticks", "repetitions"), [(1e4, 6), (1e5, 1)])
+def test_a_short_call_follows_two_that_are_not_timed(ticks, repetitions):
     order = []
-    found = compare(*clocks(order, slower=1.0), [(1e4,)], lambda n: n >= 9)
+    found = compare(*clocks(order, slower=1.0), [(ticks,)], lambda n: n >= 9)
     assert found.ratios == pytest.approx({"a": 1.5, "b": 6.0})
-    pairs = list(zip(order[3::2], order[4::2], strict=True))
-    assert len(pairs) == 27 and {(first, second) for (_, first), (_, second) in pairs} == {(1, 6)}
-    assert all(one == other for (one, _), (other, _) in pairs)
+    calls = list(zip(order[3::3], order[4::3], order[5::3], strict=True))
+    assert len(calls) == 27
+    assert all([times for _, times in own] == [1, 1, repetitions] for own in calls)
+    assert all(len({name for name, _ in own}) == 1 for own in calls)
 
 
 def test_arguments_of_recorded_calls_are_not_modified():
