@@ -1,7 +1,7 @@
 """Write docs/generated/hardening.md: curves, plans and certificates of the kernels, and the required values.
 
 python -m tools.build_hardening out/hardening [--learn 3] [--faults 200] [--seconds 20]
-    [--fractions 0.5,1] [--flights 10]
+    [--fractions 0.5,0.75,1] [--flights 10]
 
 Each choice has `--learn` times as many injections as those of `mavfi harden`, which has a minute, all steps are timed,
 and a function is timed for `--seconds`: two steps may differ by 1 % in time.  Certified are these
@@ -277,7 +277,7 @@ def main() -> None:
     parser.add_argument("--learn", type=int, default=3, help="times as many injections per choice as `mavfi harden`")
     parser.add_argument("--faults", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=20.0, help="for how long a function is timed")
-    parser.add_argument("--fractions", default="0.5,1")
+    parser.add_argument("--fractions", default="0.5,0.75,1")
     parser.add_argument("--flights", type=int, default=10, help="golden missions per environment")
     parser.add_argument("--budget", type=float, default=0.10)
     given = parser.parse_args()
