@@ -1,5 +1,7 @@
 """Copies of arguments keep what selects a compiled signature, and what two arguments share."""
 
+from pathlib import Path
+
 import numba
 import numpy as np
 
@@ -38,3 +40,21 @@ def test_recorded_calls_are_spread_evenly_and_taken_before_the_call():
     calls = sorted(recording.kept)
     assert 4 <= len(calls) <= 8 and len(set(np.diff(calls))) == 1 and calls[0] == 0
     assert all(recording.kept[call][0][0] == call for call in calls)
+
+
+def test_large_recorded_arrays_are_in_memory_that_forks_share():
+    """Faults are injected in forks: their number times the page tables of all recordings would take most of the time."""
+    recording, large = Recording(), np.arange(1e5)
+    recording.note((large,))
+    (kept,) = recording.kept[0]
+    np.testing.assert_equal(kept, large)
+    assert _permissions(kept)[3] == "s" and _permissions(copied(kept))[3] == "p"
+
+
+def _permissions(array):
+    """Those of the mapping in which an array lies, as in /proc/self/maps."""
+    for line in Path("/proc/self/maps").read_text(encoding="ascii").splitlines():
+        start, end = (int(text, 16) for text in line.split()[0].split("-"))
+        if start <= array.ctypes.data < end:
+            return line.split()[1]
+    return ""
