@@ -169,11 +169,13 @@ def found(row: Row) -> str:
 
 
 def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, str, float], Row]) -> list[list[str]]:
-    """A row for each step of each function."""
+    """A row for each step of each function; of the fine ones, only for those that are certified."""
     rows = []
     for curve in curves:
         for step in curve.steps[1:]:
             row = certified.get((*curve.target.key, step.fraction))
+            if row is None and step.fraction not in FRACTIONS:
+                continue
             measured = ["", "", "", "", ""] if row is None else [
                 str(row["sdc_after"]["n"]), interval(row["sdc_before"]), interval(row["sdc_after"]), found(row),
                 row["verdict"],

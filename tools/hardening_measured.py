@@ -78,7 +78,7 @@ def rows(measured: Row) -> list[list[str]]:
              measured["advice_s"] <= ADVICE_S),
         _row("protected code of a kernel, from the cache", f"≤ {BUILD_S:g} s",
              f"{measured['build_s'][slowest]:.2f} s ({slowest}, the slowest)", measured["build_s"][slowest] <= BUILD_S),
-        ["the same, without a cache: once per machine", "—",
+        ["the same, from the IR of the kernel: once per machine", "—",
          f"{measured['anew_s'][longest]:.1f} s ({longest}, the slowest)", "", ""],
         _row(f"every bit of every dynamic instruction of {kernels}", "0 SDC", _told(plain), not plain["sdc"]),
         _row("the same, addresses compared", "0 SDC, 0 crash, 0 hang", _told(compared),

@@ -114,11 +114,21 @@ def test_times_and_all_faults_are_judged():
     assert [row["met"] for row in found.values()] == ["yes", "yes", "", "yes", "yes"]
     assert found["`mavfi harden`"]["measured"] == "53 s"
     assert found["protected code of a kernel, from the cache"]["measured"] == "0.40 s (rrt, the slowest)"
-    assert found["the same, without a cache: once per machine"]["measured"] == "2.5 s (pid, the slowest)"
+    assert found["the same, from the IR of the kernel: once per machine"]["measured"] == "2.5 s (pid, the slowest)"
     assert found["every bit of every dynamic instruction of walk and mean_square"]["measured"] == "5 crash, 15 detected"
     late = {"advice_s": 61.0, "build_s": {"pid": 1.2}, "without_addresses": {"walk": {"detected": 9, "sdc": 1}}}
     late["exhaustive"] = {"walk": {"detected": 9, "hang": 1}}
     assert [row[3] for row in rows(MEASURED | late)] == ["no", "no", "", "no", "no"]
+
+
+def test_fine_steps_have_a_row_if_they_are_certified(monkeypatch):
+    monkeypatch.setattr(build_hardening, "growth_of", lambda *_: 1.5)
+    target = SimpleNamespace(key=("track", "()"), seen=SimpleNamespace(entry="track"), kernels=("pid",))
+    steps = tuple(Step(place / 40, NOTHING, 1.1, []) for place in range(5))
+    rate = {"rate": 0.5, "low": 0.4, "high": 0.6, "n": 10}
+    row = {"sdc_before": rate, "sdc_after": rate, "coverage": rate, "verdict": "confirmed"}
+    found = build_hardening.curve_rows([Curve(target, 1.0, 0.1, steps)], {("track", "()", 0.025): row})
+    assert [(step, verdict) for _, step, *_, verdict in found] == [("0.025", "confirmed"), ("0.05", ""), ("0.1", "")]
 
 
 def test_every_planner_of_the_study_is_flown_golden(monkeypatch, tmp_path):
