@@ -43,7 +43,7 @@ def test_recorded_calls_are_spread_evenly_and_taken_before_the_call():
 
 
 def test_large_recorded_arrays_are_in_memory_that_forks_share():
-    """Faults are injected in forks: their number times the page tables of all recordings would take most of the time."""
+    """Faults are injected in forks: to copy the page tables of all recordings for each would take most of the time."""
     recording, large = Recording(), np.arange(1e5)
     recording.note((large,))
     (kept,) = recording.kept[0]
