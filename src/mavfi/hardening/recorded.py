@@ -9,29 +9,31 @@ import numpy as np
 
 _KEPT_BYTES = 1 << 27
 """Most memory of the recorded arguments of one function."""
-_SMALL_BYTES = 1 << 16
-"""Arrays below this size are copied with the pages of a process at a fork."""
-_Allocate = Callable[[int], np.ndarray]
+_LARGE_BYTES = 1 << 16
+"""Least size of an array that is worth a mapping of its own."""
 
 
-def copied(value: Any, allocate: _Allocate = lambda size: np.empty(size, np.uint8)) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
-    """A deep copy; arrays keep strides, access and common memory, since Numba compiles by these.
+def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
+    """A deep copy; arrays keep strides, access and common memory, since Numba compiles by these."""
+    return _copied(value, {}, _memory)
 
-    Args:
-        value: What to copy.
-        allocate: Allocates so many bytes. Shape of the result (size,).
+
+def kept(value: Any) -> Any:  # noqa: ANN401
+    """The same, to be copied again before use: large arrays are in memory that nothing can write.
+
+    Forks share it. They do not copy its page tables, which for all recorded calls takes two thirds of a fork, and a
+    fault in one of them cannot reach it.
     """
-    return _copied(value, {}, allocate)
+    return _copied(value, {}, _read_only)
 
 
-def shared(size: int) -> np.ndarray:
-    """Memory of which a fork does not copy the page tables: a second per gigabyte and 50 forks."""
-    return np.frombuffer(mmap.mmap(-1, size), np.uint8) if size >= _SMALL_BYTES else np.empty(size, np.uint8)
+_Memory = Callable[[np.ndarray], tuple[int, np.ndarray]]
+"""Lowest address of an array, and a copy of its memory."""
 
 
-def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], allocate: _Allocate) -> Any:
+def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], memory_of: _Memory) -> Any:
     if isinstance(value, tuple):
-        parts = [_copied(part, known, allocate) for part in value]
+        parts = [_copied(part, known, memory_of) for part in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if not isinstance(value, np.ndarray) or value.dtype.hasobject:
         return value
@@ -39,19 +41,36 @@ def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], allocate: _All
     while isinstance(root.base, np.ndarray):
         root = root.base
     if id(root) not in known:
-        known[id(root)] = _memory(root, allocate)
+        known[id(root)] = memory_of(root)
     start, memory = known[id(root)]
     moved: np.ndarray = np.ndarray(value.shape, value.dtype, memory.data, value.ctypes.data - start, value.strides)
     moved.flags.writeable = value.flags.writeable
     return moved
 
 
-def _memory(root: np.ndarray, allocate: _Allocate) -> tuple[int, np.ndarray]:
-    """Lowest address of an array, and a copy of its memory."""
+def _memory(root: np.ndarray) -> tuple[int, np.ndarray]:
+    low, size = _extent(root)
+    memory = np.empty(max(size, 1), np.uint8)
+    ctypes.memmove(memory.ctypes.data, low, size)
+    return low, memory
+
+
+def _read_only(root: np.ndarray) -> tuple[int, np.ndarray]:
+    low, size = _extent(root)
+    if size < _LARGE_BYTES:
+        return _memory(root)
+    memory = np.frombuffer(mmap.mmap(-1, size), np.uint8)
+    ctypes.memmove(memory.ctypes.data, low, size)
+    library = ctypes.CDLL(None, use_errno=True)
+    if library.mprotect(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(size), mmap.PROT_READ):
+        raise OSError(ctypes.get_errno(), "mprotect")
+    return low, memory
+
+
+def _extent(root: np.ndarray) -> tuple[int, int]:
+    """Lowest address and size (bytes) of an array's memory."""
     low, high = np.lib.array_utils.byte_bounds(root) if root.size else (root.ctypes.data, root.ctypes.data)
-    memory = allocate(max(high - low, 1))
-    ctypes.memmove(memory.ctypes.data, low, high - low)
-    return int(low), memory
+    return int(low), int(high - low)
 
 
 def size_of(value: Any) -> int:  # noqa: ANN401
@@ -82,9 +101,9 @@ class Recording:
         call, self.total = self.total, self.total + 1
         if call % self._stride:
             return
-        self.kept[call] = copied(args, shared)
+        self.kept[call] = kept(args)
         while len(self.kept) > 1 and (
             len(self.kept) * size_of(args) > _KEPT_BYTES or len(self.kept) > 2 * self._most
         ):  # fmt: skip
             self._stride *= 2
-            self.kept = {kept: own for kept, own in self.kept.items() if kept % self._stride == 0}
+            self.kept = {number: own for number, own in self.kept.items() if number % self._stride == 0}

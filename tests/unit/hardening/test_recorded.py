@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from mavfi.hardening.recorded import Recording, copied
+from mavfi.ir.forked import run_in_child
 
 
 def test_copies_keep_values_strides_access_and_signature():
@@ -42,13 +43,20 @@ def test_recorded_calls_are_spread_evenly_and_taken_before_the_call():
     assert all(recording.kept[call][0][0] == call for call in calls)
 
 
-def test_large_recorded_arrays_are_in_memory_that_forks_share():
+def test_large_recorded_arrays_are_in_memory_that_forks_share_and_nothing_writes():
     """Faults are injected in forks: to copy the page tables of all recordings for each would take most of the time."""
     recording, large = Recording(), np.arange(1e5)
-    recording.note((large,))
-    (kept,) = recording.kept[0]
-    np.testing.assert_equal(kept, large)
-    assert _permissions(kept)[3] == "s" and _permissions(copied(kept))[3] == "p"
+    recording.note((large, large[7:]))
+    array, part = recording.kept[0]
+    np.testing.assert_equal(array, large)
+    assert np.shares_memory(array, part) and numba.typeof(array) == numba.typeof(large)
+    assert _permissions(array) == "r--s" and _permissions(copied(array)) == "rw-p"
+
+    def write():
+        array[0] = 1.0
+        return b""
+
+    assert run_in_child(write).detail == "SIGSEGV" and array[0] == 0.0
 
 
 def _permissions(array):

@@ -138,11 +138,8 @@ def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
 
 def every_choice(target: Target, fractions: Sequence[float] = FRACTIONS) -> Ladder:
     """Nothing, and the best choices that add at most these fractions of the instructions of full duplication."""
-    chosen = [partial(_share_of, fraction) for fraction in (0.0, *fractions)]
-    return [
-        (fraction, choose(target.chooser), target.judged(choose))
-        for fraction, choose in zip((0.0, *fractions), chosen, strict=True)
-    ]
+    steps = [(fraction, partial(_share_of, fraction)) for fraction in (0.0, *fractions)]
+    return [(fraction, choose(target.chooser), target.judged(choose)) for fraction, choose in steps]
 
 
 def choices_of(target: Target) -> Ladder:
