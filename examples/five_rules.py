@@ -59,7 +59,7 @@ def wrong_path(  # noqa: PLR0913 - each limit has its own name
     """Rule 3, in the consumer of a path: it lies in the flight volume, leads from vehicle to goal, and has no spike.
 
     Args:
-        path: Vertices (m).
+        path: Vertices (m); () = the planner has found none, which violates nothing.
         lower: Corner of the flight volume (m).
         upper: Opposite corner (m).
         vehicle: Position of the vehicle (m).
@@ -82,8 +82,37 @@ def wrong_path(  # noqa: PLR0913 - each limit has its own name
     return ""
 
 
+def wrong_step(  # noqa: PLR0913 - each limit has its own name
+    point: Point, velocity: Point, before: Point, velocity_before: Point, duration: float, speed: float, change: float,
+    slip: float,
+) -> str:  # fmt: skip
+    """Rule 3, in the consumer of a trajectory: each point follows from the one before it.
+
+    Args:
+        point: Position (m).
+        velocity: Velocity on the way to it (m/s).
+        before: Position of the point before (m).
+        velocity_before: Its velocity (m/s).
+        duration: Time between them (s).
+        speed: Largest speed along an axis (m/s).
+        change: Largest change of a velocity component between two points, acceleration x duration (m/s).
+        slip: Largest distance along an axis between the position and where the velocity leads (m).
+    """
+    for axis in range(3):
+        if not abs(velocity[axis]) <= speed:
+            return "too fast"
+        if not abs(velocity[axis] - velocity_before[axis]) <= change:
+            return "velocity changes too fast"
+        if not abs(point[axis] - before[axis] - velocity[axis] * duration) <= slip:
+            return "not where its velocity leads"
+    return ""
+
+
 def wrong_copy(values: Sequence[float], source: Sequence[float]) -> str:
-    """Rule 4, in the consumer of a set-point: it is, bit for bit, the point of its trajectory."""
+    """Rule 4, in the consumer of a set-point: it is, bit for bit, the point of its trajectory.
+
+    If the sender interpolates between points, `source` is the same interpolation, computed again by the consumer.
+    """
     form = f"<{len(source)}d"
     return "" if len(values) == len(source) and struct.pack(form, *values) == struct.pack(form, *source) else "copy"
 

@@ -56,7 +56,8 @@ _CONTENTS = re.compile(r"\n\nParts:\n\n(- \[.+\n?)+")
 _COMMAND = re.compile(r"(mavfi bench detectors)(?: \S+\.yaml)?(?: --(?:part|level) \S+)*")
 FOOTER = (
     "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
-    "Alarms that come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). Faults that last: "
+    "How far the vehicle strays if alarms come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). "
+    "Faults that last: "
     "[their table](lasting.md).\n"
 )
 """End of a page, after its picture."""

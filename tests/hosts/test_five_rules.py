@@ -10,6 +10,7 @@ from examples.five_rules import (
     wrong_alarm,
     wrong_copy,
     wrong_path,
+    wrong_step,
 )
 
 from mavfi.hosts.local.flight import fly
@@ -124,6 +125,32 @@ def test_a_spike_is_no_path():
     assert wrong_path([(0, 0, 2), (10, float("nan"), 2), (20, 0, 2)], *limits) == "outside the flight volume"
     assert wrong_path([(3, 0, 2), (20, 0, 2)], *limits) == "does not begin at the vehicle"
     assert wrong_path([(0, 0, 2), (15, 0, 2)], *limits) == "does not end at the goal"
+
+
+def test_steps(flight):
+    own, found, lost = flight[1].numbers()[0], 0, 0
+    limits = float(own["speed"]), float(own["change"]), float(own["step"])
+    for _, state, _, _ in of(flight[0], "planning.trajectory"):
+        rows = [
+            tuple(map(float, row)) for row in state.elements[["x", "y", "z", "vx", "vy", "vz", "duration"]].tolist()
+        ]
+        for before, row in zip(rows, rows[1:-1], strict=False):  # the last one is at rest
+            known = (before[:3], before[3:6], row[6], *limits)
+            assert wrong_step(row[:3], row[3:6], *known) == ""
+            for axis in range(3):
+                bits = np.array([row[3 + axis]]).view(np.uint64)
+                for bit in (52, 55, 60, 62, 63):
+                    value = float((bits ^ np.uint64(1 << bit)).view(np.float64)[0])
+                    velocity = [*row[3:6]]
+                    velocity[axis] = value
+                    changed = not abs(value - row[3 + axis]) <= limits[1] + limits[2] / row[6]
+                    lost += changed
+                    found += changed and wrong_step(row[:3], velocity, *known) != ""
+    assert lost and found == lost
+    still = ((0.0, 0.0, 2.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0), (1.0, 0.0, 0.0), 0.1, 3.0, 0.5, 0.01)
+    assert wrong_step(*still) == "not where its velocity leads"
+    assert wrong_step((0.4, 0.0, 2.0), (4.0, 0.0, 0.0), *still[2:]) == "too fast"
+    assert wrong_step((0.3, 0.0, 2.0), (3.0, 0.0, 0.0), *still[2:]) == "velocity changes too fast"
 
 
 def test_copies(flight):
