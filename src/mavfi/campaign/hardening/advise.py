@@ -31,6 +31,10 @@ _UNITS = 10_000
 """Number of units into which a budget is divided."""
 TIMED_S = 1.0
 """For how long a function and its variants are timed at most (s): `mavfi harden` has a minute."""
+_MUCH = 0.02
+"""Share of a flight's kernel time from which on the error of a time matters to a budget."""
+_ATTEMPTS = 4
+"""How often a choice is made of which some steps are timed again, at most."""
 _ROUNDS = 400
 """Number of rounds per second of that time that are enough: short functions have thousands."""
 
@@ -309,6 +313,33 @@ def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
         chosen.append(int(steps[left]))
         left -= _units(curve.extra(curve.steps[chosen[-1]]), budget)
     return tuple(reversed(chosen))
+
+
+def settle(
+    curves: Sequence[Curve], ready: Sequence[Prepared], budget: float, seconds: float = TIMED_S
+) -> tuple[tuple[Curve, ...], tuple[int, ...]]:  # fmt: skip
+    """Steps as of `allocate`; those of functions that take much of the flight's time are timed again once chosen.
+
+    Of steps whose times are measured with an error, those are chosen whose error is favourable: together they would
+    exceed the budget.  The second measurement does not depend on the choice.
+
+    Returns:
+        The curves, with the new times, and the index of the chosen step for each of them.
+    """
+    own, known = list(curves), set[tuple[int, int]]()
+    for _ in range(_ATTEMPTS):
+        chosen = set(enumerate(allocate(own, budget)))
+        again = {(n, place) for n, place in chosen - known if place and own[n].share >= _MUCH}
+        if not again:
+            break
+        known |= again
+        for n, place in again:
+            codes = ready[n].codes
+            _, (time,) = times_of(own[n].target, [codes[0], codes[place]], seconds)
+            steps = list(own[n].steps)
+            steps[place] = replace(steps[place], time=time)
+            own[n] = replace(own[n], steps=tuple(steps))
+    return tuple(own), allocate(own, budget)
 
 
 def _units(time: float, budget: float) -> int:

@@ -14,10 +14,10 @@ from mavfi.campaign.hardening.advise import (
     Advice,
     Choices,
     Step,
-    allocate,
     choices_of,
     curves_of,
     prepare_all,
+    settle,
 )
 from mavfi.campaign.hardening.learned import Learn, injections_in
 from mavfi.campaign.hardening.observed import observe
@@ -149,17 +149,18 @@ def advise(
         flights.append((shared, [target for target in targets if target.key not in known]))
         known |= {target.key: target for target in flights[-1][1]}
     every = [target for _, new in flights for target in new]
-    own = prepare_all(every, study.kernels, tell, learn, workers, choices)
-    ready = {target.key: one for target, one in zip(every, own, strict=True)}
+    made = prepare_all(every, study.kernels, tell, learn, workers, choices)
+    ready = {target.key: one for target, one in zip(every, made, strict=True)}
     found: list[Advice] = []
     for shared, new in flights:
         steps = {curve.target.key: (curve, step) for advice in found for curve, step in advice.steps}
         before = [steps[target.key] for target in shared]
         other_ticks = sum(curve.ticks for curve, _ in before)
-        curves = curves_of(new, [ready[target.key] for target in new], other_ticks, tell, seconds)
+        own = [ready[target.key] for target in new]
+        curves = curves_of(new, own, other_ticks, tell, seconds)
         whole = other_ticks + sum(curve.ticks for curve in curves)
         spent = sum(curve.ticks * (step.time - 1) for curve, step in before) / whole
-        found.append(Advice(budget, curves, allocate(curves, budget - spent), spent))
+        found.append(Advice(budget, *settle(curves, own, budget - spent, seconds), spent))
     return found
 
 

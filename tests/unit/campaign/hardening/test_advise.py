@@ -9,7 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Step, allocate, coverage_of, coverage_of_steps
+from mavfi.campaign.hardening import advise
+from mavfi.campaign.hardening.advise import (
+    FRACTIONS,
+    Advice,
+    Curve,
+    Prepared,
+    Step,
+    allocate,
+    coverage_of,
+    coverage_of_steps,
+    settle,
+)
 from mavfi.campaign.hardening.learned import Injected
 from mavfi.campaign.hardening.study import Study
 from mavfi.hardening.choose import NOTHING
@@ -44,6 +55,26 @@ def test_the_cheapest_steps_are_bought_first():
     assert allocate([SMALL, LARGE], 0.14) == (2, 1)
     assert allocate([SMALL, LARGE], 2.0) == (2, 2)
     assert allocate([SMALL, LARGE], 0.0) == (0, 0)
+
+
+def test_a_step_is_chosen_by_a_time_that_did_not_lead_to_its_choice(monkeypatch):
+    """Its first time is the shortest of many: the error of the measurement is part of why it was chosen."""
+    octomap = curve("map", 0.7, 75.0, (1.04, 0.3), (1.02, 0.4), (1.3, 0.9))
+    small = curve("small", 0.01, 20.0, (1.5, 1.0))
+    ready = [Prepared([], [], [own.target.name.encode(), *map(str.encode, "123")]) for own in (octomap, small)]
+    true, timed = {b"1": 1.05, b"2": 1.10, b"3": 1.25}, []
+
+    def times_of(target, codes, seconds):
+        assert codes[0] == target.name.encode() and seconds == 0.5
+        timed.append((target.name, codes[1]))
+        return 1.0, [true[codes[1]]]
+
+    monkeypatch.setattr(advise, "times_of", times_of)
+    assert allocate([octomap, small], 0.05) == (2, 1)
+    curves, chosen = settle([octomap, small], ready, 0.05, 0.5)
+    assert timed == [("map", b"2"), ("map", b"1")], "the small function is not timed again"
+    assert chosen == (1, 1) and [step.time for step in curves[0].steps] == [1.0, 1.05, 1.10, 1.3]
+    assert curves[1] == small and Advice(0.05, curves, chosen).spent <= 0.05
 
 
 def test_a_study_knows_whether_its_kernels_are_all_of_its_missions():
