@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mavfi.reports import style
+from mavfi.reports.hardening.drawing import best
 from tools.drawing import save
 from tools.markers import GENERATED, IMAGES
 
@@ -54,20 +55,11 @@ def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def best(times: np.ndarray, rates: np.ndarray) -> list[int]:
-    """Indices of the steps that remove more than all that take less time, by time.  Shapes (steps,)."""
-    found: list[int] = []
-    for place in np.lexsort((-rates, times)):
-        if not found or rates[place] > rates[found[-1]]:
-            found.append(int(place))
-    return found
-
-
 def draw(axes: Axes, name: str, steps: list[Step]) -> None:
     """Draw one function."""
     times = np.array([1.0, *(step.time for step in steps)])
     rate, low, high = np.array([(0.0, 0.0, 0.0), *(step.predicted for step in steps)]).T
-    front = best(times, rate)
+    front = best(times.tolist(), rate.tolist())
     axes.fill_between(times[front], low[front], high[front], color=style.SKY, alpha=0.3, linewidth=0)
     axes.plot(times[front], rate[front], color=style.BLUE, linewidth=1.6)
     axes.plot(times, rate, "o", color=style.BLUE, markersize=3.5)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tools.draw_hardening import best, curves
+from tools.draw_hardening import curves
 from tools.markers import GENERATED
 
 
@@ -17,8 +17,3 @@ def test_each_function_of_the_page_has_its_steps():
         times = np.array([step.time for step in steps])
         rates = np.array([step.predicted[0] for step in steps if not np.isnan(step.predicted[0])])
         assert (times > 0.9).all() and ((rates >= 0.0) & (rates <= 100.0)).all()
-
-
-def test_the_line_joins_what_the_time_buys():
-    times, rates = np.array([1.0, 1.3, 1.1, 1.1, 1.4]), np.array([0.0, 60.0, 70.0, 20.0, 80.0])
-    assert best(times, rates) == [0, 2, 4]

@@ -13,6 +13,15 @@ _TICKS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
 _MOST_TICKS = 5
 
 
+def best(times: Sequence[float], rates: Sequence[float]) -> list[int]:
+    """Indices of the steps that remove more than all that take less time, by time: what a time buys."""
+    found: list[int] = []
+    for place in sorted(range(len(times)), key=lambda place: (times[place], -rates[place])):
+        if not found or rates[place] > rates[found[-1]]:
+            found.append(place)
+    return found
+
+
 def curve(row: Mapping[str, Any]) -> dict[str, Any]:
     """A function's curve of predicted coverage over time."""
     last: float = max(1.05, *(step["time"] for step in row["steps"]))
@@ -20,19 +29,20 @@ def curve(row: Mapping[str, Any]) -> dict[str, Any]:
     def x(time: float) -> float:
         return _across((time - 1) / (last - 1))
 
+    steps = [step for step in row["steps"] if step["coverage"]["rate"] is not None]
     points = [
         {
             "x": x(step["time"]), "y": _down(step["coverage"]["rate"]), "low": _down(step["coverage"]["low"]),
             "high": _down(step["coverage"]["high"]), "chosen": step["chosen"],
             "text": f"×{step['time']:.2f} time: {interval(step['coverage'])} of SDCs",
         }
-        for step in sorted(row["steps"], key=lambda step: (step["time"], step["coverage"]["rate"] or 0.0))
-        if step["coverage"]["rate"] is not None
+        for step in steps
     ]  # fmt: skip
+    front = best([step["time"] for step in steps], [step["coverage"]["rate"] for step in steps])
     inside = [tick for tick in _TICKS if tick <= last + 1e-9]
     ticks = inside[:: -(-len(inside) // _MOST_TICKS)]
     return _frame(row, x, [(tick, f"×{tick:g}") for tick in ticks]) | {
-        "points": points, "path": _path([(point["x"], point["y"]) for point in points]), "axis": "time",
+        "points": points, "path": _path([(points[place]["x"], points[place]["y"]) for place in front]), "axis": "time",
         "label": f"SDCs removed over time of {row['entry']}",
     }  # fmt: skip
 

@@ -11,7 +11,7 @@ from mavfi.campaign.hardening.certify import Certificate, Unprotected
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.machine import MachineLevel
 from mavfi.hardening.plan import Coverage
-from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, curve, ways
+from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, best, curve, ways
 from mavfi.reports.hardening.page import page, source, write_certificate
 from mavfi.reports.hardening.plain import (
     advice_table,
@@ -162,3 +162,13 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     assert "95.2 % [73.2, 99.2] of the SDCs in pid are removed" in verdict_line(part)
     refuted = Certification("ab" * 32, 100, (), (one,), GoldenCheck(2, 1, 9, 0))
     assert refuted.refuted and verdict_line(refuted).startswith("The plan is refuted")
+
+
+def test_the_line_of_a_curve_joins_what_the_time_buys():
+    times, rates = [1.0, 1.3, 1.1, 1.1, 1.4], [0.0, 0.6, 0.7, 0.2, 0.8]
+    assert best(times, rates) == [0, 2, 4]
+    coverage = [{"rate": rate, "low": rate, "high": rate, "n": 9} for rate in rates]
+    steps = [{"time": time, "coverage": own, "chosen": False} for time, own in zip(times, coverage, strict=True)]
+    drawn = curve({"kernel": "pid", "entry": "track", "steps": steps, "coverage": coverage[-1]})
+    assert len(drawn["points"]) == 5
+    assert drawn["path"].split() == [f"{own['x']},{own['y']}" for own in (drawn["points"][n] for n in (0, 2, 4))]
