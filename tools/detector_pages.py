@@ -1,7 +1,7 @@
-"""Write docs/generated/detectors.md: for each detector of the bench what it is, its results by part, and its cost.
+"""Write docs/generated/detectors.md: for each shipped detector what it is, its results by part, and its cost.
 
 Everything is stated elsewhere: descriptions in docs/detectors.md, training in the shipped models, results in the
-published rows of the bench, cost in docs/models.md.
+published rows of the bench, those of each of the five rules in docs/engineers.md, cost in docs/models.md.
 """
 
 import json
@@ -28,28 +28,60 @@ COLUMNS = {
 _HEAD = """# Detectors one by one
 
 The rows of each detector in all parts of the [leaderboard](leaderboard-paper.md), where columns are explained, with its
-training and its cost. All detectors in one table: [detectors](../detectors.md)."""
+training and its cost; the five rules alone have a bench of their own. All detectors in one table:
+[detectors](../detectors.md)."""
 _COST = re.compile(r"^\*\*(.+)\*\*$|^\| (`[^|]+`) \| (`[^|]+`) \| ([^|]+) \| ([^|]+) \|", re.MULTILINE)
 
 
 def page(bench: Bench) -> str:
     """The page with its present content."""
     watching = {name: arm for name, arm in bench.arms.items() if arm.detector}
-    sections = (f"## {name}\n\n{_section(bench, name, arm)}" for name, arm in watching.items())
-    return banner("make docs") + "\n\n".join([_HEAD, contents("Detectors", watching), *sections]) + "\n"
+    flown = {arm.detector for arm in watching.values()}
+    others = {name.replace("_", " "): name for name in descriptions() if name not in {*flown, "none"}}
+    sections = [f"## {name}\n\n{_section(bench, name, arm)}" for name, arm in watching.items()]
+    sections += [f"## {title}\n\n{_not_in_the_bench(name)}" for title, name in others.items()]
+    return banner("make docs") + "\n\n".join([_HEAD, contents("Detectors", [*watching, *others]), *sections]) + "\n"
 
 
 def _section(bench: Bench, name: str, arm: ArmConfig) -> str:
-    checks, provenance, description = descriptions()[arm.detector]
-    description = description.replace("](", "](../")  # a link from a folder below
-    source = "" if provenance == "–" else f" Source: {provenance}."
     return "\n\n".join([
-        f"`{_option(arm)}`. {checks[:1].upper()}{checks[1:]}.{source} Description: {description}.",
+        _what(arm),
         *([_training(arm)] if arm.detector in trainable() else []),
         *_recovery(arm),
         "\n".join(_results(bench, name)),
         "\n\n".join([*_false_alarms(bench, name), *_cost(arm)]),
     ])  # fmt: skip
+
+
+def _not_in_the_bench(detector: str) -> str:
+    arm = ArmConfig(detector=detector)
+    results = list(_rule_alone(detector)) or ["No row in the bench."]
+    return "\n\n".join([_what(arm), *_recovery(arm), "\n".join(results)])
+
+
+def _rule_alone(detector: str) -> Iterator[str]:
+    """Missions brought back by one of the five rules, by the field of the fault, from docs/engineers.md."""
+    block = (DOCS / "engineers.md").read_text(encoding="utf-8").partition("<!-- single-rules:begin -->")[2]
+    heads, _, *rows = (
+        [cell.strip() for cell in line.strip("| ").split(" | ")]
+        for line in block.partition("<!-- single-rules:end -->")[0].strip().splitlines()
+    )
+    title = detector.replace("_", " ")
+    if title not in heads:
+        return
+    yield "| [fault in](../engineers.md#measured-benefit) | lost | brought back |"
+    yield "|---|---:|---:|"
+    for row in rows:
+        of = dict(zip(heads, row, strict=True))
+        yield f"| {of['fault in']} | {of['lost']} | {of[title]} |"
+
+
+def _what(arm: ArmConfig) -> str:
+    checks, provenance, description = descriptions()[arm.detector]
+    description = description.replace("](", "](../")  # a link from a folder below
+    source = "" if provenance == "–" else f" Source: {provenance}."
+    option = f"`{_option(arm)}`. {checks[:1].upper()}{checks[1:]}."
+    return f"{option}{source} Description: {description}."
 
 
 def _option(arm: ArmConfig) -> str:
@@ -60,7 +92,7 @@ def descriptions() -> dict[str, tuple[str, str, str]]:
     """What a detector checks, its provenance, and where it is described: cells of docs/detectors.md, by name."""
     found: dict[str, tuple[str, str, str]] = {}
     for line in (DOCS / "detectors.md").read_text(encoding="utf-8").splitlines():
-        if line.startswith("| `"):
+        if line.startswith("| `") and "`--" not in line:
             names, checks, provenance, description = (cell.strip() for cell in line.strip("|").split("|"))
             found |= dict.fromkeys(re.findall(r"`([^`]+)`", names), (checks, provenance, description))
     return found

@@ -58,7 +58,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     workers: options.Workers = 2,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly every scheme of a bench on the same faults; print the missions recovered by each, and its cost.
+    """Fly every scheme of a bench on the same faults; print the missions recovered by each, and its false alarms.
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
