@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import pytest
+
 from mavfi.campaign.analysis.pairs import mcnemar
 from mavfi.campaign.hardening.advise import Curve, Step
 from mavfi.campaign.hardening.golden import GoldenCheck
@@ -129,6 +131,30 @@ def test_fine_steps_have_a_row_if_they_are_certified(monkeypatch):
     row = {"sdc_before": rate, "sdc_after": rate, "coverage": rate, "verdict": "confirmed"}
     found = build_hardening.curve_rows([Curve(target, 1.0, 0.1, steps)], {("track", "()", 0.025): row})
     assert [(step, verdict) for _, step, *_, verdict in found] == [("0.025", "confirmed"), ("0.05", ""), ("0.1", "")]
+
+
+@pytest.mark.parametrize(
+    ("entry", "silent", "asked"),
+    [
+        ("time_to_collision", 100, [3, 9]),
+        ("time_to_collision", 10, [3, 12]),  # four times as many at most
+        ("time_to_collision", 300, [3]),
+        ("time_to_collision", 0, [3]),
+        ("plan_rrt", 100, [3]),  # no bar
+    ],
+)
+def test_functions_with_a_bar_are_injected_until_enough_are_silent(monkeypatch, tmp_path, entry, silent, asked):
+    made = []
+
+    def injections(seen, times):
+        made.append(times)
+        return [Injected(0, place, place < silent * times / 3, "0") for place in range(1000 * times)]
+
+    monkeypatch.setattr(build_hardening, "injections_in", injections)
+    seen = SimpleNamespace(entry=entry, variant=SimpleNamespace(ir_sha256="f00"))
+    found = build_hardening.Records(tmp_path / "r.jsonl", 3).learn(seen)
+    assert made == asked and len(found) == 1000 * asked[-1]
+    assert build_hardening.Records(tmp_path / "r.jsonl", 3).learn(seen) == found and made == asked, "kept in the file"
 
 
 def test_every_planner_of_the_study_is_flown_golden(monkeypatch, tmp_path):
