@@ -1,8 +1,11 @@
 """Coverage: the share of silent corruptions per call that protection removes, with its interval."""
 
 from math import hypot, inf, sqrt
+from statistics import NormalDist
 
-from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.statistics import TAIL, Rate
+
+_NORMAL = NormalDist()
 
 
 def coverage(before: Rate, after: Rate, growth: float) -> Rate:
@@ -42,6 +45,20 @@ def difference(measured: Rate, predicted: Rate) -> tuple[float, float]:
     other, other_low, other_high = bounds_of(predicted)
     gap = one - other
     return gap - hypot(one - low, other_high - other), gap + hypot(high - one, other - other_low)
+
+
+def p_value_below(measured: Rate, predicted: Rate) -> float | None:
+    """Two-sided p of equal coverages: below 0.05 where the interval of `difference` is below 0; None if not known.
+
+    A normal approximation on the side of its upper bound; 1 if the measured coverage is not lower.
+    """
+    if measured.rate is None or predicted.rate is None:
+        return None
+    gap = measured.rate - predicted.rate
+    if gap >= 0:
+        return 1.0
+    half = difference(measured, predicted)[1] - gap
+    return 2 * _NORMAL.cdf(_NORMAL.inv_cdf(1 - TAIL) * gap / half) if half > 0 else 0.0
 
 
 def bounds_of(found: Rate) -> tuple[float, float, float]:

@@ -125,9 +125,11 @@ def verdict_line(certification: Certification) -> str:
     counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
     foreseen = certification.predicted
     said = "" if foreseen.rate is None else f" (predicted with the same weights: {interval_of(foreseen)})"
+    alone = verdicts.count(REFUTED)
+    corrected = f" ({certification.wrong} with Holm's correction for so many)" if alone else ""
     return (
         f"The plan is {outcome}: {interval_of(certification.coverage)} of {counted} are removed, on fresh missions and "
-        f"faults{said}; {verdicts.count(REFUTED)} of {len(verdicts)} predictions are refuted, "
+        f"faults{said}; {alone} of {len(verdicts)} predictions are refuted{corrected}, "
         f"{verdicts.count(UNDECIDED)} undecided; golden digests equal in {golden.same} of {golden.flights} flights; "
         f"{golden.alarms} false alarms in {golden.calls:,} calls{_spent(certification)}."
     )

@@ -85,6 +85,22 @@ def test_the_total_is_judged_by_predictions_with_the_same_weights():
     assert whole(*weak).verdict == "refuted" and whole(*weak).refuted
 
 
+def test_of_many_predictions_one_may_be_refuted_by_chance():
+    claim = Coverage(estimate=0.9, low=0.86, high=0.94)
+    good, low, wrong = (certificate(200, after, predicted=claim) for after in (10, 18, 50))
+    assert low.verdict == wrong.verdict == "refuted"
+
+    def whole(*certificates):
+        return Certification("ab" * 32, 400, (), certificates, GoldenCheck(1, 1, 9, 0))
+
+    assert (whole(low).wrong, whole(low).refuted) == (1, True)
+    many = whole(low, *[good] * 9)
+    assert (many.wrong, many.verdict, many.refuted) == (0, "confirmed", False)
+    assert "1 of 10 predictions are refuted (0 with Holm's correction for so many), 0 undecided" in verdict_line(many)
+    assert (whole(wrong, *[good] * 9).wrong, whole(wrong, *[good] * 9).refuted) == (1, True)
+    assert whole(certificate(200, 50)).wrong == 0, "no prediction"
+
+
 def plain(instructions, sdc):
     return Unprotected("octomap", "m.g", "f8", instructions, {"masked": 400 - sdc, "sdc": sdc})
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.hardening.ratio import coverage, difference, ratio_bounds
+from mavfi.campaign.hardening.ratio import coverage, difference, p_value_below, ratio_bounds
 
 
 def test_added_instructions_do_not_dilute_the_rate():
@@ -35,3 +35,17 @@ def test_differences_of_coverages():
     low, high = difference(Rate(0, 0.6, 0.5, 0.7), Rate(0, 0.95, 0.9, 0.97))
     assert high < 0
     assert difference(Rate(0, None, None, None), Rate(0, 0.5, 0.4, 0.6)) == (float("-inf"), float("inf"))
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.75, 0.8, 0.85, 0.88])
+def test_p_is_below_5_per_cent_where_the_interval_of_the_difference_is_below_0(rate):
+    measured, predicted = Rate(0, rate, rate - 0.1, rate + 0.04), Rate(0, 0.9, 0.86, 0.92)
+    assert (p_value_below(measured, predicted) < 0.05) == (difference(measured, predicted)[1] < 0)
+
+
+def test_p_of_a_known_distance_and_at_its_limits():
+    one = Rate(0, 0.5, 0.4, 0.53)
+    assert p_value_below(one, Rate(0, 0.6, 0.56, 0.7)) == pytest.approx(8.9e-5, rel=0.01)  # 0.1 / (0.05 / 1.96) = 3.92
+    assert p_value_below(one, Rate(0, 0.5, 0.4, 0.6)) == p_value_below(one, Rate(0, 0.4, 0.3, 0.41)) == 1.0
+    assert p_value_below(Rate(0, 0.5, 0.5, 0.5), Rate(0, 0.6, 0.6, 0.6)) == 0.0
+    assert p_value_below(one, Rate(0, None, None, None)) is None
