@@ -73,6 +73,25 @@ def _extent(root: np.ndarray) -> tuple[int, int]:
     return int(low), int(high - low)
 
 
+def same_bits(one: Any, other: Any) -> bool:  # noqa: ANN401
+    """Whether numbers, arrays and tuples of these are equal bit for bit, with types and shapes."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(same_bits, one, other))
+    if isinstance(one, np.ndarray):
+        return one.dtype == other.dtype and one.shape == other.shape and _same_memory(one, other)
+    if isinstance(one, float | complex | np.generic):
+        return np.asarray(one).tobytes() == np.asarray(other).tobytes()
+    return bool(one == other)
+
+
+def _same_memory(one: np.ndarray, other: np.ndarray) -> bool:
+    left, right = np.ascontiguousarray(one), np.ascontiguousarray(other)
+    compare = ctypes.CDLL(None).memcmp  # without temporary arrays, which large outputs would need
+    return int(compare(*map(ctypes.c_void_p, (left.ctypes.data, right.ctypes.data)), ctypes.c_size_t(left.nbytes))) == 0
+
+
 def size_of(value: Any) -> int:  # noqa: ANN401
     """Bytes of the arrays in a value."""
     if isinstance(value, tuple):

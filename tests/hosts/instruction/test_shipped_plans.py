@@ -57,13 +57,16 @@ def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
 
 
 def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):
-    faults = draw_instruction_faults(timed, InstructionRequest({"pid": 15}), seed=2).faults["pid"]
+    faults = draw_instruction_faults(timed, InstructionRequest({"pid": 40}), seed=2).faults["pid"]
     plain = [flight.log for flight in fly_instruction_faults(timed, faults).flights]
-    changed = [place for place, log in enumerate(plain) if log.digest() != golden[0].digest()]
-    assert changed, "draw other faults"
-    fault, own = faults[changed[0]], mission("ten_percent")
-    first, again = (fly_instruction_faults(own, [fault]).flights[0].log for _ in range(2))
-    assert first.kernel.effect == "detected" and [alarm.source for alarm in first.alarms] == [SOURCE]
+    changed = [fault for fault, log in zip(faults, plain, strict=True) if log.digest() != golden[0].digest()]
+    own = mission("ten_percent")
+    found = [flight.log for flight in fly_instruction_faults(own, changed).flights]
+    detected = [(log, fault) for log, fault in zip(found, changed, strict=True) if log.kernel.effect == "detected"]
+    assert detected, "draw other faults"
+    first, fault = detected[0]
+    again = fly_instruction_faults(own, [fault]).flights[0].log
+    assert [alarm.source for alarm in first.alarms] == [SOURCE] and first.digest() == golden[0].digest()
     assert record_of(first) == record_of(again), "replay"
     assert first.status.label == "success"
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.campaign.hardening.outputs import outputs_of
-from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.plan import budget_for
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, Variant
-from mavfi.hardening.recorded import copied
+from mavfi.hardening.recorded import copied, kept, same_bits
 from mavfi.hardening.wrapper import MESSAGE
 from mavfi.ir.forked import run_in_child
 from mavfi.outcomes import Effect
@@ -73,11 +72,12 @@ class Battery:
         return self.executions @ self.variant.sizes
 
     @cached_property
-    def _golden(self) -> list[bytes]:
-        return [self._digest(self._function(*own), own) for own in map(copied, self.calls)]
+    def _golden(self) -> list[tuple[Any, ...]]:
+        """Outputs of each call of plain code."""
+        return [kept(self._outputs(self._function(*own), own)) for own in map(copied, self.calls)]
 
-    def _digest(self, result: Any, args: tuple[Any, ...]) -> bytes:
-        return digest(outputs_of(self._entry, self._function, result, args))
+    def _outputs(self, result: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
+        return outputs_of(self._entry, self._function, result, args)
 
     def draw(self, random: np.random.Generator, n: int) -> list[Place]:
         """Draw places, uniformly over the dynamic instructions of all calls, then over the bits of the result."""
@@ -142,7 +142,7 @@ class Battery:
             effects.append(NOT_ACTIVATED if self.variant.report() is None else ended.how)
         return effects
 
-    def _injected(self, args: tuple[Any, ...], index: int, bit: int, budget: int, golden: bytes) -> str:
+    def _injected(self, args: tuple[Any, ...], index: int, bit: int, budget: int, golden: tuple[Any, ...]) -> str:
         """Effect of a fault that does not end the process."""
         try:
             result = self.variant.inject(index, -1, 1 << bit, budget, *args)
@@ -150,7 +150,7 @@ class Battery:
             return DETECTED if isinstance(error, SystemError) and MESSAGE in str(error) else EXCEPTION
         if self.variant.report() is None:
             return NOT_ACTIVATED
-        return MASKED if self._digest(result, args) == golden else SDC
+        return MASKED if same_bits(self._outputs(result, args), golden) else SDC
 
 
 def counts_of(effects: Sequence[str]) -> dict[str, int]:

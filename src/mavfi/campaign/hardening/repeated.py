@@ -11,7 +11,7 @@ from mavfi.campaign.hardening.observed import Seen
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import Variant, signature_of
 from mavfi.hardening.measure import Timed, compare
-from mavfi.hardening.recorded import copied, size_of
+from mavfi.hardening.recorded import copied, same_bits, size_of
 from mavfi.hardening.wrapper import MESSAGE
 from mavfi.ir.build import environment_of
 from mavfi.ir.parser import parse_module
@@ -33,7 +33,7 @@ class Repeated(Battery):
         super().__init__(entry, function, variant, calls)
         self.times = times
 
-    def _injected(self, args: tuple[Any, ...], index: int, bit: int, budget: int, golden: bytes) -> str:
+    def _injected(self, args: tuple[Any, ...], index: int, bit: int, budget: int, golden: tuple[Any, ...]) -> str:
         """Effect of a fault that does not end the process; the majority of three is published."""
         copies = [copied(args) for _ in range(self.times - 1)]
         try:
@@ -47,7 +47,7 @@ class Repeated(Battery):
         if len(set(seen)) > 1 and max(map(seen.count, seen)) < 2:
             return DETECTED  # no majority
         published = runs[max(range(len(runs)), key=lambda place: seen.count(seen[place]))]
-        same = self._digest(*published) == golden
+        same = same_bits(self._outputs(*published), golden)
         return (MASKED if len(set(seen)) == 1 else DETECTED) if same else SDC
 
 

@@ -47,8 +47,8 @@ def effect(times, results, golden=1.0, fault=2.0):
     variant = SimpleNamespace(inject=lambda *_: fault, report=lambda: "activated")
     left = iter(results)
     battery = Repeated("f", lambda *_: next(left), variant, [], times)
-    battery._digest = lambda result, _: result
-    return battery._injected((), 0, 0, 1, golden)
+    battery._outputs = lambda result, _: (result,)
+    return battery._injected((), 0, 0, 1, (golden,))
 
 
 @pytest.mark.parametrize(
