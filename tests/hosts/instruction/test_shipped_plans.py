@@ -57,7 +57,7 @@ def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
 
 
 def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):
-    faults = draw_instruction_faults(timed, InstructionRequest({"pid": 40}), seed=2).faults["pid"]
+    faults = draw_instruction_faults(timed, InstructionRequest({"pid": 15}), seed=1).faults["pid"]
     plain = [flight.log for flight in fly_instruction_faults(timed, faults).flights]
     changed = [fault for fault, log in zip(faults, plain, strict=True) if log.digest() != golden[0].digest()]
     own = mission("ten_percent")
