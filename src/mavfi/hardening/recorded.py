@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+_LIBC = ctypes.CDLL(None, use_errno=True)
 _KEPT_BYTES = 1 << 27
 """Most memory of the recorded arguments of one function."""
 _LARGE_BYTES = 1 << 16
@@ -61,8 +62,7 @@ def _read_only(root: np.ndarray) -> tuple[int, np.ndarray]:
         return _memory(root)
     memory = np.frombuffer(mmap.mmap(-1, size), np.uint8)
     ctypes.memmove(memory.ctypes.data, low, size)
-    library = ctypes.CDLL(None, use_errno=True)
-    if library.mprotect(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(size), mmap.PROT_READ):
+    if _LIBC.mprotect(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(size), mmap.PROT_READ):
         raise OSError(ctypes.get_errno(), "mprotect")
     return low, memory
 
@@ -88,8 +88,9 @@ def same_bits(one: Any, other: Any) -> bool:  # noqa: ANN401
 
 def _same_memory(one: np.ndarray, other: np.ndarray) -> bool:
     left, right = np.ascontiguousarray(one), np.ascontiguousarray(other)
-    compare = ctypes.CDLL(None).memcmp  # without temporary arrays, which large outputs would need
-    return int(compare(*map(ctypes.c_void_p, (left.ctypes.data, right.ctypes.data)), ctypes.c_size_t(left.nbytes))) == 0
+    # without temporary arrays, which large outputs would need
+    places = (ctypes.c_void_p(array.ctypes.data) for array in (left, right))
+    return int(_LIBC.memcmp(*places, ctypes.c_size_t(left.nbytes))) == 0
 
 
 def size_of(value: Any) -> int:  # noqa: ANN401
