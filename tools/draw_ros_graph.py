@@ -201,8 +201,9 @@ def draw_lane(axes: Axes, seen: Seen, topic: str, y: float, start: float) -> tup
         published = seen.publishers.get(topic + suffix, [])
         if not published:
             continue
-        if published[0] in TAPS:
-            passed, width = TAPS[published[0]]
+        through = [node for node in TAPS if node in published]
+        if through:  # the last one; those in front of a gate publish on its topic while it is down
+            passed, width = TAPS[through[-1]]
             arrow(axes, at, (passed - width, y), colour)
             at = passed + width, y
         arrow(axes, at, (x - half, y), colour)
@@ -230,6 +231,7 @@ def draw_rest(axes: Axes, seen: Seen, y: float) -> None:
     written = [f"{topic} ({', '.join(seen.publishers[topic])})" for topic in others]
     lines = [
         f"In addition: {' · '.join(written)} · …/rejected × {len(rejected)} (detector)",
+        "While the detector is down, the node in front of it publishes on the last topic.",
         f"In standard types: {' · '.join(standard)}",
     ]
     axes.text(LEFT - NODE, y, "\n".join(lines), va="top", color=style.GREY, fontsize=8.5, linespacing=1.6)
@@ -260,7 +262,7 @@ def draw(seen: Seen) -> None:
     for x, text in ((LEFT, "kernels publish"), (RAW, "as computed"), (FINAL, "as readers see it"), (RIGHT, "read")):
         axes.text(x, 0.72, text, ha="center", color=style.GREY, fontsize=9.5)
     draw_rest(axes, seen, bottom - 0.75)
-    axes.set(xlim=(LEFT - 1.0, RIGHT + 1.0), ylim=(bottom - 1.5, 1.05))
+    axes.set(xlim=(LEFT - 1.0, RIGHT + 1.0), ylim=(bottom - 1.8, 1.05))
     axes.axis("off")
     drawing.save(figure, "ros_graph.png", IMAGES)
 

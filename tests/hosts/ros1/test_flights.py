@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -212,12 +213,28 @@ def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
     assert gap == [6_000_000, 7_000_000]
 
 
-def test_a_gate_that_dies_keeps_everything_back_until_it_is_back():
-    scenario = short()
-    log = there(scenario, None, Scripted(), kills=(("detector", 2_000_000),))
-    commands = log.column("command_vx")[100:150]
-    assert len(set(commands)) == 1
-    assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
+LIVES = [("node_lost", "detector"), ("node_back", "detector")]
+"""What becomes of a gate that dies, or hangs, once."""
+
+
+def lives(log):
+    return [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
+
+
+@pytest.mark.parametrize("wrong", [None, fault("planning.waypoint", "x", 2.2, 40)], ids=["golden", "with an injector"])
+def test_a_gate_that_dies_is_bypassed_until_it_is_back(wrong):
+    """The flight is the one without a detector, here, bit for bit."""
+    log = there(short(), wrong, Scripted(), kills=(("detector", 2_000_000),))
+    assert lives(log) == LIVES
+    same(replace(log, events=[event for event in log.events if not event.kind.startswith("node")]),
+         fly_here(short(), wrong).log)  # fmt: skip
+
+
+def test_a_node_that_returns_while_the_gate_is_down_bypasses_it_as_well():
+    """The gate's next process is there before its return counts, and would hold back every way-point."""
+    alarming = Scripted("planning.waypoint", n=1, stage="planning", times=10**6)
+    log = there(short(), None, alarming, kills=(("waypoint", 1_500_000), ("detector", 2_000_000)))
+    assert lives(log) == [("node_lost", "waypoint"), LIVES[0], ("node_back", "waypoint"), LIVES[1]]
 
 
 def test_alarms_without_end_get_a_few_recomputations_as_here():
@@ -238,8 +255,19 @@ class Hanging(Scripted):
 def test_a_hung_node_is_ended_and_restarted():
     fly_here(short())  # what is compiled at its first use must not look like hanging
     log = there(short(), None, Hanging(), patience_s=8.0)
-    events = [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
-    assert events == [("node_lost", "detector"), ("node_back", "detector")]
+    assert lives(log) == LIVES
+    moment = log.column("time")
+    assert len(set(log.column("command_vx")[(moment > 1.2) & (moment < 1.9)])) > 1, "it blocks nothing"
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize("detector, kills", [(Hanging(), ()), (Scripted(), (("detector", 2_000_000),))])
+def test_a_free_running_flight_bypasses_a_gate_that_hangs_or_dies(detector, kills):
+    log = there(short(), None, detector, recovery=Recovery(same_twice="limit"), kills=kills, free_running=True)
+    assert lives(log) == LIVES
+    lost, back = (1e-6 * event.time_us for event in log.events if event.kind.startswith("node"))
+    moment = log.column("time")
+    assert len(set(log.column("command_vx")[(moment > lost + 0.1) & (moment < back)])) > 1, "commands arrive"
 
 
 @pytest.mark.alone
@@ -299,9 +327,7 @@ class Crashing(Scripted):
 
 
 def test_a_node_whose_code_fails_dies_and_is_restarted():
-    log = there(short(), None, Crashing())
-    events = [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
-    assert events == [("node_lost", "detector"), ("node_back", "detector")]
+    assert lives(there(short(), None, Crashing())) == LIVES
 
 
 def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):

@@ -124,7 +124,9 @@ def test_peers_have_read_a_value_or_published_it_last():
     assert peers(found["perception.point_cloud"], "octomap") == ("point_cloud",)
     assert peers(found["sensor.depth"], "point_cloud") == (WORLD,)
     assert peers(found["planning.waypoint"], "pid") == ("collision_check", "planner", INJECTOR)
-    assert peers(ways(None, gate=True)["control.command"], "pid") == (DETECTOR,)
+    gated = ways(None, gate=True)
+    assert peers(gated["control.command"], "pid") == (DETECTOR,)
+    assert peers(gated["sensor.depth"], "point_cloud") == (WORLD, DETECTOR), "the writer publishes around a gate"
 
 
 def test_values_behind_a_tap_are_held_until_they_count():

@@ -42,6 +42,7 @@ uint8 RECALL = 8
 uint8 RESUME = 9
 uint8 RESET = 10
 uint8 FORGET = 11
+uint8 BYPASS = 12
 uint8 action
 string kernel
 uint64 number
@@ -69,6 +70,10 @@ string kind
 string stage
 string kernel
 string[] restores
+""",
+    "Bypass": """# Whether the gate is down: nodes in front of it publish to its consumers themselves.
+std_msgs/Header header
+bool on
 """,
     "Injection": """# What an injector did.
 std_msgs/Header header

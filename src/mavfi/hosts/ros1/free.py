@@ -4,22 +4,57 @@ import os
 import queue
 import signal
 import time
+from contextlib import suppress
 from typing import Any
 
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
-from mavfi.hosts.ros1.graph import ALARM, WORLD
+from mavfi.hosts.ros1.convert import to_stamp
+from mavfi.hosts.ros1.generate import message_type
+from mavfi.hosts.ros1.graph import ALARM, BYPASS, DETECTOR, WORLD
 from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import state_injections
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import Ports, world_listens
+from mavfi.hosts.ros1.ports import Ports, probe, world_listens
 from mavfi.hosts.ros1.register_injector import PLANNED, RegisterInjector
-from mavfi.hosts.ros1.roll_call import asks, cause, is_alive, wait_for_all
+from mavfi.hosts.ros1.roll_call import ENDED, HUNG, asks, cause, is_alive, wait_for_all
 from mavfi.hosts.ros1.world import CAMERA_PATIENCE_US
 from mavfi.states import PERIODIC, State
 
 _POLL_US = 4_000
+_GATE_PATIENCE_US = 1_000_000
+"""A gate that has passed nothing for so long counts as hung (us)."""
+
+
+class GateWatch:
+    """Whether the gate passes values, judged by those of one sensor, which the world publishes and receives."""
+
+    def __init__(self, ports: Ports) -> None:
+        self._passed_us = 0
+        way = ports.ways[probe(ports.plan)]
+        for topic in (way.final, way.rejected):
+            ports.read(way.state, topic, self._passed)
+        in_front = [node for node in ports.plan.nodes if node != DETECTOR]
+        self._reports = ports.publisher(BYPASS, "Bypass", awaited=len(in_front))
+        self._ports = ports
+
+    def why_down(self, pid: int, now: int) -> str:
+        """Why the gate passes nothing; empty if it does."""
+        if not is_alive(pid):
+            return ENDED
+        return HUNG if now - self._passed_us > _GATE_PATIENCE_US else ""
+
+    def report(self, down: bool, now: int) -> None:
+        """Make the nodes in front of the gate publish around it, or no longer."""
+        self._passed_us = now
+        self._ports.bypass(down)
+        message = message_type("Bypass")(on=down)
+        to_stamp(message.header.stamp, now)
+        self._reports.publish(message)
+
+    def _passed(self, state: State, number: int, time_us: int) -> None:
+        self._passed_us = max(self._passed_us, time_us)
 
 
 class FreeWorld:
@@ -58,6 +93,7 @@ class FreeWorld:
                 ports.read(name, way.final, lambda state, number, time_us: self._came.put(state))
         if plan.detector is not None:
             ports.listen(ALARM, "Verdict", self._came.put)
+        self._gate = GateWatch(ports) if plan.gated else None
         self._senses = Senses(loop.plant, loop.sensors.estimating, plan.sensor_fault)
         self._pids = wait_for_all(plan)
         self._registers = RegisterInjector(plan.register_faults, lambda node: self._pids[node], hold=False)
@@ -129,10 +165,8 @@ class FreeWorld:
     def _watch_nodes(self, now: int) -> None:
         """Execute scheduled kills, and record crashes and restarts."""
         while self._kills and self._kills[0][1] <= now:
-            node = self._kills.pop(0)[0]
-            self._note("node_lost", {"node": node, "pid": self._pids[node], "why": PLANNED})
-            os.kill(self._pids[node], signal.SIGKILL)
-            self._gone[node] = now
+            self._lose(self._kills.pop(0)[0], PLANNED, now)
+        self._watch_gate(now)
         self._watch_foreign(now)
         self._registers(now)
         for node, since in list(self._gone.items()):
@@ -142,6 +176,23 @@ class FreeWorld:
                     self._pids[node] = answer
                     self._note("node_back", {"node": node, "pid": answer})
                     del self._gone[node]
+                    if self._gate is not None:  # a node that was down has missed the last report
+                        self._gate.report(DETECTOR in self._gone, now)
+
+    def _lose(self, node: str, why: str, now: int) -> None:
+        self._note("node_lost", {"node": node, "pid": self._pids[node], "why": why})
+        with suppress(ProcessLookupError):
+            os.kill(self._pids[node], signal.SIGKILL)
+        self._gone[node] = now
+        if node == DETECTOR and self._gate is not None:
+            self._gate.report(True, now)
+
+    def _watch_gate(self, now: int) -> None:
+        """End a gate that hangs; roslaunch restarts it."""
+        if self._gate is not None and DETECTOR not in self._gone:
+            why = self._gate.why_down(self._pids[DETECTOR], now)
+            if why:
+                self._lose(DETECTOR, why, now)
 
     def _watch_foreign(self, now: int) -> None:
         """Record terminations of foreign nodes, including those killed after a hang."""

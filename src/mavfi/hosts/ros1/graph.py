@@ -2,7 +2,8 @@
 
 Derived from the kernels' own `reads` and `writes`.  A value passes from its kernel to its consumers over one topic,
 `/mavfi/<stage>/<state>`; with an injector or a gating detector in between, the kernel publishes on `.../raw`, the
-injector on `.../injected`, and the last node of this chain on the topic itself.
+injector on `.../injected`, and the last node of this chain on the topic itself.  While a gate is down, the node in
+front of it publishes on the topic itself.
 """
 
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ IMAGE, INFO, POINTS = (f"/{NODELET}/{name}" for name in ("image_rect", "camera_i
 PREFIX = "/mavfi"
 VERDICT, ALARM = f"{PREFIX}/verdict", f"{PREFIX}/alarm"
 RECOMPUTE, INJECTION = f"{PREFIX}/recompute", f"{PREFIX}/injection"
+BYPASS = f"{PREFIX}/bypass"
 JUDGED_BY_WORLD = (
     "control.command", "planning.waypoint", "planning.path", "planning.trajectory", "perception.collision_status",
     ODOMETRY["estimator"],
@@ -60,6 +62,11 @@ class Way:
     def rejected(self) -> str:
         """Topic to which a gating detector publishes withheld values."""
         return f"{self.final}/rejected"
+
+    @property
+    def senders(self) -> tuple[str, ...]:
+        """Nodes that publish to consumers: the last one of the chain, and the one in front of a gate."""
+        return (self.writer, *self.taps)[-1 - self.gated :]
 
     @property
     def taps(self) -> tuple[str, ...]:

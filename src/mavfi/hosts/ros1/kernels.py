@@ -89,6 +89,7 @@ class LockStepNode(KernelNode):
             operation.RECALL: self._recall,
             operation.RESUME: self._resume,
             operation.RESET: self._reset,
+            operation.BYPASS: lambda kernel, order: self.ports.bypass(order.number > 0),
         }
         self._resuming = operation.RESUME
         self._giving = (operation.STEP, operation.STOP, operation.ABANDON)
@@ -192,6 +193,8 @@ class FreeNode(KernelNode):
         if not self.ports.plan.forked:
             fly_begin(self.ports.plan.scenario)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
+        if self.ports.plan.gated:
+            self.ports.follow_bypass()
         if self._marks:
             self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
         self.ports.offer_ready()

@@ -61,8 +61,12 @@ class Passage:
         if isinstance(state, Publication) and state.is_lost:
             return True
         name = state.spec.name
-        there = (*self._ways[name].taps, *(self._plan.foreign if name == "sensor.depth" else ()))
+        there = (*self._taps(name), *(self._plan.foreign if name == "sensor.depth" else ()))
         return any(self._links[node].lost for node in there)
+
+    def _taps(self, name: str) -> tuple[str, ...]:
+        """Nodes between writer and consumers of a state; a gate that is down is bypassed."""
+        return tuple(node for node in self._ways[name].taps if node != DETECTOR or not self._links[node].lost)
 
     def _pass(self, state: State, time_us: int) -> State:
         if isinstance(state, Publication) and state.link is not None:
@@ -88,16 +92,19 @@ class Passage:
     def _await(self, key: Any, state: State) -> Any:
         """Wait for a node's publication; `NodeLostError` if a node on the route has died."""
         end = time.monotonic() + self._plan.patience_s
-        way = self._ways[state.spec.name]
-        judge = (DETECTOR,) * self._judging
+        writer, taps, judge = (
+            self._ways[state.spec.name].writer,
+            self._taps(state.spec.name),
+            (DETECTOR,) * self._judges(),
+        )
         while True:
             try:
                 return self._inbox.take(key, _LOOK_S)
             except TimeoutError:
                 late = time.monotonic() > end
             # the writer has confirmed its publication: a timeout is attributed to the last node on the route
-            slow = (*way.taps, *judge)[-1:] or (way.writer,)
-            for node in dict.fromkeys((way.writer, *way.taps, *judge)):
+            slow = (*taps, *judge)[-1:] or (writer,)
+            for node in dict.fromkeys((writer, *taps, *judge)):
                 link = self._links.get(node)
                 if link is not None and (link.lost or not is_alive(link.pid) or (late and node in slow)):
                     self._on_loss(link, "does not answer")

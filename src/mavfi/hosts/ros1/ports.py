@@ -16,7 +16,7 @@ from mavfi.faults.state import ActedOn
 from mavfi.hosts.loop.restarts import CHANGES
 from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg
 from mavfi.hosts.ros1.generate import message_type, state_types
-from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, Way
+from mavfi.hosts.ros1.graph import BYPASS, JUDGED_BY_WORLD, Way
 from mavfi.hosts.ros1.mirrors import Mirror, mirrors_of
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.states import STATES, State
@@ -133,6 +133,18 @@ class Outlet:
         return bool(self._publisher.get_num_connections() >= self._listeners)
 
 
+class GatedOutlet:
+    """Publishes the values of one state to a gate or, while that is down, to the gate's consumers."""
+
+    def __init__(self, gate: Outlet, around: Outlet) -> None:
+        self.bypassing = False
+        self._gate, self._around = gate, around
+
+    def publish(self, state: State, number: int, time_us: int) -> None:
+        """Publish one value."""
+        (self._around if self.bypassing else self._gate).publish(state, number, time_us)
+
+
 class Ports:
     """Publications and subscriptions of a node."""
 
@@ -142,13 +154,30 @@ class Ports:
         self.ways = plan.graph.ways
         self.kept = Kept()
         self._outlets: list[Outlet] = []
+        self._gated: list[GatedOutlet] = []
         self._subscribers: list[Any] = []
         self._others: list[tuple[Any, int]] = []
         self._conditions: list[Callable[[], bool]] = []
         self._peers: dict[str, Any] = {}
 
-    def outlet(self, way: Way, topic: str) -> Outlet:
-        """Advertise one of the topics on the route of a state."""
+    def outlet(self, way: Way, topic: str) -> Outlet | GatedOutlet:
+        """Advertise one of the topics on the route of a state; in front of a gate the one after it as well."""
+        if not way.gated or topic != way.before_gate:
+            return self._outlet(way, topic)
+        found = GatedOutlet(self._outlet(way, topic), self._outlet(way, way.final))
+        self._gated.append(found)
+        return found
+
+    def bypass(self, on: bool) -> None:
+        """Publish around the gate from now on, or no longer."""
+        for outlet in self._gated:
+            outlet.bypassing = on
+
+    def follow_bypass(self) -> None:
+        """Free-running: publish around the gate whenever the world reports that it is down."""
+        self.listen(BYPASS, "Bypass", lambda message: self.bypass(message.on))
+
+    def _outlet(self, way: Way, topic: str) -> Outlet:
         mirrors = mirrors_of(way.state, self.plan) if topic == way.final else []
         kept = self.kept if topic == way.final and not self.plan.free_running else None
         outlet = Outlet(way.state, topic, listeners(way, topic, self.plan), mirrors, kept)
@@ -280,9 +309,8 @@ class Ports:
 
 
 def peers(way: Way, node: str) -> tuple[str, ...]:
-    """Nodes that store a route's final values: its subscribers, and the last node that publishes them."""
-    last = (way.writer, *way.taps)[-1]
-    return tuple(peer for peer in dict.fromkeys((*way.readers, last)) if peer != node)
+    """Nodes that store a route's final values: its subscribers, and those that publish them."""
+    return tuple(peer for peer in dict.fromkeys((*way.readers, *way.senders)) if peer != node)
 
 
 def listeners(way: Way, topic: str, plan: Plan) -> int:
@@ -298,8 +326,13 @@ def world_listens(plan: Plan, state: str) -> bool:
     """Whether the world subscribes to the values of a state.
 
     In lock-step the world derives map updates itself, but waits for every value that a gate may withhold, and for all
-    values if a profile is requested.
+    values if a profile is requested.  Free-running it watches a gate by one sensor's values.
     """
     if plan.free_running:
-        return state in JUDGED_BY_WORLD or state == "perception.map_update"
+        return state in JUDGED_BY_WORLD or state == "perception.map_update" or (plan.gated and state == probe(plan))
     return state in JUDGED_BY_WORLD or plan.gated or plan.profile
+
+
+def probe(plan: Plan) -> str:
+    """The most frequent sensor whose values the flight's nodes read."""
+    return next(name for name in ("sensor.odometry", "sensor.imu") if name in plan.graph.ways)

@@ -20,7 +20,7 @@ from mavfi.hosts.ros1.plan import Plan
 from mavfi.platforms.compute import latency
 from mavfi.states import STATES, State
 
-RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON, AGAIN, RECALL, RESUME, RESET, FORGET = range(12)
+RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON, AGAIN, RECALL, RESUME, RESET, FORGET, BYPASS = range(13)
 """Constants of `mavfi_msgs/Operation`."""
 HELD = -1
 _WATCH_S = 0.1

@@ -44,9 +44,22 @@ class Injector:
     def run(self) -> None:
         """Serve until shutdown."""
         import rospy
+        from mavfi_msgs.srv import Drive
 
+        if self._ports.plan.free_running and self._ports.plan.gated:
+            self._ports.follow_bypass()
+        elif self._ports.plan.gated:
+            rospy.Service(f"/{INJECTOR}/drive", Drive, fatal(self._drive))
         self._ports.offer_ready()
         rospy.spin()
+
+    def _drive(self, request: Any) -> Any:
+        """The only operation of this node: to publish around the gate, or no longer."""
+        from mavfi_msgs.srv import DriveResponse
+
+        for order in request.operations:
+            self._ports.bypass(order.number > 0)
+        return DriveResponse()
 
     def _arrived(self, state: State, number: int, time_us: int) -> None:
         if self._spent:

@@ -13,13 +13,13 @@ from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, write_file
-from mavfi.hosts.ros1.graph import DETECTOR, WORLD
+from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD
 from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import LockStepDetector, Passage
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports
 from mavfi.hosts.ros1.register_injector import PLANNED, RegisterInjector
-from mavfi.hosts.ros1.remote import FORGET, Counter, ForeignLink, Link, RemoteKernel, Watchdog
+from mavfi.hosts.ros1.remote import BYPASS, FORGET, Counter, ForeignLink, Link, RemoteKernel, Watchdog
 from mavfi.hosts.ros1.roll_call import asks, cause, is_alive, wait_for, wait_for_all
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 
@@ -135,6 +135,8 @@ class Conductor:
         kernels = self.plan.graph.nodes.get(link.node)
         if kernels is None:
             self.back_us[link.node] = self.loop.now + self.plan.restart_us
+            if link.node == DETECTOR and self.plan.gated:
+                self._bypass(*self.plan.graph.nodes, INJECTOR)
             return
         self.restarts.die(kernels[0], self.loop.now, self.plan.restart_us)
         if self.plan.detector is not None:
@@ -164,6 +166,17 @@ class Conductor:
             return
         link.connect(pid, self.counter.take(0))
         self._note("node_back", {"node": node, "pid": pid})
+        if self.plan.gated:
+            self._bypass(*((*self.plan.graph.nodes, INJECTOR) if node == DETECTOR else (node,)))
+
+    def _bypass(self, *nodes: str) -> None:
+        """Make nodes publish around the gate while it is down, and no longer after its return."""
+        down = self.links[DETECTOR].lost
+        self.ports.bypass(down)
+        for node in nodes:
+            if node in self.links and node not in self.foreign:
+                kernels = self.plan.graph.nodes.get(node, ("",))
+                self.links[node].call(BYPASS, kernels[0], int(down), 0)
 
     def _note(self, kind: str, data: dict[str, Any]) -> None:
         self.loop.record.note(self.loop.now, kind, data)
