@@ -35,9 +35,7 @@ class GateWatch:
         way = ports.ways[probe(ports.plan)]
         for topic in (way.final, way.rejected):
             ports.read(way.state, topic, self._passed)
-        in_front = [node for node in ports.plan.nodes if node != DETECTOR]
-        self._reports = ports.publisher(BYPASS, "Bypass", awaited=len(in_front))
-        self._ports = ports
+        self._reports = ports.publisher(BYPASS, "Bypass", awaited=len((*ports.plan.in_front, WORLD)))
 
     def why_down(self, pid: int, now: int) -> str:
         """Why the gate passes nothing; empty if it does."""
@@ -48,7 +46,6 @@ class GateWatch:
     def report(self, down: bool, now: int) -> None:
         """Make the nodes in front of the gate publish around it, or no longer."""
         self._passed_us = now
-        self._ports.bypass(down)
         message = message_type("Bypass")(on=down)
         to_stamp(message.header.stamp, now)
         self._reports.publish(message)

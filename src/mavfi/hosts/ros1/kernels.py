@@ -193,8 +193,6 @@ class FreeNode(KernelNode):
         if not self.ports.plan.forked:
             fly_begin(self.ports.plan.scenario)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
-        if self.ports.plan.gated:
-            self.ports.follow_bypass()
         if self._marks:
             self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
         self.ports.offer_ready()

@@ -92,11 +92,8 @@ class Passage:
     def _await(self, key: Any, state: State) -> Any:
         """Wait for a node's publication; `NodeLostError` if a node on the route has died."""
         end = time.monotonic() + self._plan.patience_s
-        writer, taps, judge = (
-            self._ways[state.spec.name].writer,
-            self._taps(state.spec.name),
-            (DETECTOR,) * self._judges(),
-        )
+        writer, taps = self._ways[state.spec.name].writer, self._taps(state.spec.name)
+        judge = (DETECTOR,) * self._judges()
         while True:
             try:
                 return self._inbox.take(key, _LOOK_S)

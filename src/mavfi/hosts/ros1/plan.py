@@ -131,6 +131,11 @@ class Plan:
         return self.detector is not None and self.recovery.coupling == "inline"
 
     @property
+    def in_front(self) -> tuple[str, ...]:
+        """Nodes in front of a gate."""
+        return tuple(node for node in self.nodes if node != DETECTOR)
+
+    @property
     def observed(self) -> bool:
         """Whether the detector is a subscriber."""
         return self.detector is not None and self.recovery.coupling == "observer"

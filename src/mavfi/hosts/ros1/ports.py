@@ -161,9 +161,14 @@ class Ports:
         self._peers: dict[str, Any] = {}
 
     def outlet(self, way: Way, topic: str) -> Outlet | GatedOutlet:
-        """Advertise one of the topics on the route of a state; in front of a gate the one after it as well."""
+        """Advertise one of the topics on the route of a state; in front of a gate the one after it as well.
+
+        Free-running, such a node publishes around the gate whenever the world reports that it is down.
+        """
         if not way.gated or topic != way.before_gate:
             return self._outlet(way, topic)
+        if self.plan.free_running and not self._gated:
+            self.listen(BYPASS, "Bypass", lambda message: self.bypass(message.on))
         found = GatedOutlet(self._outlet(way, topic), self._outlet(way, way.final))
         self._gated.append(found)
         return found
@@ -172,10 +177,6 @@ class Ports:
         """Publish around the gate from now on, or no longer."""
         for outlet in self._gated:
             outlet.bypassing = on
-
-    def follow_bypass(self) -> None:
-        """Free-running: publish around the gate whenever the world reports that it is down."""
-        self.listen(BYPASS, "Bypass", lambda message: self.bypass(message.on))
 
     def _outlet(self, way: Way, topic: str) -> Outlet:
         mirrors = mirrors_of(way.state, self.plan) if topic == way.final else []

@@ -46,10 +46,7 @@ class Injector:
         import rospy
         from mavfi_msgs.srv import Drive
 
-        if self._ports.plan.free_running and self._ports.plan.gated:
-            self._ports.follow_bypass()
-        elif self._ports.plan.gated:
-            rospy.Service(f"/{INJECTOR}/drive", Drive, fatal(self._drive))
+        rospy.Service(f"/{INJECTOR}/drive", Drive, fatal(self._drive))
         self._ports.offer_ready()
         rospy.spin()
 

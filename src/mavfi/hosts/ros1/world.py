@@ -13,7 +13,7 @@ from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, write_file
-from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD
+from mavfi.hosts.ros1.graph import DETECTOR, WORLD
 from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import LockStepDetector, Passage
 from mavfi.hosts.ros1.plan import Plan
@@ -136,7 +136,7 @@ class Conductor:
         if kernels is None:
             self.back_us[link.node] = self.loop.now + self.plan.restart_us
             if link.node == DETECTOR and self.plan.gated:
-                self._bypass(*self.plan.graph.nodes, INJECTOR)
+                self._report_gate()
             return
         self.restarts.die(kernels[0], self.loop.now, self.plan.restart_us)
         if self.plan.detector is not None:
@@ -167,16 +167,15 @@ class Conductor:
         link.connect(pid, self.counter.take(0))
         self._note("node_back", {"node": node, "pid": pid})
         if self.plan.gated:
-            self._bypass(*((*self.plan.graph.nodes, INJECTOR) if node == DETECTOR else (node,)))
+            self._report_gate()
 
-    def _bypass(self, *nodes: str) -> None:
-        """Make nodes publish around the gate while it is down, and no longer after its return."""
+    def _report_gate(self) -> None:
+        """Make the nodes in front of the gate publish around it while it is down, and no longer after its return."""
         down = self.links[DETECTOR].lost
         self.ports.bypass(down)
-        for node in nodes:
-            if node in self.links and node not in self.foreign:
-                kernels = self.plan.graph.nodes.get(node, ("",))
-                self.links[node].call(BYPASS, kernels[0], int(down), 0)
+        for node in self.plan.in_front:
+            kernels = self.plan.graph.nodes.get(node, ("",))
+            self.links[node].call(BYPASS, kernels[0], int(down), 0)
 
     def _note(self, kind: str, data: dict[str, Any]) -> None:
         self.loop.record.note(self.loop.now, kind, data)
