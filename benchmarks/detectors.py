@@ -32,7 +32,7 @@ DETECTORS = (
     ("recommended", "paper", 1.0), ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0),
     ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0), ("autoencoder", "tuned", 5.0), ("limits", "paper", 5.0),
     ("autoencoder_all", "paper", 5.0), ("cusum", "paper", 5.0), ("conformal", "paper", 5.0),
-    ("checksum", "paper", None), ("duplicate", "paper", None), *((name, "paper", None) for name in BASELINES),
+    ("checksum", "paper", None), ("duplicate", "paper", None), *((name, "paper", 5.0) for name in BASELINES),
 )  # fmt: skip
 """Detector, profile, and the largest share of the kernels' time that is wanted (%); None = none is."""
 Key = tuple[str, str, str]

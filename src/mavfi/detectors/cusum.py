@@ -8,7 +8,7 @@ import numpy as np
 from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector, centre_and_peaks
 from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, CompiledScorer, Judged, conclude, kind_with
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
@@ -136,7 +136,7 @@ def _admit_sums(address: int, header: Any) -> bool:
     return book.accept_unless_alarm(judge_sums(own, judged, limit, centre, deviation, slack, sums), own)
 
 
-class SumScorer(CompiledScorer):
+class SumScorer(CodeScorer):
     """Cumulative sums; an alarm resets those of its state."""
 
     judge, judge_at, learns = staticmethod(judge_sums), staticmethod(_sums_at), staticmethod(learn)

@@ -1,6 +1,5 @@
 """Detectors with one score per publication instead of one per field; their fields are the states."""
 
-from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,8 @@ from mavfi.states import STATES, State
 class OfStates(CodeScorer):
     """One distance per state: an alarm names the published state."""
 
-    def __init__(self, everything: Everything, *tables: Any) -> None:  # noqa: ANN401 - see `CompiledScorer`
-        super().__init__(everything, *tables)
+    def __init__(self, everything: Everything, *tables: Any, **given: Any) -> None:  # noqa: ANN401 - see `CodeScorer`
+        super().__init__(everything, *tables, **given)
         self.fields = tuple(everything.slots)
         self.stages = tuple(STATES[name].stage.value for name in self.fields)
         self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
@@ -28,18 +27,6 @@ class OfStates(CodeScorer):
     def not_finite(self, state: State) -> np.ndarray:
         """The state itself."""
         return np.array([self.everything.slots[state.spec.name]])
-
-
-class StateScorer(OfStates):
-    """The same in Python."""
-
-    @abstractmethod
-    def score_of(self, slot: int, regime: int) -> float:
-        """Distance of a publication of a state from normal, >= 0; its `_codes` are up to date."""
-
-    def measure(self, slot: int, regime: int) -> None:
-        """See `CodeScorer.measure`."""
-        self._distance[slot] = self.score_of(slot, regime)
 
 
 def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndarray, np.ndarray]:

@@ -62,7 +62,6 @@ class Scorer(ABC):
         stages: Stage of each.
         states: Names of the states that it reads; None = all.
         kept: Memory of a flight, as arrays by name; 0 at its start.
-        adapts: Whether `accept` needs the verdict on the publication.
         at_once: By state, for frequent ones: a function of the header that accepts the publication, or returns a true
             value if there is an alarm.  Publications of other states are scored, then accepted.
         candidate: The publication scored last by `score`, not by `at_once`; None = none yet, or the memory was read.
@@ -73,7 +72,6 @@ class Scorer(ABC):
     stages: tuple[str, ...]
     states: frozenset[str] | None = None
     kept: Mapping[str, np.ndarray] = {}
-    adapts = False
     at_once: Mapping[str, Callable[[np.ndarray], object]] = {}
     candidate: State | None = None
     threshold: "Threshold"
@@ -88,7 +86,7 @@ class Scorer(ABC):
         """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
         return {}
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - baselines have none
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - one in Python has none
         """Replace compiled functions by those of the same name in `made`; restore all others."""
 
     @abstractmethod
@@ -111,11 +109,8 @@ class Scorer(ABC):
         return self._judged
 
     @abstractmethod
-    def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Record a published value of any state.
-
-        The verdict on it is given if it is watched and the scorer adapts; `read` was last called with it.
-        """
+    def accept(self, state: State) -> None:
+        """Record a published value of any state."""
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the watched fields of a publication that are not finite, for readings of a negative regime."""
@@ -265,7 +260,7 @@ class ScoringDetector:
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
         self._persists = np.zeros(1, np.bool_)
-        self._adapts, self._accept, self._measure = scorer.adapts, scorer.accept, scorer.score
+        self._accept, self._measure = scorer.accept, scorer.score
         self._scored: State | None = None
         self._score: float | None = None
         self._stepwise, self._at_once = False, AtOnce()
@@ -329,11 +324,8 @@ class ScoringDetector:
         if self._counts_waypoints and state.spec.name == _WAYPOINT:
             score = self.score(state, time_us)
             self._persists[0] = self._persists[0] if score is None else not score <= 1.0
-        verdict = None
-        if self._adapts and self.score(state, time_us) is not None:
-            verdict = self.scorer.judged()[1]
         self._scored = None
-        self._accept(state, verdict)
+        self._accept(state)
 
     @property
     def compiled(self) -> dict[str, Callable[..., Any]]:

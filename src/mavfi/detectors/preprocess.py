@@ -260,7 +260,7 @@ class DeltaScorer(Scorer):
         reading = Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
         return reading, Verdict(float(own.score[0]), own.ratios)
 
-    def accept(self, state: State, verdict: Verdict | None) -> None:
+    def accept(self, state: State) -> None:
         """Record a published value."""
         if state is not self.candidate:
             name = state.spec.name

@@ -5,44 +5,69 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector
-from mavfi.detectors.baselines import library, matrix_profile
-from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, Regressors
-from mavfi.detectors.baselines.half_space_trees import Forests, HalfSpaceTreesDetector
-from mavfi.detectors.baselines.library import LibraryDetector, columns_of, score_once
-from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, StretchScorer, nearest
-from mavfi.detectors.baselines.outliers import IsolationForestDetector, MahalanobisDetector, PcaDetector
+from mavfi.detectors import book, load_detector
+from mavfi.detectors.baselines import half_space_trees, library
+from mavfi.detectors.baselines.forest import Branch, Group, forest_of
+from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, regressor, regressors
+from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector, half_spaces
+from mavfi.detectors.baselines.library import LibraryDetector, columns_of, rates, scaled
+from mavfi.detectors.baselines.matrix_profile import (
+    LENGTH,
+    MatrixProfileDetector,
+    StretchScorer,
+    judge_stretch,
+    nearest,
+)
+from mavfi.detectors.baselines.outliers import (
+    Components,
+    Ellipsoid,
+    EllipsoidScorer,
+    IsolationForestDetector,
+    MahalanobisDetector,
+    PcaDetector,
+    path_length,
+    single_limit,
+)
+from mavfi.detectors.detector import admission
 from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
+from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
-from mavfi.detectors.parts import Verdict
+from mavfi.detectors.parts import Threshold
 from mavfi.detectors.registry import settings_of
 from mavfi.detectors.samples import join
 from mavfi.errors import BadInputError
 from mavfi.states import AUTOPILOTS
 from tests.unit.detectors.streams import PROVENANCE, fly, later, strike
+from tests.unit.detectors.test_admission import events, one_after_the_other
+from tests.unit.detectors.test_admission import fly as admitted
 from tests.unit.detectors.test_all_fields import flight, with_codes
 from tests.unit.detectors.test_registry import FITS
 
 FIGURES = {"largest_class": 60, "calibrated": 100_000, "margin": 1.25, "smallest_regime": 50}
+LIBRARIES = [
+    IsolationForestDetector, PcaDetector, MahalanobisDetector, HalfSpaceTreesDetector, GradientBoostingDetector,
+    MatrixProfileDetector,
+]  # fmt: skip
 
 
-class Nearest:
-    """Distance from the nearest row."""
+class EllipsoidDetector(LibraryDetector):
+    """A library that is always installed: mean and covariance."""
 
-    def __init__(self, inputs):
-        self.inputs = inputs
-
-    def scores(self, inputs, slots):
-        return np.array([np.sqrt(((self.inputs - row) ** 2).sum(axis=1)).min() - 5.0 for row in inputs])
-
-
-class NearestDetector(LibraryDetector):
-    model_kind, package = "nearest", "numpy"
+    model_kind, package, scorer_type = "ellipsoid", "numpy", EllipsoidScorer
 
     @classmethod
-    def judge(cls, inputs, slots, everything):
+    def tables(cls, inputs, slots, everything):
         assert inputs.shape == (len(slots), (everything.quanta > 0).sum()) and (inputs.std(axis=0) > 0).all()
-        return Nearest(inputs)
+        covariance = np.cov(inputs.T) + 1e-3 * np.eye(inputs.shape[1])
+        return Ellipsoid(inputs.mean(axis=0), np.linalg.inv(covariance), np.zeros(inputs.shape[1]))
+
+
+class BestStretchDetector(MatrixProfileDetector):
+    """A matrix profile without its library."""
+
+    @classmethod
+    def check_installed(cls):
+        pass
 
 
 @pytest.fixture(scope="module")
@@ -85,38 +110,82 @@ def check(kind, sample, figures):
     assert [(other.score(*event), other.accept(*event)) for event in events[200:]] == rest
 
 
+def stretches(sample):
+    """A model of a matrix profile: half of the series, and limits by a naive search."""
+    everything = Everything("published")
+    scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
+    histories, limit = [], []
+    for slot in range(len(everything.slots)):
+        own = slice(*everything.range_of(slot))
+        codes = sample.vectors[sample.slots == slot, own].astype(np.float64)
+        series = np.abs(scaled(codes, scale[own])).max(axis=1)[:1500]
+        histories.append(series[::2].tolist() if len(series) < LENGTH else series.tolist())
+        limit.append([0.5] * REGIMES)
+    parameters = {"history": histories, "scale": scale.tolist(), "limit": limit}
+    return Model("matrix_profile", "tuned", MONITORED, "", parameters, dict(PROVENANCE))
+
+
+def without_libraries(sample):
+    return [EllipsoidDetector(fitted(EllipsoidDetector, sample, FIGURES)), BestStretchDetector(stretches(sample))]
+
+
 def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
-    check(NearestDetector, sample, FIGURES)
+    check(EllipsoidDetector, sample, FIGURES)
 
 
-def test_detectors_of_one_model_fit_it_once_and_score_each_on_its_own(sample, monkeypatch):
-    model, fits, scored = fitted(NearestDetector, sample, {**FIGURES, "largest_class": 50}), [], []
-    judge, scores = NearestDetector.judge.__func__, Nearest.scores
-    monkeypatch.setattr(NearestDetector, "judge", classmethod(lambda *given: fits.append(1) or judge(*given)))
-    monkeypatch.setattr(Nearest, "scores", lambda *given: scored.append(1) or scores(*given))
-    flights, counts = flight(2, ticks=50), []
-    for detector in (NearestDetector(model), NearestDetector(model)):
-        fly(detector, flights), fly(detector, flights)  # the second flight has the same publications
-        counts.append(len(scored))
-    assert len(fits) == 1 and counts[1] == 2 * counts[0] > 0
-    NearestDetector(replace(model, parameters={**model.parameters, "rows": model.parameters["rows"][::-1]}))
+def test_detectors_of_one_model_fit_it_once(sample, monkeypatch):
+    model, fits = fitted(EllipsoidDetector, sample, {**FIGURES, "largest_class": 50}), []
+    tables = EllipsoidDetector.tables.__func__
+    monkeypatch.setattr(EllipsoidDetector, "tables", classmethod(lambda *given: fits.append(1) or tables(*given)))
+    one, other = EllipsoidDetector(model), EllipsoidDetector(model)
+    assert len(fits) == 1 and one.scorer.kept["held"] is not other.scorer.kept["held"]
+    EllipsoidDetector(replace(model, parameters={**model.parameters, "rows": model.parameters["rows"][::-1]}))
     assert len(fits) == 2, "another model"
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
+@pytest.mark.parametrize("every", [0, 3])
+def test_one_call_admits_what_check_and_accept_would(sample, which, every):
+    """And remembered scores are those of new computations."""
+    at_once, stepwise = without_libraries(sample)[which], without_libraries(sample)[which]
+    flown, found = events(), []
+    for _ in range(2):
+        at_once.start(), stepwise.start()
+        found.append(admitted(at_once, admission, flown, every))
+        assert found[-1] == admitted(stepwise, one_after_the_other, flown, every)
+        assert found[-1][0]
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
+def test_scores_are_remembered_within_a_flight_alone(sample, which):
+    """So that the measured cost of a replay is that of a flight."""
+    detector = without_libraries(sample)[which]
+    detector.start()
+    admitted(detector, admission, events())
+    recent = detector.scorer._recent
+    assert recent.known.any()
+    detector.start()
+    assert not recent.known.any()
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
+def test_plain_python_computes_the_same_scores(sample, which):
+    """Its functions in place of the compiled ones, as an injector replaces them."""
+    detector, replaced = without_libraries(sample)[which], without_libraries(sample)[which]
+    called = []
+    plain = replaced.compiled["judge"]
+    replaced.instrument({"judge": lambda *given: called.append(1) or plain(*given)})
+    flown = flight(7, ticks=200)
+    for one in (detector, replaced):
+        one.start()
+    scores = [[(one.score(*event), one.accept(*event))[0] for event in flown] for one in (detector, replaced)]
+    assert scores[0] == scores[1] and len(called) > 100
 
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "kind",
-    [
-        IsolationForestDetector,
-        PcaDetector,
-        MahalanobisDetector,
-        HalfSpaceTreesDetector,
-        GradientBoostingDetector,
-        MatrixProfileDetector,
-    ],
-    ids=lambda kind: kind.model_kind,
-)
+@pytest.mark.parametrize("kind", LIBRARIES, ids=lambda kind: kind.model_kind)
 def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(kind, sample):
     package = "stumpy" if kind is MatrixProfileDetector else kind.package
     pytest.importorskip(package, exc_type=ImportError)
@@ -150,53 +219,177 @@ def correlated(seed):
     return rows, np.arange(600) % 2
 
 
+COLUMNS = [np.array([0, 1]), np.array([2, 3])]
+
+
 def test_a_code_that_does_not_agree_with_the_others_scores_high_within_its_own_range():
     pytest.importorskip("lightgbm", exc_type=ImportError)
-    columns = [np.array([0, 1]), np.array([2, 3])]
-    judge, (rows, slots) = Regressors(*correlated(1), columns), correlated(2)
-    normal = judge.scores(rows, slots)
+    model, (rows, slots) = regressors(*correlated(1), COLUMNS), correlated(2)
+    normal = rates(rows, slots, model)
     assert np.mean(normal[slots == 0] > 1.0) < 0.1 and np.mean(normal[slots == 1] > 1.0) < 0.1
     wrong = rows.copy()
     wrong[:, 1] = np.where(rows[:, 0] > 0.0, rows[:, 0] - 1.0, rows[:, 0] + 1.0)
-    assert judge.scores(wrong, slots)[slots == 0].min() > 4.0
+    assert rates(wrong, slots, model)[slots == 0].min() > 4.0
     wrong[:, :2] = rows[:, :2]
     wrong[:, 2] = 3.0
-    struck = judge.scores(wrong, slots)
+    struck = rates(wrong, slots, model)
     assert struck[slots == 1].min() > 1.5 and np.median(struck[slots == 0]) < 1.0
 
 
-def test_regressors_score_the_same_alone_together_and_fitted_again():
+def test_regressors_predict_what_the_library_predicts():
     pytest.importorskip("lightgbm", exc_type=ImportError)
-    columns = [np.array([0, 1]), np.array([2, 3])]
-    rows, slots = correlated(3)
-    judge, again = Regressors(rows, slots, columns), Regressors(rows, slots, columns)
-    together = judge.scores(rows[:20], slots[:20])
-    assert together.tolist() == again.scores(rows[:20], slots[:20]).tolist()
-    assert together.tolist() == [judge.scores(rows[k : k + 1], slots[k : k + 1])[0] for k in range(20)]
+    (rows, slots), (others, _) = correlated(3), correlated(5)
+    others[::5] *= 10.0
+    found, wanted = rates(others, slots, regressors(rows, slots, COLUMNS)), np.zeros(len(slots))
+    for slot, columns in enumerate(COLUMNS):
+        own, trained = slots == slot, rows[slots == slot]
+        for column in columns:
+            trees = regressor(trained[::2], int(column))
+
+            def residuals(given, trees=trees, column=column):
+                return np.abs(given[:, column] - trees.predict(np.delete(given, column, axis=1)))
+
+            wanted[own] = np.maximum(wanted[own], residuals(others[own]) / np.quantile(residuals(trained[1::2]), 0.99))
+    assert found.tolist() == wanted.tolist()
 
 
 def test_a_state_with_too_few_rows_has_no_regressors():
     pytest.importorskip("lightgbm", exc_type=ImportError)
     rows, slots = correlated(4)
     rare = np.where(np.arange(600) < 7, 1, 0)
-    scores = Regressors(rows, rare, [np.array([0, 1]), np.array([2, 3])]).scores(rows, slots)
+    scores = rates(rows, slots, regressors(rows, rare, COLUMNS))
     assert (scores[slots == 1] == 0.0).all() and (scores[slots == 0] > 0.0).any()
 
 
-def test_a_state_without_codes_has_no_scores_in_half_space_trees():
+def test_half_spaces_score_what_the_library_scores():
+    pytest.importorskip("river", exc_type=ImportError)
+    (rows, slots), (others, _) = correlated(5), correlated(6)
+    found = rates(others[:200], slots[:200], half_spaces(rows, slots, COLUMNS))
+    forests = [half_space_trees.fitted(rows[slots == slot][:, own]) for slot, own in enumerate(COLUMNS)]
+    wanted = [
+        forests[slot].score_one(dict(enumerate(row[COLUMNS[slot]].tolist())))
+        for row, slot in zip(others[:200], slots[:200], strict=True)
+    ]
+    assert found == pytest.approx(wanted, abs=1e-14) and np.ptp(found) > 0.1
+
+
+def test_a_state_without_codes_or_rows_has_no_scores_in_half_space_trees():
     pytest.importorskip("river", exc_type=ImportError)
     rows, slots = correlated(5)
-    scores = Forests(rows, slots, [np.arange(4), np.arange(0)]).scores(rows[:200], slots[:200])
+    scores = rates(rows[:200], slots[:200], half_spaces(rows, slots, [np.arange(4), np.arange(0)]))
     assert (scores[slots[:200] == 1] == 0.0).all() and (scores[slots[:200] == 0] > 0.0).any()
+    assert not rates(rows[:9], slots[:9], half_spaces(rows, np.full(600, 2), [*COLUMNS, np.arange(2)])).any()
+
+
+@pytest.mark.parametrize("kind", LIBRARIES[:3], ids=lambda kind: kind.model_kind)
+def test_outliers_score_what_the_library_scores(kind):
+    pytest.importorskip("pyod", exc_type=ImportError)
+    (rows, slots), (others, _) = correlated(7), correlated(8)
+    others[::5] *= 10.0
+    library = kind.make().fit(rows)
+    found, wanted = rates(others, slots, kind.tables_of(library, 2)), library.decision_function(others)
+    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+
+
+def random_tree(random, depth):
+    """A tree of any form."""
+    if depth == 0 or random.random() < 0.2:
+        return float(random.normal())
+    column, threshold = int(random.integers(3)), float(random.normal())
+    return Branch(column, threshold, random_tree(random, depth - 1), random_tree(random, depth - 1))
+
+
+def leaf_of(tree, row):
+    while isinstance(tree, Branch):
+        tree = tree.low if row[tree.column] <= tree.threshold else tree.high
+    return tree
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
+    random = np.random.default_rng(seed)
+    states = [
+        [
+            Group([random_tree(random, 6) for _ in range(5)], float(random.uniform(0.1, 2.0)), column=column)
+            for column in range(-1, count - 1)
+        ]
+        for count in (2, 0, 3)
+    ]
+    rows, slots = random.normal(size=(60, 3)), np.arange(60) % 3
+    first = states[0][0].trees[0]
+    if isinstance(first, Branch):
+        rows[0, first.column] = first.threshold  # inclusive
+    wanted = [
+        max(
+            (
+                abs((row[group.column] if group.column >= 0 else 0.0) - sum(leaf_of(tree, row) for tree in group.trees))
+                / group.unit
+                for group in states[slot]
+            ),
+            default=0.0,
+        )
+        for row, slot in zip(rows, slots, strict=True)
+    ]
+    assert rates(rows, slots, forest_of(states)) == pytest.approx(wanted, rel=1e-12)
+    assert rates(rows, slots, forest_of(states, True, -0.5)) == pytest.approx(
+        np.exp(-np.array(wanted)) - 0.5, rel=1e-12
+    )
+
+
+def test_a_base_is_added_to_the_sum():
+    model = forest_of([[Group([1.0, Branch(0, 0.5, 2.0, 4.0)], 2.0, base=10.0)]])
+    assert rates(np.array([[0.5], [0.6]]), np.zeros(2, np.int64), model).tolist() == [3.5, 2.5]
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_the_limit_of_an_input_is_that_of_its_single_precision(seed):
+    random = np.random.default_rng(seed)
+    threshold = float(random.normal() * 10.0 ** random.integers(-6, 3))
+    if seed % 2:
+        threshold = float(np.float32(threshold))
+    limit = single_limit(threshold)
+    assert np.float32(limit) <= threshold < np.float32(np.nextafter(limit, np.inf))
+
+
+def test_path_lengths_are_those_of_the_paper():
+    """c(n) = 2 H(n - 1) - 2 (n - 1) / n, with the harmonic number approximated by ln + Euler's constant."""
+    assert [path_length(rows) for rows in (0, 1, 2)] == [0.0, 0.0, 1.0]
+    harmonic = sum(1.0 / k for k in range(1, 256))
+    assert path_length(256) == pytest.approx(2.0 * harmonic - 2.0 * 255 / 256, abs=0.005)
+
+
+def test_the_score_of_components_is_that_of_a_naive_sum():
+    random = np.random.default_rng(3)
+    mean, deviation, weights = random.normal(size=5), random.uniform(0.5, 2.0, 5), random.uniform(0.1, 1.0, 3)
+    components, rows = random.normal(size=(5, 3)), random.normal(size=(20, 5))
+    model = Components(mean, deviation, components, weights, np.zeros(3))
+    wanted = [
+        sum(np.linalg.norm((row - mean) / deviation - components[:, k]) / weights[k] for k in range(3)) for row in rows
+    ]
+    assert rates(rows, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_the_score_of_an_ellipsoid_is_that_of_a_naive_product():
+    random = np.random.default_rng(4)
+    centre, half, rows = random.normal(size=5), random.normal(size=(5, 5)), random.normal(size=(20, 5))
+    wanted = [(row - centre) @ (half @ half.T) @ (row - centre) for row in rows]
+    model = Ellipsoid(centre, half @ half.T, np.zeros(5))
+    assert rates(rows, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_the_nearest_stretch_is_that_of_a_naive_search():
-    pytest.importorskip("stumpy", exc_type=ImportError)
     random = np.random.default_rng(1)
-    history, stretch = random.normal(size=200), random.normal(size=LENGTH)
+    history, stretch, work = random.normal(size=200), random.normal(size=LENGTH), np.zeros(200)
     naive = min(np.sqrt(((history[k : k + LENGTH] - stretch) ** 2).sum()) for k in range(200 - LENGTH + 1))
-    assert nearest(stretch, history) == pytest.approx(naive, abs=1e-9)
-    assert nearest(stretch, history[: LENGTH - 1]) == 0.0
+    assert nearest(stretch, history, work) == pytest.approx(naive, rel=1e-12)
+    assert nearest(stretch, history[: LENGTH - 1], work) == 0.0
+
+
+def test_the_nearest_stretch_is_that_of_the_library():
+    core = pytest.importorskip("stumpy.core", exc_type=ImportError)
+    random = np.random.default_rng(2)
+    history, stretch = random.normal(size=500), random.normal(size=LENGTH)
+    assert nearest(stretch, history, np.zeros(500)) == pytest.approx(core.mass_absolute(stretch, history).min())
 
 
 def test_the_value_is_that_of_an_incremental_matrix_profile():
@@ -207,41 +400,23 @@ def test_the_value_is_that_of_an_incremental_matrix_profile():
     for value in stretch:
         profile.update(value)
     # stumpi also compares with stretches that reach into the new values
-    assert profile.P_[-1] <= nearest(stretch, history) + 1e-9
+    assert profile.P_[-1] <= nearest(stretch, history, np.zeros(60)) + 1e-9
 
 
-def test_after_an_anomaly_normal_values_are_normal_again(monkeypatch):
+def test_after_an_anomaly_normal_values_are_normal_again():
     """If anomalies were left out of the subsequence, what follows one would not fit what came before it."""
     history = np.array([0.0] * 20 + [0.5] + [1.0] * 20)
-
-    def naive(last, own):
-        return min(float(np.linalg.norm(own[k : k + LENGTH] - last)) for k in range(len(own) - LENGTH + 1))
-
-    monkeypatch.setattr(matrix_profile, "nearest", naive)
     everything = Everything("published")
     scorer = StretchScorer(everything, [history] * len(everything.slots), np.ones(len(everything.fields)))
-    scores = []
-    for value in [0.0] * LENGTH + [9.0] + [1.0] * (2 * LENGTH):
-        monkeypatch.setattr(scorer, "value", lambda slot, value=value: value)
-        scores.append(scorer.score_of(0, 0))
-        scorer.learn(0, Verdict(4.0 * scores[-1], np.array([4.0 * scores[-1]])))
+    scorer.use(Threshold(np.full((len(everything.slots), REGIMES), 0.25), len(everything.slots)))
+    _, _, limit, series = scorer._tables
+    own, judged = scorer.everything.book, scorer._judged_last
+    slot, scores = everything.slots["control.tracking"], []
+    for value in [0] * LENGTH + [9] + [1] * (2 * LENGTH):
+        own.codes[slice(*everything.range_of(slot))] = value
+        own.place[:] = slot, 0, own.place[book.ACCEPTED], own.place[book.LEARNED]
+        judge_stretch(own, judged, limit, series)
+        scores.append(float(judged.distance[slot]))
+        own.place[book.LEARNED] = slot
     assert scores[:LENGTH] == [0.0] * LENGTH and scores[LENGTH] > 8.0
     assert scores[-LENGTH - 1 :] == [0.0] * (LENGTH + 1), "a subsequence after the anomaly"
-
-
-def test_a_score_is_computed_once_for_each_model_state_and_input():
-    class Counting:
-        def __init__(self, unit):
-            self.unit, self.computed = unit, 0
-
-        def scores(self, inputs, slots):
-            assert inputs.shape == (1, 2)
-            self.computed += 1
-            return self.unit * (inputs.sum(axis=1) + 100 * slots)
-
-    one, other = Counting(1.0), Counting(2.0)
-    rows = [np.array(row).tobytes() for row in ([0.0, 1.0], [2.0, 3.0])]
-    for _ in range(2):
-        assert [score_once(one, slot, row) for slot in (0, 1) for row in rows] == [1.0, 5.0, 101.0, 105.0]
-        assert score_once(other, 0, rows[0]) == 2.0
-    assert (one.computed, other.computed) == (4, 1)

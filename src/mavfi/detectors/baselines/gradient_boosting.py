@@ -5,12 +5,13 @@ codes, the other half gives the quantile of each residual.  A publication scores
 units of these quantiles: a value that alone is normal is judged by whether it agrees with the others.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.baselines.library import Judge, LibraryDetector, columns_of
+from mavfi.detectors.baselines.forest import Branch, Forest, ForestScorer, Group, Tree, forest_of
+from mavfi.detectors.baselines.library import LibraryDetector, columns_of
 from mavfi.detectors.everything import Everything
 
 ROUNDS = 40
@@ -26,72 +27,54 @@ FEWEST = 8
 _SMALLEST = 1e-6
 
 
-class _Regressor(NamedTuple):
-    """Predicts one code from the others.
-
-    Attributes:
-        column: The code, among all watched ones.
-        trees: LightGBM's booster.
-        quantile: Of the absolute residual, `QUANTILE`.
-    """
-
-    column: int
-    trees: Any
-    quantile: float
-
-    def ratios(self, inputs: np.ndarray) -> np.ndarray:
-        """Absolute residuals of rows, shape (m, n), in units of the quantile. Shape (m,)."""
-        found: np.ndarray = _residuals(self.trees, inputs, self.column) / self.quantile
-        return found
-
-
-class Regressors:
+def regressors(inputs: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray]) -> Forest:
     """Regressors of all codes, by state.
 
     Args:
-        inputs: Training rows, see `Judge.scores`.
-        slots: Their states.
+        inputs: Training rows, shape (m, w).
+        slots: Their states. Shape (m,).
         columns: By state, the columns of its codes.
     """
-
-    def __init__(self, inputs: np.ndarray, slots: np.ndarray, columns: list[np.ndarray]) -> None:
-        self._of_state = [
+    return forest_of(
+        [
             [_fitted(inputs[slots == slot], int(column)) for column in own] if (slots == slot).sum() >= FEWEST else []
             for slot, own in enumerate(columns)
         ]
-
-    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """See `Judge.scores`."""
-        found = np.zeros(len(slots))
-        for slot in np.unique(slots):
-            own = slots == slot
-            for regressor in self._of_state[slot]:
-                found[own] = np.maximum(found[own], regressor.ratios(inputs[own]))
-        return found
+    )
 
 
-def _fitted(rows: np.ndarray, column: int) -> _Regressor:
-    """A regressor of a column, fitted to every other row."""
+def regressor(rows: np.ndarray, column: int) -> Any:  # noqa: ANN401 - of the library
+    """LightGBM's regressor of a column on all others."""
     import lightgbm
 
-    data = lightgbm.Dataset(np.delete(rows[::2], column, axis=1), rows[::2, column], params=dict(OPTIONS))
-    trees = lightgbm.train(dict(OPTIONS), data, ROUNDS)
-    quantile = float(np.quantile(_residuals(trees, rows[1::2], column), QUANTILE))
-    return _Regressor(column, trees, max(quantile, _SMALLEST))
+    data = lightgbm.Dataset(np.delete(rows, column, axis=1), rows[:, column], params=dict(OPTIONS))
+    return lightgbm.train(dict(OPTIONS), data, ROUNDS)
 
 
-def _residuals(trees: Any, rows: np.ndarray, column: int) -> np.ndarray:  # noqa: ANN401 - of the library
-    found: np.ndarray = np.abs(rows[:, column] - trees.predict(np.delete(rows, column, axis=1), num_threads=1))
-    return found
+def _fitted(rows: np.ndarray, column: int) -> Group:
+    """A regressor of a column, fitted to every other row."""
+    trees = regressor(rows[::2], column)
+    predicted = trees.predict(np.delete(rows[1::2], column, axis=1), num_threads=1)
+    quantile = float(np.quantile(np.abs(rows[1::2, column] - predicted), QUANTILE))
+    structures = [one["tree_structure"] for one in trees.dump_model()["tree_info"]]
+    return Group([_tree(one, column) for one in structures], max(quantile, _SMALLEST), column=column)
+
+
+def _tree(node: Mapping[str, Any], left_out: int) -> Tree:
+    """A subtree; its inputs are all columns but one."""
+    if "leaf_value" in node:
+        return float(node["leaf_value"])
+    column = int(node["split_feature"])
+    low, high = (_tree(node[child], left_out) for child in ("left_child", "right_child"))
+    return Branch(column + (column >= left_out), float(node["threshold"]), low, high)
 
 
 class GradientBoostingDetector(LibraryDetector):
     """Residuals of gradient-boosted regressions."""
 
-    model_kind = "gradient_boosting"
-    package = "lightgbm"
+    model_kind, package, scorer_type = "gradient_boosting", "lightgbm", ForestScorer
 
     @classmethod
-    def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
-        """See `LibraryDetector.judge`."""
-        return Regressors(inputs, slots, columns_of(everything))
+    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Forest:
+        """See `LibraryDetector.tables`."""
+        return regressors(inputs, slots, columns_of(everything))

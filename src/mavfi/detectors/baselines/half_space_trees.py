@@ -1,58 +1,68 @@
 """Half-space trees (Tan, Ting and Liu, IJCAI 2011) from river: one forest for the fields of each state."""
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT
-from mavfi.detectors.baselines.library import Judge, LibraryDetector, columns_of
+from mavfi.detectors.baselines.forest import Branch, Forest, ForestScorer, Group, Tree, forest_of
+from mavfi.detectors.baselines.library import LibraryDetector, columns_of
 from mavfi.detectors.everything import Everything
 
 _TREES, _HEIGHT, _WINDOW = 25, 8, 100
+_LEAST = 0.1
+"""Mass of a node / window below which the path ends (the paper's SizeLimit)."""
 
 
-class Forests:
+def half_spaces(inputs: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray]) -> Forest:
     """Forests by state, fitted in the order of the rows; they do not learn in flight.
 
     Args:
-        inputs: Training rows, see `Judge.scores`.
-        slots: Their states.
-        columns: By state, the columns of its codes; a state without codes scores 0.
+        inputs: Training rows, shape (m, w).
+        slots: Their states. Shape (m,).
+        columns: By state, the columns of its codes; a state without codes or rows scores 0.
     """
+    return forest_of([_groups(inputs[slots == slot], own) for slot, own in enumerate(columns)])
 
-    def __init__(self, inputs: np.ndarray, slots: np.ndarray, columns: list[np.ndarray]) -> None:
-        self._columns = columns
-        self._forests = [self._forest(inputs[slots == slot][:, own]) for slot, own in enumerate(columns)]
 
-    @staticmethod
-    def _forest(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
-        from river.anomaly import HalfSpaceTrees
+def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
+    """River's forest of rows of one state, shape (m, w), m and w > 0."""
+    from river.anomaly import HalfSpaceTrees
 
-        make: Any = HalfSpaceTrees  # its types are those of dictionaries with any key
-        limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
-        window = max(1, min(_WINDOW, len(rows)))
-        forest = make(n_trees=_TREES, height=_HEIGHT, window_size=window, limits=limits, seed=0)
-        for row in rows if limits else ():  # without codes there is nothing to learn
-            forest.learn_one(dict(enumerate(row.tolist())))
-        return forest
+    make: Any = HalfSpaceTrees  # its types are those of dictionaries with any key
+    limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
+    forest = make(n_trees=_TREES, height=_HEIGHT, window_size=min(_WINDOW, len(rows)), limits=limits, seed=0)
+    for row in rows:
+        forest.learn_one(dict(enumerate(row.tolist())))
+    return forest
 
-    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """See `Judge.scores`."""
-        return np.array(
-            [
-                self._forests[slot].score_one(dict(enumerate(row[self._columns[slot]].tolist())))
-                for row, slot in zip(inputs, slots, strict=True)
-            ]
-        )
+
+def _groups(rows: np.ndarray, own: np.ndarray) -> list[Group]:
+    if not len(own) or not len(rows):
+        return []
+    forest = fitted(rows[:, own])
+    trees = [_tree(tree, own, 0, 0.0, _LEAST * forest.window_size) for tree in forest.trees]
+    most = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
+    return [Group(trees, most, base=most)]
+
+
+def _tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) -> Tree:  # noqa: ANN401
+    """A subtree; the value of a leaf is the sum of mass * 2^depth on the path to it."""
+    total = above + float(node.r_mass) * 2.0**depth
+    if depth == _HEIGHT or node.r_mass < least:
+        return total
+    low, high = (_tree(child, own, depth + 1, total, least) for child in node.children)
+    return Branch(int(own[node.feature]), math.nextafter(float(node.threshold), -math.inf), low, high)
 
 
 class HalfSpaceTreesDetector(LibraryDetector):
     """Half-space trees of every state."""
 
-    model_kind = "half_space_trees"
-    package = "river"
+    model_kind, package, scorer_type = "half_space_trees", "river", ForestScorer
 
     @classmethod
-    def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
-        """See `LibraryDetector.judge`."""
-        return Forests(inputs, slots, columns_of(everything))
+    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Forest:
+        """See `LibraryDetector.tables`."""
+        return half_spaces(inputs, slots, columns_of(everything))

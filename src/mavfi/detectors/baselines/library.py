@@ -1,60 +1,36 @@
-"""Common base of library adapters: training rows, scores of publications, score limits by state and regime."""
+"""Common base of library adapters: training rows, scores of publications, score limits by state and regime.
+
+A library fits its model; its numbers become tables, from which compiled code computes the library's score: a call from
+Python takes longer than the kernels of the publication.
+"""
 
 import functools
 from abc import abstractmethod
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
-from mavfi.detectors.all_fields import AllFieldsDetector
-from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
-from mavfi.detectors.code_scorer import CodeScorer
+from mavfi.detectors import book
+from mavfi.detectors.all_fields import AllFieldsDetector, Holding, hold
+from mavfi.detectors.autoencoder import INPUT_LIMIT, Recent, no_recent, recall, representative, row_of
+from mavfi.detectors.book import Book
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import StateScorer, state_peaks
-from mavfi.detectors.parts import Verdict
+from mavfi.detectors.one_score import OfStates, state_peaks
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import NotInstalledError
+from mavfi.numerics.jit import kernel_jit
 
-_BATCH = 20_000
 _FITTED = 16
-"""Judges that a process keeps."""
-
-
-class Judge(Hashable, Protocol):
-    """A fitted model of a library."""
-
-    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """Anomaly scores of publications, any real numbers.
-
-        Args:
-            inputs: Codes of all watched fields / their largest in training. Shape (m, n).
-            slots: Index of the published state. Shape (m,).
-
-        Returns:
-            Shape (m,), float64.
-        """
-
-
-@functools.lru_cache(1 << 15)
-def score_once(judge: Judge, slot: int, content: bytes) -> float:
-    """Score of a publication, computed once per input: most publications repeat an earlier one.
-
-    Args:
-        judge: The model.
-        slot: Index of the published state.
-        content: Bytes of its inputs, float64.
-    """
-    return float(judge.scores(np.frombuffer(content).copy()[None], np.array([slot]))[0])
-
-
-class Own:
-    """A judge as that of one detector: detectors of one model share what was fitted, but not `score_once`."""
-
-    def __init__(self, judge: Judge) -> None:
-        self.scores = judge.scores
+"""Fitted models that a process keeps."""
+REMEMBERED = 64
+"""Inputs of each state whose scores are remembered: most publications repeat an earlier one."""
+RATES: dict[type, Callable[..., float]] = {}
+"""Score functions, by the type of a model's tables, see `rate`."""
 
 
 def require(package: str) -> None:
@@ -63,36 +39,136 @@ def require(package: str) -> None:
         raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
 
 
-class LibraryScorer(StateScorer):
+def rate(row: np.ndarray, slot: int, model: Any) -> float:  # noqa: ANN401 - a type in `RATES`
+    """Anomaly score of a publication, any real number.
+
+    Args:
+        row: Codes of all watched fields / their largest in training. Shape (w,).
+        slot: Index of the published state.
+        model: Tables of a fitted model.
+    """
+    return RATES[type(model)](row, slot, model)
+
+
+@overload(rate)
+def _rate(row, slot, model):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
+    own = RATES[model.instance_class]
+    return lambda row, slot, model: own(row, slot, model)
+
+
+@kernel_jit
+def rates(rows: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # noqa: ANN401
+    """Scores of publications of states `slots`, shape (m,), see `rate`; rows have shape (m, w)."""
+    found = np.zeros(len(rows))
+    for index in range(len(rows)):
+        found[index] = rate(rows[index], slots[index], model)
+    return found
+
+
+class Inputs(NamedTuple):
+    """From codes to the inputs of a model.
+
+    Attributes:
+        scale: Largest code of each field in training. Shape (n,).
+        columns: Indices of the watched fields. Shape (w,), int64.
+        floor: Smallest score in training, subtracted from all scores. Shape (1,).
+        row: Inputs of the publication judged last. Shape (w,).
+    """
+
+    scale: np.ndarray
+    columns: np.ndarray
+    floor: np.ndarray
+    row: np.ndarray
+
+
+@kernel_jit
+def excess(vector: np.ndarray, slot: int, model: Any, inputs: Inputs) -> float:  # noqa: ANN401
+    """Score of the latest codes, shape (n,), above the smallest one in training; 0 below it."""
+    for place in range(len(inputs.columns)):
+        column = inputs.columns[place]
+        inputs.row[place] = min(max(vector[column] / inputs.scale[column], -INPUT_LIMIT), INPUT_LIMIT)
+    return float(max(0.0, rate(inputs.row, slot, model) - inputs.floor[0]))
+
+
+@kernel_jit
+def learn(
+    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, inputs: Inputs  # noqa: ANN401
+) -> None:  # fmt: skip
+    """Hold the codes of a normal publication; 0 for an anomalous one."""
+    hold(own, judged, limit, model, holding)
+
+
+@kernel_jit
+def update(own: Book, holding: Holding) -> None:
+    """The latest codes of all states: those held, and those of the publication measured last."""
+    first, last = own.spans[own.place[book.SLOT]]
+    holding.vector[:] = holding.held
+    holding.vector[first:last] = own.codes[first:last]
+
+
+@kernel_jit
+def judge_model(
+    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, inputs: Inputs  # noqa: ANN401
+) -> float:  # fmt: skip
+    """Score of the latest codes by a model, in units of the limit of their state and regime."""
+    learn(own, judged, limit, model, holding, inputs)
+    update(own, holding)
+    slot = own.place[book.SLOT]
+    if own.place[book.REGIME] >= 0:
+        judged.distance[slot] = excess(holding.vector, slot, model, inputs)
+    return conclude(slot, slot + 1, own, judged, limit)
+
+
+@kernel_jit
+def admit_by_model(
+    header: Any, own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, inputs: Inputs,  # noqa: ANN401
+    recent: Recent,
+) -> bool:  # fmt: skip
+    """`judge_model` of a publication that is accepted without an alarm; the same codes have the same score."""
+    book.measure(header, own)
+    learn(own, judged, limit, model, holding, inputs)
+    update(own, holding)
+    slot = own.place[book.SLOT]
+    if own.place[book.REGIME] >= 0:
+        row = slot * REMEMBERED + row_of(holding.vector, REMEMBERED)
+        if not recall(holding.vector, recent, row):
+            recent.errors[row, 0] = excess(holding.vector, slot, model, inputs)
+        judged.distance[slot] = recent.errors[row, 0]
+    return book.accept_unless_alarm(conclude(slot, slot + 1, own, judged, limit), own)
+
+
+_MEMORY = Holding(*np.zeros((2, 1), np.int16)), Inputs(np.zeros(1), np.zeros(1, np.int64), np.zeros(1), np.zeros(1))
+
+
+def kinds_with(model: Any) -> tuple[Any, Any]:  # noqa: ANN401
+    """`kind_with` an example of a model: for `judge_model`, and for `admit_by_model`."""
+    return kind_with(model, *_MEMORY), kind_with(model, *_MEMORY, no_scores(1, 1))
+
+
+def no_scores(slots: int, width: int) -> Recent:
+    """Before the first input of this width: as `no_recent`, with one score per row."""
+    return Recent(no_recent(slots * REMEMBERED, width).vector, *no_recent(slots * REMEMBERED, 1)[1:])
+
+
+class ModelScorer(OfStates):
     """Scores of a fitted model, from the latest codes of all states.
 
     Args:
         everything: Computes the codes.
-        judge: The model.
-        scale: Largest code in training. Shape (n,).
-        floor: Smallest score in training, subtracted from all scores.
+        model: Tables of the fitted model.
+        scale: Largest code of each field in training. Shape (n,).
+        floor: Smallest score in training.
     """
 
-    adapts = True
+    judge, learns = staticmethod(judge_model), staticmethod(learn)
 
-    def __init__(self, everything: Everything, judge: Judge, scale: np.ndarray, floor: float) -> None:
-        super().__init__(everything)
-        self._held = np.zeros_like(self._codes)
-        self.kept = {**self.kept, "held": self._held}
-        self._judge, self._scale, self._floor = judge, scale, floor
-        self._watched = everything.quanta > 0.0
-
-    def score_of(self, slot: int, regime: int) -> float:
-        """See `StateScorer.score_of`."""
-        own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
-        vector[own] = self._codes[own]
-        inputs = scaled(vector[None], self._scale)[:, self._watched]
-        return max(0.0, score_once(self._judge, slot, inputs.tobytes()) - self._floor)
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Hold the codes of a normal publication; 0 for an anomalous one."""
-        own = slice(*self.everything.range_of(slot))
-        self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
+    def __init__(self, everything: Everything, model: Any, scale: np.ndarray, floor: float) -> None:  # noqa: ANN401
+        columns = np.flatnonzero(everything.quanta > 0.0)
+        holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
+        inputs = Inputs(scale, columns, np.array([floor]), np.zeros(len(columns)))
+        recent = no_scores(len(everything.slots), len(everything.fields))
+        super().__init__(everything, model, holding, inputs, recent=recent)
+        self.kept = {**self.kept, "held": holding.held}
 
 
 def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -109,14 +185,16 @@ def columns_of(everything: Everything) -> list[np.ndarray]:
 
 
 class LibraryDetector(AllFieldsDetector):
-    """A detector from a library.
+    """A detector whose model a library fits.
 
     Attributes:
         package: Package that must be installed.
+        scorer_type: Computes the scores of `tables`.
     """
 
     package: str
     extra = "bench"
+    scorer_type: ClassVar[type[ModelScorer]]
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
@@ -125,8 +203,8 @@ class LibraryDetector(AllFieldsDetector):
         rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
-        judge = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
-        return LibraryScorer(everything, Own(judge), scale, float(model.numbers("floor")))
+        tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
+        return cls.scorer_type(everything, tables, scale, float(model.numbers("floor")))
 
     @classmethod
     def check_installed(cls) -> None:
@@ -135,16 +213,22 @@ class LibraryDetector(AllFieldsDetector):
 
     @classmethod
     @abstractmethod
-    def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
-        """Fit a model of the library to normal publications; arguments as for `Judge.scores`."""
+    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Any:  # noqa: ANN401
+        """Tables of a model that the library fits to normal publications.
+
+        Args:
+            inputs: Their inputs, see `rate`. Shape (m, w).
+            slots: Their states. Shape (m,).
+            everything: Codes from which they were made.
+        """
 
     @classmethod
-    def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, everything: Everything) -> Judge:
+    def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, everything: Everything) -> Any:  # noqa: ANN401
         """Fit the library's model to codes, dithered uniformly by half a code so that no field is constant."""
         cls.check_installed()
         generator = np.random.Generator(np.random.PCG64(0))
         dithered = rows + generator.uniform(-0.5, 0.5, rows.shape)
-        return cls.judge(scaled(dithered, scale)[:, everything.quanta > 0.0], slots, everything)
+        return cls.tables(scaled(dithered, scale)[:, everything.quanta > 0.0], slots, everything)
 
     @classmethod
     def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -158,18 +242,10 @@ class LibraryDetector(AllFieldsDetector):
         """
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
         rows = representative(sample, int(figures["largest_class"]))
-        judge = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, everything)
+        model = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, everything)
         chosen = representative(sample, int(figures["calibrated"]))
         part = Sample(*(getattr(sample, name)[chosen] for name in Sample.__annotations__))
-        scores = np.concatenate(
-            [
-                judge.scores(
-                    scaled(part.vectors[start : start + _BATCH], scale)[:, everything.quanta > 0.0],
-                    part.slots[start : start + _BATCH],
-                )
-                for start in range(0, len(chosen), _BATCH)
-            ]
-        )
+        scores = rates(np.ascontiguousarray(scaled(part.vectors, scale)[:, everything.quanta > 0.0]), part.slots, model)
         floor = float(scores.min())
         peaks, counts = state_peaks(scores - floor, part, len(everything.slots))
         limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))
@@ -180,7 +256,7 @@ class LibraryDetector(AllFieldsDetector):
 
 
 @functools.lru_cache(_FITTED)
-def _refitted(learned: Callable[..., Judge], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Judge:
-    """The judge of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
+def _refitted(learned: Callable[..., Any], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Any:  # noqa: ANN401
+    """Tables of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
     everything, states = Everything(autopilot), np.frombuffer(slots, np.int64)
     return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), everything)

@@ -2,23 +2,29 @@
 
 The series of a state is the largest scaled code of each publication.  A new publication scores the smallest distance,
 not normalized, between the subsequence that it completes and all training subsequences (an AB-join, identical to
-`stumpi` fed value by value); the only memory is the subsequence itself.
+`stumpi` fed value by value); the only memory is the subsequence itself.  stumpy computes the limits; in flight compiled
+code computes the same distance.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector
-from mavfi.detectors.baselines.library import LibraryDetector, require, scaled, score_once
-from mavfi.detectors.code_scorer import CodeScorer
+from mavfi.detectors.autoencoder import INPUT_LIMIT, Recent, recall, row_of
+from mavfi.detectors.baselines.library import REMEMBERED, LibraryDetector, no_scores, require, scaled
+from mavfi.detectors.book import Book
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import StateScorer
-from mavfi.detectors.parts import Verdict
+from mavfi.detectors.one_score import OfStates
 from mavfi.detectors.samples import Sample
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import header_of
+from mavfi.numerics.stored import load
 
 LENGTH = 8
 """Publications per subsequence."""
@@ -26,63 +32,152 @@ _NEVER = 1e17
 """Limit for states without a training subsequence."""
 
 
-def nearest(stretch: np.ndarray, history: np.ndarray) -> float:
+class Series(NamedTuple):
+    """Values in training and in flight.
+
+    Attributes:
+        history: Training series of each state. Shape (slots, k).
+        lengths: Number of values of each. Shape (slots,), int64.
+        scale: Largest code of each field in training. Shape (n,).
+        recent: The latest values of each state. Shape (slots, LENGTH - 1).
+        published: Number of values of each state. Shape (slots,).
+        stretch: Subsequence of the publication judged last. Shape (LENGTH,).
+        squares: Squared distances, work. Shape (k,).
+    """
+
+    history: np.ndarray
+    lengths: np.ndarray
+    scale: np.ndarray
+    recent: np.ndarray
+    published: np.ndarray
+    stretch: np.ndarray
+    squares: np.ndarray
+
+
+@kernel_jit
+def largest_code(codes: np.ndarray, scale: np.ndarray) -> float:
+    """The value of a publication: its largest scaled code. Shapes (n,)."""
+    worst = 0.0
+    for index in range(len(codes)):
+        worst = max(worst, min(abs(codes[index]) / scale[index], INPUT_LIMIT))
+    return worst
+
+
+@kernel_jit
+def nearest(stretch: np.ndarray, history: np.ndarray, squares: np.ndarray) -> float:
     """Smallest Euclidean distance of a subsequence, shape (LENGTH,), from a history, shape (k,); 0 if too short."""
-    if len(history) < LENGTH:
+    count = len(history) - LENGTH + 1
+    if count < 1:
         return 0.0
-    from stumpy.core import mass_absolute
-
-    return float(mass_absolute(stretch, history).min())
-
-
-class Histories:
-    """Distances from the training series of each state; their inputs are subsequences, see `Judge.scores`."""
-
-    def __init__(self, series: list[np.ndarray]) -> None:
-        self._series = series
-
-    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """Distances of subsequences, shape (m, LENGTH), of states, shape (m,). Shape (m,)."""
-        return np.array([nearest(row, self._series[slot]) for row, slot in zip(inputs, slots, strict=True)])
+    squares[:count] = 0.0
+    for place in range(LENGTH):  # all subsequences side by side: several per machine instruction
+        value, moved = stretch[place], history[place : place + count]
+        for index in range(count):
+            away = value - moved[index]
+            squares[index] += away * away
+    best = squares[0]
+    for index in range(count):
+        best = min(best, squares[index])
+    return float(np.sqrt(best))
 
 
-class StretchScorer(StateScorer):
+@kernel_jit
+def learn(own: Book, judged: Judged, limit: np.ndarray, series: Series) -> None:
+    """Store a value that consumers received, normal or not, as in training.
+
+    After an anomaly that was left out, the subsequence ended before it, and any next value was an anomaly as well.
+    """
+    if own.place[book.LEARNED] == book.NEVER:
+        return
+    recent = series.recent[own.place[book.LEARNED]]
+    for place in range(LENGTH - 1):
+        recent[place] = series.stretch[place + 1]
+    series.published[own.place[book.LEARNED]] += 1.0
+    own.place[book.LEARNED] = book.NEVER
+
+
+@kernel_jit
+def extend(own: Book, series: Series) -> bool:
+    """Subsequence that ends with the publication measured last; whether it is complete."""
+    slot = own.place[book.SLOT]
+    first, last = own.spans[slot]
+    for place in range(LENGTH - 1):
+        series.stretch[place] = series.recent[slot, place]
+    series.stretch[LENGTH - 1] = largest_code(own.codes[first:last], series.scale[first:last])
+    return bool(series.published[slot] >= LENGTH - 1)
+
+
+@kernel_jit
+def distance_of(slot: int, series: Series) -> float:
+    """Distance of the subsequence judged last from the training series of its state."""
+    return nearest(series.stretch, series.history[slot, : series.lengths[slot]], series.squares)
+
+
+@kernel_jit
+def judge_stretch(own: Book, judged: Judged, limit: np.ndarray, series: Series) -> float:
+    """Score of the subsequence that a publication completes; 0 until the first is complete."""
+    learn(own, judged, limit, series)
+    slot, complete = own.place[book.SLOT], extend(own, series)
+    if own.place[book.REGIME] >= 0:
+        judged.distance[slot] = distance_of(slot, series) if complete else 0.0
+    return conclude(slot, slot + 1, own, judged, limit)
+
+
+@kernel_jit
+def admit_by_stretch(
+    header: Any, own: Book, judged: Judged, limit: np.ndarray, series: Series, recent: Recent  # noqa: ANN401
+) -> bool:  # fmt: skip
+    """`judge_stretch` of a publication that is accepted without an alarm; the same values have the same distance."""
+    book.measure(header, own)
+    learn(own, judged, limit, series)
+    slot, complete = own.place[book.SLOT], extend(own, series)
+    if own.place[book.REGIME] >= 0:
+        judged.distance[slot] = 0.0
+        if complete:
+            stretch = series.stretch.view(np.int16)
+            row = slot * REMEMBERED + row_of(stretch, REMEMBERED)
+            if not recall(stretch, recent, row):
+                recent.errors[row, 0] = distance_of(slot, series)
+            judged.distance[slot] = recent.errors[row, 0]
+    return book.accept_unless_alarm(conclude(slot, slot + 1, own, judged, limit), own)
+
+
+_EXAMPLE = Series(np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 1)), *np.zeros((3, 1)))
+_KIND, _ADMISSION = kind_with(_EXAMPLE), kind_with(_EXAMPLE, no_scores(1, 1))
+
+
+@kernel_jit
+def _stretch_at(address: int) -> float:
+    return judge_stretch(*load(address, _KIND))
+
+
+@short_jit
+def _admit_stretch(address: int, header: Any) -> bool:
+    return admit_by_stretch(header_of(header), *load(address, _ADMISSION))
+
+
+class StretchScorer(OfStates):
     """Distances of the latest subsequences.
 
     Args:
         everything: Computes the codes.
-        history: Training series, by state; shorter ones end with NaN. Shape (slots, k).
-        scale: Largest code in training. Shape (n,).
+        histories: Training series, by state.
+        scale: Largest code of each field in training. Shape (n,).
     """
 
-    def __init__(self, everything: Everything, history: list[np.ndarray], scale: np.ndarray) -> None:
-        super().__init__(everything)
-        self._judge, self._scale = Histories(history), scale
-        self._last = np.zeros((len(everything.slots), LENGTH - 1))
-        self._published = np.zeros(len(everything.slots))
-        self._new = 0.0
-        self.kept = {**self.kept, "last": self._last, "published": self._published}
+    judge, judge_at, learns = staticmethod(judge_stretch), staticmethod(_stretch_at), staticmethod(learn)
+    admit_at, kind, admission = staticmethod(_admit_stretch), _KIND, _ADMISSION
 
-    def value(self, slot: int) -> float:
-        """The newest value of a state's series."""
-        own = slice(*self.everything.range_of(slot))
-        return float(np.abs(scaled(self._codes[own], self._scale[own])).max())
-
-    def score_of(self, slot: int, regime: int) -> float:
-        """See `StateScorer.score_of`; 0 until the first subsequence is complete."""
-        self._new = self.value(slot)
-        if self._published[slot] < LENGTH - 1:
-            return 0.0
-        return score_once(self._judge, slot, np.append(self._last[slot], self._new).tobytes())
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Store a value that consumers received, normal or not, as in training.
-
-        After an anomaly that was left out, the subsequence ended before it, and any next value was an anomaly as well.
-        """
-        self._last[slot, :-1] = self._last[slot, 1:]
-        self._last[slot, -1] = self.value(slot)
-        self._published[slot] += 1.0
+    def __init__(self, everything: Everything, histories: list[np.ndarray], scale: np.ndarray) -> None:
+        slots, lengths = len(everything.slots), np.array([len(one) for one in histories], np.int64)
+        series = Series(
+            np.zeros((slots, max(lengths))), lengths, scale, np.zeros((slots, LENGTH - 1)), np.zeros(slots),
+            np.zeros(LENGTH), np.zeros(max(lengths)),
+        )  # fmt: skip
+        for row, history in zip(series.history, histories, strict=True):
+            row[: len(history)] = history
+        super().__init__(everything, series, recent=no_scores(slots, 4 * LENGTH))
+        self.kept = {**self.kept, "recent": series.recent, "published": series.published}
 
 
 class MatrixProfileDetector(AllFieldsDetector):
@@ -117,6 +212,8 @@ class MatrixProfileDetector(AllFieldsDetector):
                 of the second half from which limits are derived; `margin`, limit / largest distance.
         """
         cls.check_installed()
+        from stumpy.core import mass_absolute
+
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
         histories, limit = [], np.full((len(everything.slots), REGIMES), _NEVER)
         for slot in range(len(limit)):
@@ -125,10 +222,10 @@ class MatrixProfileDetector(AllFieldsDetector):
             half = len(series) // 2
             history, rest = series[: min(half, int(figures["history"]))], series[half:]
             histories.append(history.tolist())
-            ends = range(LENGTH, min(len(rest), LENGTH + int(figures["calibrated"])))
-            found = [nearest(rest[end - LENGTH : end], history) for end in ends]
-            if found and len(history) >= LENGTH:
-                limit[slot] = max(float(figures["margin"]) * max(found), 1e-3)
+            if len(history) >= LENGTH:
+                ends = range(LENGTH, min(len(rest), LENGTH + int(figures["calibrated"])))
+                found = [float(mass_absolute(rest[end - LENGTH : end], history).min()) for end in ends]
+                limit[slot] = max(float(figures["margin"]) * max(found), 1e-3) if found else _NEVER
         return {"history": histories, "scale": scale.tolist(), "limit": limit.tolist()}
 
 

@@ -1,22 +1,126 @@
 """Outlier detectors of PyOD (Zhao, Nasrullah and Li, JMLR 20, 2019): one model for the codes of all states."""
 
-from typing import Any
+import math
+from abc import abstractmethod
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.baselines.library import Judge, LibraryDetector
+from mavfi.detectors.baselines.forest import Branch, ForestScorer, Group, Tree, forest_of
+from mavfi.detectors.baselines.library import (
+    RATES,
+    LibraryDetector,
+    ModelScorer,
+    admit_by_model,
+    judge_model,
+    kinds_with,
+)
 from mavfi.detectors.everything import Everything
+from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.lent import header_of
+from mavfi.numerics.stored import load
 
 
-class _Outliers:
-    """A fitted PyOD model."""
+class Components(NamedTuple):
+    """Principal components; the score is the sum of the distances from them, each divided by its eigenvalue's share.
 
-    def __init__(self, model: Any) -> None:  # noqa: ANN401 - the library has no types
-        self._model = model
+    Attributes:
+        mean: Of each input in training. Shape (w,).
+        deviation: Of each input in training. Shape (w,).
+        components: Shape (w, c).
+        weights: Share of each component in the variance. Shape (c,).
+        squares: Squared distances, work. Shape (c,).
+    """
 
-    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """See `Judge.scores`."""
-        return np.asarray(self._model.decision_function(inputs), np.float64)
+    mean: np.ndarray
+    deviation: np.ndarray
+    components: np.ndarray
+    weights: np.ndarray
+    squares: np.ndarray
+
+
+@kernel_jit
+def rate_by_components(row: np.ndarray, slot: int, model: Components) -> float:
+    """See `library.rate`."""
+    model.squares[:] = 0.0
+    for index in range(len(row)):
+        value = (row[index] - model.mean[index]) / model.deviation[index]
+        for component in range(len(model.squares)):
+            away = value - model.components[index, component]
+            model.squares[component] += away * away
+    total = 0.0
+    for component in range(len(model.squares)):
+        total += np.sqrt(model.squares[component]) / model.weights[component]
+    return total
+
+
+class Ellipsoid(NamedTuple):
+    """A centre and a precision matrix; the score is the squared Mahalanobis distance.
+
+    Attributes:
+        centre: Shape (w,).
+        precision: Shape (w, w).
+        product: Precision times difference, work. Shape (w,).
+    """
+
+    centre: np.ndarray
+    precision: np.ndarray
+    product: np.ndarray
+
+
+@kernel_jit
+def rate_by_ellipsoid(row: np.ndarray, slot: int, model: Ellipsoid) -> float:
+    """See `library.rate`."""
+    model.product[:] = 0.0
+    for index in range(len(row)):
+        away = row[index] - model.centre[index]
+        for other in range(len(row)):
+            model.product[other] += away * model.precision[index, other]
+    total = 0.0
+    for index in range(len(row)):
+        total += (row[index] - model.centre[index]) * model.product[index]
+    return total
+
+
+RATES[Components], RATES[Ellipsoid] = rate_by_components, rate_by_ellipsoid
+_COMPONENTS, _BY_COMPONENTS = kinds_with(
+    Components(np.zeros(1), np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.zeros(1))
+)
+_ELLIPSOID, _BY_ELLIPSOID = kinds_with(Ellipsoid(np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
+
+
+@kernel_jit
+def _components_at(address: int) -> float:
+    return judge_model(*load(address, _COMPONENTS))
+
+
+@short_jit
+def _admit_by_components(address: int, header: Any) -> bool:
+    return admit_by_model(header_of(header), *load(address, _BY_COMPONENTS))
+
+
+@kernel_jit
+def _ellipsoid_at(address: int) -> float:
+    return judge_model(*load(address, _ELLIPSOID))
+
+
+@short_jit
+def _admit_by_ellipsoid(address: int, header: Any) -> bool:
+    return admit_by_model(header_of(header), *load(address, _BY_ELLIPSOID))
+
+
+class ComponentScorer(ModelScorer):
+    """Scores of `Components`."""
+
+    judge_at, admit_at = staticmethod(_components_at), staticmethod(_admit_by_components)
+    kind, admission = _COMPONENTS, _BY_COMPONENTS
+
+
+class EllipsoidScorer(ModelScorer):
+    """Scores of an `Ellipsoid`."""
+
+    judge_at, admit_at = staticmethod(_ellipsoid_at), staticmethod(_admit_by_ellipsoid)
+    kind, admission = _ELLIPSOID, _BY_ELLIPSOID
 
 
 class _OutlierDetector(LibraryDetector):
@@ -25,23 +129,28 @@ class _OutlierDetector(LibraryDetector):
     package = "pyod"
 
     @classmethod
-    def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
-        """See `LibraryDetector.judge`."""
+    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Any:  # noqa: ANN401
+        """See `LibraryDetector.tables`."""
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            return _Outliers(cls.make().fit(inputs))
+            return cls.tables_of(cls.make().fit(inputs), len(everything.slots))
 
     @classmethod
-    def make(cls) -> Any:  # noqa: ANN401
+    @abstractmethod
+    def make(cls) -> Any:  # noqa: ANN401 - the library has no types
         """The model before fitting."""
-        raise NotImplementedError
+
+    @classmethod
+    @abstractmethod
+    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+        """The tables of a fitted model, for this number of states."""
 
 
 class IsolationForestDetector(_OutlierDetector):
     """Isolation forest (Liu, Ting and Zhou, ICDM 2008): 100 trees of 256 rows."""
 
-    model_kind = "isolation_forest"
+    model_kind, scorer_type = "isolation_forest", ForestScorer
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
@@ -50,11 +159,44 @@ class IsolationForestDetector(_OutlierDetector):
 
         return IForest(n_estimators=100, random_state=0, n_jobs=1)
 
+    @classmethod
+    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+        """See the base class."""
+        forest = fitted.detector_
+        trees = [_isolation_tree(one.tree_, 0, 0) for one in forest.estimators_]
+        unit = len(trees) * path_length(forest.max_samples_) / math.log(2.0)
+        found = forest_of([[Group(trees, unit)]], decays=True, shift=float(forest.offset_))
+        return found._replace(spans=np.tile(found.spans, (states, 1)))
+
+
+def path_length(rows: int) -> float:
+    """Mean path length of an unsuccessful search in a binary tree of `rows` rows, c(n) of the paper's equation 1."""
+    if rows <= 2:
+        return float(max(rows, 1) - 1)
+    return 2.0 * (math.log(rows - 1.0) + float(np.euler_gamma)) - 2.0 * (rows - 1.0) / rows
+
+
+def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 - of the library
+    """A subtree; the value of a leaf is its path length."""
+    low, high = int(tree.children_left[node]), int(tree.children_right[node])
+    if low < 0:
+        return depth + path_length(int(tree.n_node_samples[node]))
+    below, above = (_isolation_tree(tree, child, depth + 1) for child in (low, high))
+    return Branch(int(tree.feature[node]), single_limit(float(tree.threshold[node])), below, above)
+
+
+def single_limit(threshold: float) -> float:
+    """Largest double that is at most the threshold once it is rounded to single precision, as the library does."""
+    single = np.float32(threshold)
+    below = single if single <= threshold else np.nextafter(single, np.float32(-np.inf))
+    middle = (float(below) + float(np.nextafter(below, np.float32(np.inf)))) / 2.0
+    return middle if np.float32(middle) == below else math.nextafter(middle, -math.inf)
+
 
 class PcaDetector(_OutlierDetector):
     """Weighted distances along the principal components (Shyu et al., ICDM Workshop 2003)."""
 
-    model_kind = "pca"
+    model_kind, scorer_type = "pca", ComponentScorer
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
@@ -63,11 +205,18 @@ class PcaDetector(_OutlierDetector):
 
         return PCA(random_state=0, svd_solver="full")
 
+    @classmethod
+    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+        """See the base class."""
+        components = np.ascontiguousarray(fitted.selected_components_.T)
+        weights = np.ascontiguousarray(fitted.selected_w_components_)
+        return Components(fitted.scaler_.mean_, fitted.scaler_.scale_, components, weights, np.zeros(len(weights)))
+
 
 class MahalanobisDetector(_OutlierDetector):
     """Mahalanobis distance with the minimum covariance determinant (Rousseeuw and Van Driessen, Technometrics 1999)."""
 
-    model_kind = "mahalanobis"
+    model_kind, scorer_type = "mahalanobis", EllipsoidScorer
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
@@ -75,3 +224,9 @@ class MahalanobisDetector(_OutlierDetector):
         from pyod.models.mcd import MCD
 
         return MCD(random_state=0)
+
+    @classmethod
+    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+        """See the base class."""
+        centre = fitted.detector_.location_
+        return Ellipsoid(centre, np.ascontiguousarray(fitted.detector_.get_precision()), np.zeros(len(centre)))
