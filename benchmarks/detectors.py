@@ -16,18 +16,16 @@ from datetime import date
 from pathlib import Path
 
 from mavfi.campaign.overheads import ALL, LONG_S, Cost, cost
-from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import NotInstalledError, SpecMismatchError
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec
+from mavfi.states import BASELINES
 from tools.markers import DOCS, between
 from tools.processors import with_others
 
 PAGE = DOCS / "models.md"
 ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
-BASELINES = tuple(sorted(set(of_all_fields(["bench"])) - set(of_all_fields())))
-"""Detectors from other libraries, whose models are not shipped."""
 DETECTORS = (
     ("recommended", "paper", 1.0), ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0),
     ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0), ("autoencoder", "tuned", 5.0), ("limits", "paper", 5.0),

@@ -100,6 +100,8 @@ for _spec in _KERNEL_TABLE:
 _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
 _ESTIMATE = ("judge_estimate", "note_estimate", "note_fix")
 _CODES = (*(f"measure_{name}" for name in _MESSAGES), "note_vehicle", "judge")
+BASELINES = ("isolation_forest", "pca", "mahalanobis", "half_space_trees", "gradient_boosting", "matrix_profile")
+"""Detectors whose models other libraries fit (extra `bench`)."""
 DETECTORS: dict[str, tuple[str, ...]] = {
     "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3]), *_ESTIMATE),
     "gaussian": ("judge",),
@@ -107,6 +109,7 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     "physics_gate": ("judge_gate",),
     **dict.fromkeys(("limits", "autoencoder_all", "cusum", "conformal"), _CODES),
     "checksum": ("crc32c",),
+    **dict.fromkeys(BASELINES, _CODES),
 }
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"

@@ -19,7 +19,7 @@ from mavfi.detectors.registry import (
 )  # fmt: skip
 from mavfi.mission import MissionStatus
 from mavfi.platforms.redundancy import DesignConfig
-from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, Stage
+from mavfi.states import AUTOPILOTS, BASELINES, MONITORED_SETS, PPC_STAGES, STATES, Stage
 from tests.architecture.source import ROOT
 
 UNITS = {"m", "m/s", "m/s^2", "rad", "rad/s", "s", "-"}
@@ -135,9 +135,7 @@ def test_detectors_that_learn_are_entry_points_with_a_file_each():
     others |= {f"rule_{number}" for number in range(1, 6)}
     assert set(config.names("detectors")) == {*trainable(), *others} <= set(detector_names())
     assert all(settings_of(name, "tuned").gate for name in (*of_monitored_fields(), "another"))
-    assert set(of_all_fields(["bench"])) - set(of_all_fields()) == {
-        "isolation_forest", "pca", "mahalanobis", "half_space_trees", "gradient_boosting", "matrix_profile",
-    }  # fmt: skip
+    assert set(of_all_fields(["bench"])) - set(of_all_fields()) == set(BASELINES)
     assert not any(settings_of(name, "tuned").gate for name in of_all_fields(["bench"]))
 
 

@@ -34,16 +34,18 @@ Tree = float | Branch
 
 
 class Forest(NamedTuple):
-    """Groups of trees; a state scores the largest |base + input - sum of the leaves| / unit among its groups.
+    """Groups of trees; a state's value is the largest |input - sum of the leaves| / unit among its groups.
+
+    The score is that value; with `decays` exp(-value); with a sign of -1 its negative; `shift` is added.
 
     Attributes:
         spans: First and one past the last group of each state. Shape (slots, 2), int64.
         groups: First and one past the last tree of each group. Shape (g, 2), int64.
         column: Input of each group; -1 = none. Shape (g,), int64.
-        base: Shape (g,).
         unit: > 0. Shape (g,).
-        decays: Whether the score is exp(-that).
-        shift: Added to the score.
+        decays: See above.
+        sign: 1 or -1.
+        shift: See above.
         roots: Root of each tree. Shape (t,), int64.
         depths: Depth of each tree. Shape (t,), int64.
         columns: Input compared by each node. Shape (k,), int32.
@@ -55,9 +57,9 @@ class Forest(NamedTuple):
     spans: np.ndarray
     groups: np.ndarray
     column: np.ndarray
-    base: np.ndarray
     unit: np.ndarray
     decays: bool
+    sign: float
     shift: float
     roots: np.ndarray
     depths: np.ndarray
@@ -72,7 +74,6 @@ class Group(NamedTuple):
 
     trees: Sequence[Tree]
     unit: float
-    base: float = 0.0
     column: int = -1
 
 
@@ -91,24 +92,30 @@ def leaf_sum(row: np.ndarray, forest: Forest, first: int, last: int) -> float:
 @kernel_jit
 def rate_by_forest(row: np.ndarray, slot: int, forest: Forest) -> float:
     """See `library.rate`; 0 for a state without groups."""
+    first, last = forest.spans[slot]
     worst = 0.0
-    for group in range(forest.spans[slot, 0], forest.spans[slot, 1]):
-        value = forest.base[group] - leaf_sum(row, forest, forest.groups[group, 0], forest.groups[group, 1])
-        if forest.column[group] >= 0:
-            value += row[forest.column[group]]
+    for group in range(first, last):
+        column = forest.column[group]
+        value = row[column] if column >= 0 else 0.0
+        value -= leaf_sum(row, forest, forest.groups[group, 0], forest.groups[group, 1])
         worst = max(worst, abs(value) / forest.unit[group])
-    return forest.shift + (exp(-worst) if forest.decays else worst)
+    if first == last:
+        return 0.0
+    return forest.shift + forest.sign * (exp(-worst) if forest.decays else worst)
 
 
 RATES[Forest] = rate_by_forest
 
 
-def forest_of(states: Sequence[Sequence[Group]], decays: bool = False, shift: float = 0.0) -> Forest:
+def forest_of(
+    states: Sequence[Sequence[Group]], decays: bool = False, sign: float = 1.0, shift: float = 0.0
+) -> Forest:  # fmt: skip
     """The tables of a forest.
 
     Args:
         states: Groups of each state.
         decays: See `Forest`.
+        sign: See `Forest`.
         shift: See `Forest`.
     """
     groups = [group for own in states for group in own]
@@ -122,8 +129,8 @@ def forest_of(states: Sequence[Sequence[Group]], decays: bool = False, shift: fl
         np.stack([ends - [len(own) for own in states], ends], axis=1).astype(np.int64),
         np.stack([lasts - [len(group.trees) for group in groups], lasts], axis=1).astype(np.int64),
         np.array([group.column for group in groups], np.int64),
-        np.array([group.base for group in groups], np.float64), np.array([group.unit for group in groups], np.float64),
-        decays, float(shift), np.array(roots, np.int64), np.array(depths, np.int64), np.array(nodes.columns, np.int32),
+        np.array([group.unit for group in groups], np.float64), decays, sign, shift, np.array(roots, np.int64),
+        np.array(depths, np.int64), np.array(nodes.columns, np.int32),
         np.array(nodes.thresholds, np.float64), np.array(nodes.below, np.int32), np.array(nodes.values, np.float64),
     )  # fmt: skip
 

@@ -24,7 +24,7 @@ def half_spaces(inputs: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndar
         slots: Their states. Shape (m,).
         columns: By state, the columns of its codes; a state without codes or rows scores 0.
     """
-    return forest_of([_groups(inputs[slots == slot], own) for slot, own in enumerate(columns)])
+    return forest_of([_groups(inputs[slots == slot], own) for slot, own in enumerate(columns)], sign=-1.0, shift=1.0)
 
 
 def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
@@ -45,7 +45,7 @@ def _groups(rows: np.ndarray, own: np.ndarray) -> list[Group]:
     forest = fitted(rows[:, own])
     trees = [_tree(tree, own, 0, 0.0, _LEAST * forest.window_size) for tree in forest.trees]
     most = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
-    return [Group(trees, most, base=most)]
+    return [Group(trees, most)]
 
 
 def _tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) -> Tree:  # noqa: ANN401
