@@ -1,6 +1,8 @@
 """The time limit on calls of detectors: it stops what does not return, and leaves signals and timers as they were."""
 
 import signal
+import subprocess
+import sys
 import threading
 import time
 from types import SimpleNamespace
@@ -106,3 +108,29 @@ def test_a_method_that_is_replaced_later_is_called():
     check = limited(own, "check")
     own.check = lambda state, now: now
     assert check(None, 7) == 7
+
+
+HANGING = """
+from numba import njit
+from mavfi.detectors import bounded as module
+
+@njit
+def spin(number):
+    while number > 0:
+        number ^= 2
+    return number
+
+def check():
+    return spin(1)
+
+spin(0)
+module.LIMIT_S = 0.2
+module.bounded(lambda: 5)()
+module.bounded(check)()
+"""
+
+
+def test_compiled_code_that_does_not_return_ends_the_process_and_names_its_caller():
+    done = subprocess.run([sys.executable, "-c", HANGING], capture_output=True, text=True, timeout=60)
+    assert done.returncode == -signal.SIGVTALRM
+    assert "in check" in done.stderr

@@ -47,8 +47,10 @@ PERSISTS_US, GAP_US = 2_000_000, 500_000
 MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
 """Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
 MOST_UNCHANGED = 5
-"""Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond.  A
-way-point that is skipped counts as so many: it changes the route, and several can lead into an obstacle."""
+"""Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond."""
+SKIPPED_US = 50_000_000
+"""A way-point that is skipped counts as so many, this much later (us), and until then there is no response either: it
+changes the route, and several can lead into an obstacle."""
 
 
 @dataclass(slots=True)
@@ -234,7 +236,8 @@ class Watch:
         """Record and execute the response to the alarm on a value; `rejected`: the value, None = it is unreadable."""
         assert self.alarm is not None and self.action is not None  # precondition
         if self._recovery.limits or (self.alarm.hard and self._recovery.restarts):
-            self._count(now, MOST_UNCHANGED if self._recovery.limits and self.action.kind == "abandon" else 1)
+            skips = self._recovery.limits and self.action.kind == "abandon"
+            self._count(now, *((MOST_UNCHANGED, SKIPPED_US) if skips else (1, 0)))
         self._loop.record.alarms.append(record_of(self.alarm, self.action, spec.name, now))
         self._execute(self.action, rejected, now)
 
@@ -265,10 +268,10 @@ class Watch:
         used_up = again and self._recovery.restarts and not self._may_restart
         return used_up or now - memory.first_us > PERSISTS_US
 
-    def _count(self, now: int, times: int) -> None:
+    def _count(self, now: int, times: int, later: int) -> None:
         """Count an alarm against the detector; disable one with too many of them as faulty."""
         hard = self.memory.hard
-        hard += [now] * times
+        hard += [now + later] * times
         del hard[:-MOST_ALARMS]
         if self._is_limited(now):
             self._loop.record.note(now, LIMITED, {"alarms": MOST_UNCHANGED})

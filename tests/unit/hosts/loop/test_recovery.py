@@ -264,6 +264,19 @@ def test_recomputations_that_change_nothing_are_limited(hard):
     assert set(flight.outcomes[:-1]) == {("recompute", "accepted")}
 
 
+def test_after_a_skipped_way_point_there_is_no_response_for_a_minute():
+    class Skipping(Always):
+        def check(self, state, now):
+            return replace(super().check(state, now), stage="control", abandon_waypoint=True)
+
+    flight, second = Flight(), 1_000_000
+    instants = (1, 2, 30 * second, 50 * second, 59 * second, 61 * second, 62 * second, 122 * second)
+    shown(Skipping(hard=False), Recovery(same_twice="limit"), [(now, status(5)) for now in instants], flight)
+    assert [round(alarm.time_s) for alarm in flight.record.alarms] == [0, 61, 122]
+    assert {alarm.action for alarm in flight.record.alarms} == {"abandon"}
+    assert flight.events == [(1, LIMITED), (61 * second, LIMITED), (122 * second, LIMITED)]
+
+
 @pytest.mark.parametrize(("coupling", "count"), [("inline", 2 * MOST_UNCHANGED), ("observer", MOST_UNCHANGED)])
 def test_recomputations_that_repair_are_limited_only_where_the_next_value_differs_in_any_case(coupling, count):
     class EverySecond(Always):
