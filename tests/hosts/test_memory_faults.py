@@ -24,7 +24,7 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import KERNELS, RECOVERY, WATCHING, new_state
+from mavfi.states import BASELINES, KERNELS, RECOVERY, WATCHING, new_state
 from tests.hosts.missions import golden, mission
 
 pytestmark = pytest.mark.slow
@@ -186,7 +186,7 @@ def content(part):
     return {name: array.tobytes() for name, array in part.arrays().items()}
 
 
-@pytest.mark.parametrize("name", [name for name in WATCHING if name != RECOVERY])
+@pytest.mark.parametrize("name", [name for name in WATCHING if name not in (RECOVERY, *BASELINES)])
 def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name):
     watching = detector(*WATCHED.get(name, (name, "paper")))
     fly(mission(), None, watching)

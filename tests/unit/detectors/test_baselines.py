@@ -1,6 +1,7 @@
 """Adapters of libraries: their common part with a model of our own, each library where it is installed."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from mavfi.detectors.baselines.outliers import (
     path_length,
     single_limit,
 )
-from mavfi.detectors.detector import admission
+from mavfi.detectors.detector import Alarm, admission
 from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
@@ -36,7 +37,10 @@ from mavfi.detectors.parts import Threshold
 from mavfi.detectors.registry import settings_of
 from mavfi.detectors.samples import join
 from mavfi.errors import BadInputError
-from mavfi.states import AUTOPILOTS
+from mavfi.faults import strata
+from mavfi.hosts.local.memory_faults import DetectorMemory, flip_bit
+from mavfi.pipeline.words import change, words_of
+from mavfi.states import AUTOPILOTS, BASELINES, DETECTORS
 from tests.unit.detectors.streams import PROVENANCE, fly, later, strike
 from tests.unit.detectors.test_admission import events, one_after_the_other
 from tests.unit.detectors.test_admission import fly as admitted
@@ -181,6 +185,25 @@ def test_plain_python_computes_the_same_scores(sample, which):
         one.start()
     scores = [[(one.score(*event), one.accept(*event))[0] for event in flown] for one in (detector, replaced)]
     assert scores[0] == scores[1] and len(called) > 100
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
+def test_every_word_of_their_memory_can_be_corrupted(sample, which):
+    """And then no publication makes them raise."""
+    detector, flown = without_libraries(sample)[which], flight(8, ticks=60)
+    assert all(DETECTORS[name] == tuple(detector.compiled) for name in BASELINES)
+    holder, names = DetectorMemory(detector), set()
+    for words in words_of(holder):
+        for index in range(0, words.count, max(1, words.count // 6)):
+            fly(detector, flown)
+            before = detector.memory()
+            flip = partial(flip_bit, bit=strata.WORD_BITS[words.dtype] - 2)
+            assert change(holder, words.name, index, flip) is not None and detector.memory() != before
+            for event in flown:
+                assert detector.check(*event) is None or isinstance(detector.check(*event), Alarm)
+                detector.accept(*event)
+            names.add(words.name)
+    assert names >= ({"held"} if which == 0 else {"recent", "published"})
 
 
 @pytest.mark.slow
