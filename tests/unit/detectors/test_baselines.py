@@ -7,17 +7,26 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import book, load_detector
+from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.detectors.baselines import half_space_trees, library
-from mavfi.detectors.baselines.forest import Branch, Group, forest_of
-from mavfi.detectors.baselines.gradient_boosting import GradientBoostingDetector, regressor, regressors
+from mavfi.detectors.baselines.forest import Branch, Trees, forest_of, limit_of
+from mavfi.detectors.baselines.gradient_boosting import (
+    GradientBoostingDetector,
+    Regressor,
+    regressor,
+    regressors,
+    tables_of,
+)
 from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector, half_spaces
-from mavfi.detectors.baselines.library import LibraryDetector, columns_of, rates, scaled
+from mavfi.detectors.baselines.library import Inputs, LibraryDetector, columns_of, rates, scaled
 from mavfi.detectors.baselines.matrix_profile import (
+    BLOCK,
     LENGTH,
     MatrixProfileDetector,
     StretchScorer,
     judge_stretch,
     nearest,
+    subsequences,
 )
 from mavfi.detectors.baselines.outliers import (
     Components,
@@ -60,10 +69,10 @@ class EllipsoidDetector(LibraryDetector):
     model_kind, package, scorer_type = "ellipsoid", "numpy", EllipsoidScorer
 
     @classmethod
-    def tables(cls, inputs, slots, everything):
-        assert inputs.shape == (len(slots), (everything.quanta > 0).sum()) and (inputs.std(axis=0) > 0).all()
-        covariance = np.cov(inputs.T) + 1e-3 * np.eye(inputs.shape[1])
-        return Ellipsoid(inputs.mean(axis=0), np.linalg.inv(covariance), np.zeros(inputs.shape[1]))
+    def tables(cls, rows, slots, everything, inputs):
+        assert rows.shape == (len(slots), (everything.quanta > 0).sum()) and (rows.std(axis=0) > 0).all()
+        covariance = np.cov(rows.T) + 1e-3 * np.eye(rows.shape[1])
+        return Ellipsoid(inputs, rows.mean(axis=0), np.linalg.inv(covariance), np.zeros(rows.shape[1]))
 
 
 class BestStretchDetector(MatrixProfileDetector):
@@ -242,20 +251,31 @@ def correlated(seed):
     return rows, np.arange(600) % 2
 
 
-COLUMNS = [np.array([0, 1]), np.array([2, 3])]
+COLUMNS, UNIT = [np.array([0, 1]), np.array([2, 3])], 1000.0
+INPUTS = Inputs(np.arange(4), np.full(4, UNIT))
+
+
+def coded(rows):
+    """Codes, and the inputs that they are."""
+    codes = np.round(UNIT * rows).astype(np.int16)
+    return codes, scaled(codes, UNIT)
 
 
 def test_a_code_that_does_not_agree_with_the_others_scores_high_within_its_own_range():
     pytest.importorskip("lightgbm", exc_type=ImportError)
-    model, (rows, slots) = regressors(*correlated(1), COLUMNS), correlated(2)
-    normal = rates(rows, slots, model)
+    model, (rows, slots) = regressors(*correlated(1), COLUMNS, INPUTS), correlated(2)
+
+    def scores(given):
+        return rates(coded(given)[0], slots, model)
+
+    normal = scores(rows)
     assert np.mean(normal[slots == 0] > 1.0) < 0.1 and np.mean(normal[slots == 1] > 1.0) < 0.1
     wrong = rows.copy()
     wrong[:, 1] = np.where(rows[:, 0] > 0.0, rows[:, 0] - 1.0, rows[:, 0] + 1.0)
-    assert rates(wrong, slots, model)[slots == 0].min() > 4.0
+    assert scores(wrong)[slots == 0].min() > 4.0
     wrong[:, :2] = rows[:, :2]
     wrong[:, 2] = 3.0
-    struck = rates(wrong, slots, model)
+    struck = scores(wrong)
     assert struck[slots == 1].min() > 1.5 and np.median(struck[slots == 0]) < 1.0
 
 
@@ -263,7 +283,8 @@ def test_regressors_predict_what_the_library_predicts():
     pytest.importorskip("lightgbm", exc_type=ImportError)
     (rows, slots), (others, _) = correlated(3), correlated(5)
     others[::5] *= 10.0
-    found, wanted = rates(others, slots, regressors(rows, slots, COLUMNS)), np.zeros(len(slots))
+    codes, others = coded(others)
+    found, wanted = rates(codes, slots, regressors(rows, slots, COLUMNS, INPUTS)), np.zeros(len(slots))
     for slot, columns in enumerate(COLUMNS):
         own, trained = slots == slot, rows[slots == slot]
         for column in columns:
@@ -280,18 +301,19 @@ def test_a_state_with_too_few_rows_has_no_regressors():
     pytest.importorskip("lightgbm", exc_type=ImportError)
     rows, slots = correlated(4)
     rare = np.where(np.arange(600) < 7, 1, 0)
-    scores = rates(rows, slots, regressors(rows, rare, COLUMNS))
+    scores = rates(coded(rows)[0], slots, regressors(rows, rare, COLUMNS, INPUTS))
     assert (scores[slots == 1] == 0.0).all() and (scores[slots == 0] > 0.0).any()
 
 
 def test_half_spaces_score_what_the_library_scores():
     pytest.importorskip("river", exc_type=ImportError)
     (rows, slots), (others, _) = correlated(5), correlated(6)
-    found = rates(others[:200], slots[:200], half_spaces(rows, slots, COLUMNS))
+    codes, others = coded(others[:200])
+    found = rates(codes, slots[:200], half_spaces(rows, slots, COLUMNS, INPUTS))
     forests = [half_space_trees.fitted(rows[slots == slot][:, own]) for slot, own in enumerate(COLUMNS)]
     wanted = [
         forests[slot].score_one(dict(enumerate(row[COLUMNS[slot]].tolist())))
-        for row, slot in zip(others[:200], slots[:200], strict=True)
+        for row, slot in zip(others, slots[:200], strict=True)
     ]
     assert found.tolist() == wanted and np.ptp(found) > 0.1
 
@@ -299,9 +321,10 @@ def test_half_spaces_score_what_the_library_scores():
 def test_a_state_without_codes_or_rows_has_no_scores_in_half_space_trees():
     pytest.importorskip("river", exc_type=ImportError)
     rows, slots = correlated(5)
-    scores = rates(rows[:200], slots[:200], half_spaces(rows, slots, [np.arange(4), np.arange(0)]))
+    codes = coded(rows[:200])[0]
+    scores = rates(codes, slots[:200], half_spaces(rows, slots, [np.arange(4), np.arange(0)], INPUTS))
     assert (scores[slots[:200] == 1] == 0.0).all() and (scores[slots[:200] == 0] > 0.0).any()
-    assert not rates(rows[:9], slots[:9], half_spaces(rows, np.full(600, 2), [*COLUMNS, np.arange(2)])).any()
+    assert not rates(codes, slots[:200], half_spaces(rows, np.full(600, 2), [*COLUMNS, np.arange(2)], INPUTS)).any()
 
 
 @pytest.mark.parametrize("kind", LIBRARIES[:3], ids=lambda kind: kind.model_kind)
@@ -309,17 +332,19 @@ def test_outliers_score_what_the_library_scores(kind):
     pytest.importorskip("pyod", exc_type=ImportError)
     (rows, slots), (others, _) = correlated(7), correlated(8)
     others[::5] *= 10.0
+    codes, others = coded(others)
     library = kind.make().fit(rows)
-    found, wanted = rates(others, slots, kind.tables_of(library, 2)), library.decision_function(others)
+    found, wanted = rates(codes, slots, kind.tables_of(library, INPUTS, 2)), library.decision_function(others)
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 
-def random_tree(random, depth):
-    """A tree of any form."""
+def random_tree(random, depth, width=3):
+    """A tree of any form; thresholds are inputs, or between them."""
     if depth == 0 or random.random() < 0.2:
         return float(random.normal())
-    column, threshold = int(random.integers(3)), float(random.normal())
-    return Branch(column, threshold, random_tree(random, depth - 1), random_tree(random, depth - 1))
+    threshold = random.integers(-9, 9) / 4.0 if random.random() < 0.5 else random.normal()
+    below, above = random_tree(random, depth - 1, width), random_tree(random, depth - 1, width)
+    return Branch(int(random.integers(width)), float(threshold), below, above)
 
 
 def leaf_of(tree, row):
@@ -328,39 +353,61 @@ def leaf_of(tree, row):
     return tree
 
 
+FIELDS = Inputs(np.array([1, 2, 4]), np.array([4.0, 40.0, 1.0]))
+"""Inputs: three of five fields."""
+
+
+def some_codes(random, count):
+    codes = np.round(random.normal(size=(count, 5)) * [1.0, 4.0, 40.0, 1.0, 1.0]).astype(np.int16)
+    codes[::7] = random.integers(-(1 << 15), 1 << 15, codes[::7].shape)
+    codes[1], codes[2] = -(1 << 15), (1 << 15) - 1
+    return codes, scaled(codes[:, FIELDS.columns], FIELDS.scale)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
     random = np.random.default_rng(seed)
+    states = [Trees([random_tree(random, 6) for _ in range(count)], random.uniform(0.1, 2.0)) for count in (5, 0, 9)]
+    (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
+    sums = [sum(leaf_of(tree, row) for tree in states[slot].trees) for row, slot in zip(rows, slots, strict=True)]
+    wanted = np.array(sums) / [states[slot].unit for slot in slots]
+    assert rates(codes, slots, forest_of(states, FIELDS)).tolist() == wanted.tolist()
+    decayed = np.where(slots == 1, 0.0, -0.5 - np.exp(-wanted))
+    assert rates(codes, slots, forest_of(states, FIELDS, True, -1.0, -0.5)) == pytest.approx(decayed, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_regressors_predict_what_a_naive_walk_predicts(seed):
+    """By bits, each tree of at most 16 leaves."""
+    random = np.random.default_rng(seed)
     states = [
         [
-            Group([random_tree(random, 6) for _ in range(5)], float(random.uniform(0.1, 2.0)), column=column)
-            for column in range(-1, count - 1)
+            Regressor([random_tree(random, 4) for _ in range(trees)], int(random.integers(3)), random.uniform(0.1, 2.0))
+            for trees in counts
         ]
-        for count in (2, 0, 3)
+        for counts in ((5, 3), (), (9, 1, 0))
     ]
-    rows, slots = random.normal(size=(60, 3)), np.arange(60) % 3
-    first = states[0][0].trees[0]
-    if isinstance(first, Branch):
-        rows[0, first.column] = first.threshold  # inclusive
+    (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
     wanted = [
-        max(
-            (
-                abs((row[group.column] if group.column >= 0 else 0.0) - sum(leaf_of(tree, row) for tree in group.trees))
-                / group.unit
-                for group in states[slot]
-            ),
-            default=0.0,
-        )
+        max((abs(row[one.column] - sum(leaf_of(tree, row) for tree in one.trees)) / one.unit for one in states[slot]),
+            default=0.0)
         for row, slot in zip(rows, slots, strict=True)
-    ]
-    assert rates(rows, slots, forest_of(states)) == pytest.approx(wanted, rel=1e-12)
-    decayed = np.where(slots == 1, 0.0, np.exp(-np.array(wanted)) - 0.5)
-    assert rates(rows, slots, forest_of(states, True, 1.0, -0.5)) == pytest.approx(decayed, rel=1e-12)
+    ]  # fmt: skip
+    assert rates(codes, slots, tables_of(states, FIELDS)).tolist() == wanted
 
 
-def test_a_sum_may_count_against_a_score():
-    model = forest_of([[Group([1.0, Branch(0, 0.5, 2.0, 4.0)], 2.0)]], sign=-1.0, shift=5.0)
-    assert rates(np.array([[0.5], [0.6]]), np.zeros(2, np.int64), model).tolist() == [3.5, 2.5]
+@pytest.mark.parametrize("seed", range(50))
+def test_limits_in_codes_are_thresholds_of_inputs(seed):
+    random = np.random.default_rng(seed)
+    scale = float(random.choice([1.0, 7.0, 1000.0, 30000.0]))
+    inputs = Inputs(np.zeros(1, np.int64), np.array([scale]))
+    every = np.arange(-(1 << 15), 1 << 15)
+    bounds = (-INPUT_LIMIT, INPUT_LIMIT, np.nextafter(INPUT_LIMIT, 0.0), np.nextafter(-INPUT_LIMIT, -20.0))
+    threshold = float(
+        random.choice([random.normal(), 8.0 * random.normal(), *bounds, random.integers(-99, 99) / scale])
+    )
+    lower = every[scaled(every, np.array([scale])) <= threshold]
+    assert limit_of(Branch(0, threshold, 0.0, 0.0), inputs) == (lower[-1] if len(lower) else -(1 << 15) - 1)
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -384,34 +431,55 @@ def test_the_score_of_components_is_that_of_a_naive_sum():
     random = np.random.default_rng(3)
     mean, deviation, weights = random.normal(size=5), random.uniform(0.5, 2.0, 5), random.uniform(0.1, 1.0, 3)
     components, rows = random.normal(size=(5, 3)), random.normal(size=(20, 5))
-    model = Components(mean, deviation, components, weights, np.zeros(3))
+    codes, rows = coded(rows)
+    model = Components(Inputs(np.arange(5), np.full(5, UNIT)), mean, deviation, components, weights, np.zeros(3))
     wanted = [
         sum(np.linalg.norm((row - mean) / deviation - components[:, k]) / weights[k] for k in range(3)) for row in rows
     ]
-    assert rates(rows, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
+    assert rates(codes, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_the_score_of_an_ellipsoid_is_that_of_a_naive_product():
     random = np.random.default_rng(4)
     centre, half, rows = random.normal(size=5), random.normal(size=(5, 5)), random.normal(size=(20, 5))
+    codes, rows = coded(rows)
     wanted = [(row - centre) @ (half @ half.T) @ (row - centre) for row in rows]
-    model = Ellipsoid(centre, half @ half.T, np.zeros(5))
-    assert rates(rows, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
+    model = Ellipsoid(Inputs(np.arange(5), np.full(5, UNIT)), centre, half @ half.T, np.zeros(5))
+    assert rates(codes, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
 
 
-def test_the_nearest_stretch_is_that_of_a_naive_search():
-    random = np.random.default_rng(1)
-    history, stretch, work = random.normal(size=200), random.normal(size=LENGTH), np.zeros(200)
-    naive = min(np.sqrt(((history[k : k + LENGTH] - stretch) ** 2).sum()) for k in range(200 - LENGTH + 1))
-    assert nearest(stretch, history, work) == pytest.approx(naive, rel=1e-12)
-    assert nearest(stretch, history[: LENGTH - 1], work) == 0.0
+def distance(stretch, series):
+    columns = subsequences(series)
+    return nearest(stretch, columns, columns.sum(axis=0), np.zeros(BLOCK))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_nearest_stretch_is_that_of_a_naive_search(seed):
+    random = np.random.default_rng(seed)
+    count = int(random.choice([LENGTH, 20, 200, 700]))
+    walk = random.normal(size=count) if seed % 2 else np.cumsum(random.integers(-1, 2, count)) / 7.0
+    for stretch in (random.normal(size=LENGTH), walk[-LENGTH:] + 0.3 * random.normal(size=LENGTH), walk[:LENGTH]):
+        naive = min(np.sqrt(((walk[k : k + LENGTH] - stretch) ** 2).sum()) for k in range(count - LENGTH + 1))
+        assert distance(stretch, walk) == pytest.approx(naive, rel=1e-12, abs=1e-15)
+
+
+def test_a_series_without_a_subsequence_is_at_no_distance_and_equal_ones_are_kept_once():
+    assert distance(np.ones(LENGTH), np.zeros(LENGTH - 1)) == 0.0
+    assert distance(np.ones(LENGTH), np.zeros(100)) == np.sqrt(LENGTH) and subsequences(np.zeros(100)).shape[1] == 1
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_the_search_ends_if_a_value_is_not_finite(value):
+    stretch = np.zeros(LENGTH)
+    stretch[3] = value
+    assert not distance(stretch, np.random.default_rng(3).normal(size=300)) < np.inf
 
 
 def test_the_nearest_stretch_is_that_of_the_library():
     core = pytest.importorskip("stumpy.core", exc_type=ImportError)
     random = np.random.default_rng(2)
     history, stretch = random.normal(size=500), random.normal(size=LENGTH)
-    assert nearest(stretch, history, np.zeros(500)) == pytest.approx(core.mass_absolute(stretch, history).min())
+    assert distance(stretch, history) == pytest.approx(core.mass_absolute(stretch, history).min())
 
 
 def test_the_value_is_that_of_an_incremental_matrix_profile():
@@ -422,7 +490,7 @@ def test_the_value_is_that_of_an_incremental_matrix_profile():
     for value in stretch:
         profile.update(value)
     # stumpi also compares with stretches that reach into the new values
-    assert profile.P_[-1] <= nearest(stretch, history, np.zeros(60)) + 1e-9
+    assert profile.P_[-1] <= distance(stretch, history) + 1e-9
 
 
 def test_after_an_anomaly_normal_values_are_normal_again():

@@ -6,7 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.baselines.library import RATES, ModelScorer, admit_by_model, judge_model, kinds_with
+from mavfi.detectors.autoencoder import INPUT_LIMIT
+from mavfi.detectors.baselines.library import (
+    RATES,
+    Inputs,
+    ModelScorer,
+    admit_by_model,
+    judge_model,
+    kinds_with,
+)
 from mavfi.numerics.elementary import exp
 from mavfi.numerics.jit import kernel_jit, short_jit
 from mavfi.numerics.lent import header_of
@@ -34,115 +42,124 @@ Tree = float | Branch
 
 
 class Forest(NamedTuple):
-    """Groups of trees; a state's value is the largest |input - sum of the leaves| / unit among its groups.
-
-    The score is that value; with `decays` exp(-value); with a sign of -1 its negative; `shift` is added.
+    """Trees; the score is shift + sign * value, with value = sum of the leaves / unit, or with `decays` exp(-value).
 
     Attributes:
-        spans: First and one past the last group of each state. Shape (slots, 2), int64.
-        groups: First and one past the last tree of each group. Shape (g, 2), int64.
-        column: Input of each group; -1 = none. Shape (g,), int64.
-        unit: > 0. Shape (g,).
+        spans: First and one past the last tree of each state. Shape (slots, 2), int64.
+        unit: Of each state, > 0. Shape (slots,).
         decays: See above.
         sign: 1 or -1.
         shift: See above.
         roots: Root of each tree. Shape (t,), int64.
         depths: Depth of each tree. Shape (t,), int64.
-        columns: Input compared by each node. Shape (k,), int32.
-        thresholds: Infinite in leaves. Shape (k,).
-        below: The lower child of each node, followed by the upper one; a leaf is its own. Shape (k,), int32.
+        nodes: See `pack`. Shape (k,), int64.
         values: Value of each leaf. Shape (k,).
     """
 
     spans: np.ndarray
-    groups: np.ndarray
-    column: np.ndarray
     unit: np.ndarray
     decays: bool
     sign: float
     shift: float
     roots: np.ndarray
     depths: np.ndarray
-    columns: np.ndarray
-    thresholds: np.ndarray
-    below: np.ndarray
+    nodes: np.ndarray
     values: np.ndarray
 
 
-class Group(NamedTuple):
-    """See `Forest`."""
+class Trees(NamedTuple):
+    """Trees of a state, and the unit of the sum of their leaves."""
 
     trees: Sequence[Tree]
     unit: float
-    column: int = -1
+
+
+CODES_FROM, _CODES_TO = -(1 << 15) - 1, 1 << 15
+"""All codes are between these."""
+
+
+def limit_of(branch: Branch, inputs: Inputs) -> int:
+    """Largest code that goes to the lower child of a branch."""
+    scale = float(inputs.scale[branch.column])
+    if not -INPUT_LIMIT <= branch.threshold < INPUT_LIMIT:  # inputs are clamped to these: all codes, or none
+        return CODES_FROM if branch.threshold < 0.0 else _CODES_TO - 1
+    found = min(max(math.floor(branch.threshold * scale), CODES_FROM), _CODES_TO - 1)
+    while found < _CODES_TO - 1 and (found + 1) / scale <= branch.threshold:
+        found += 1
+    while found > CODES_FROM and found / scale > branch.threshold:
+        found -= 1
+    return found
+
+
+def pack(limit: int, field: int, below: int) -> int:
+    """A node in one word, since a walk is as fast as its loads.
+
+    Args:
+        limit: Largest code that goes to the lower child.
+        field: Index of the code, < 256.
+        below: The lower child, followed by the upper one; a leaf is its own.
+    """
+    return (below << 40) + (field << 32) + (limit - CODES_FROM)
 
 
 @kernel_jit
-def leaf_sum(row: np.ndarray, forest: Forest, first: int, last: int) -> float:
-    """Sum of the leaves that inputs, shape (w,), reach in the trees [first, last)."""
+def leaf_sum(codes: np.ndarray, forest: Forest, first: int, last: int) -> float:
+    """Sum of the leaves that codes, shape (n,), reach in the trees [first, last)."""
     total = 0.0
     for tree in range(first, last):
         node = forest.roots[tree]
-        for _ in range(forest.depths[tree]):  # no branch that depends on the inputs: several trees at a time
-            node = forest.below[node] + int(row[forest.columns[node]] > forest.thresholds[node])
+        for _ in range(forest.depths[tree]):  # no branch that depends on the codes: several trees at a time
+            word = forest.nodes[node]
+            above = codes[(word >> 32) & 0xFF] - CODES_FROM > (word & 0xFFFFFFFF)
+            node = (word >> 40) + int(above)
         total += forest.values[node]
     return total
 
 
 @kernel_jit
-def rate_by_forest(row: np.ndarray, slot: int, forest: Forest) -> float:
-    """See `library.rate`; 0 for a state without groups."""
+def rate_by_forest(codes: np.ndarray, slot: int, forest: Forest) -> float:
+    """See `library.rate`; 0 for a state without trees."""
     first, last = forest.spans[slot]
-    worst = 0.0
-    for group in range(first, last):
-        column = forest.column[group]
-        value = row[column] if column >= 0 else 0.0
-        value -= leaf_sum(row, forest, forest.groups[group, 0], forest.groups[group, 1])
-        worst = max(worst, abs(value) / forest.unit[group])
     if first == last:
         return 0.0
-    return forest.shift + forest.sign * (exp(-worst) if forest.decays else worst)
+    value = leaf_sum(codes, forest, first, last) / forest.unit[slot]
+    return forest.shift + forest.sign * (exp(-value) if forest.decays else value)
 
 
 RATES[Forest] = rate_by_forest
 
 
 def forest_of(
-    states: Sequence[Sequence[Group]], decays: bool = False, sign: float = 1.0, shift: float = 0.0
+    states: Sequence[Trees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
 ) -> Forest:  # fmt: skip
     """The tables of a forest.
 
     Args:
-        states: Groups of each state.
+        states: Trees of each state.
+        inputs: What their columns are.
         decays: See `Forest`.
         sign: See `Forest`.
         shift: See `Forest`.
     """
-    groups = [group for own in states for group in own]
-    ends = np.cumsum([len(own) for own in states])
-    lasts = np.cumsum([len(group.trees) for group in groups], dtype=np.int64)
-    nodes, roots, depths = _Nodes(), [], []
-    for tree in (tree for group in groups for tree in group.trees):
+    counts = np.array([len(own.trees) for own in states])
+    nodes, roots, depths = _Nodes(inputs), [], []
+    for tree in (tree for own in states for tree in own.trees):
         roots.append(len(nodes.values))
         depths.append(nodes.add(tree))
     return Forest(
-        np.stack([ends - [len(own) for own in states], ends], axis=1).astype(np.int64),
-        np.stack([lasts - [len(group.trees) for group in groups], lasts], axis=1).astype(np.int64),
-        np.array([group.column for group in groups], np.int64),
-        np.array([group.unit for group in groups], np.float64), decays, sign, shift, np.array(roots, np.int64),
-        np.array(depths, np.int64), np.array(nodes.columns, np.int32),
-        np.array(nodes.thresholds, np.float64), np.array(nodes.below, np.int32), np.array(nodes.values, np.float64),
+        np.stack([np.cumsum(counts) - counts, np.cumsum(counts)], axis=1).astype(np.int64),
+        np.array([own.unit for own in states], np.float64), decays, sign, shift, np.array(roots, np.int64),
+        np.array(depths, np.int64), np.array(nodes.words, np.int64), np.array(nodes.values, np.float64),
     )  # fmt: skip
 
 
 class _Nodes:
-    """Columns of the table of nodes, see `Forest`."""
+    """Nodes of trees, see `Forest`."""
 
-    def __init__(self) -> None:
-        self.columns: list[int] = []
-        self.thresholds: list[float] = []
-        self.below: list[int] = []
+    def __init__(self, inputs: Inputs) -> None:
+        self.words: list[int] = []
         self.values: list[float] = []
+        self._inputs = inputs
 
     def add(self, tree: Tree) -> int:
         """Append a tree; returns its depth."""
@@ -152,23 +169,21 @@ class _Nodes:
         return depth
 
     def _leaf(self) -> int:
-        self.columns.append(0)
-        self.thresholds.append(math.inf)
+        self.words.append(pack(_CODES_TO, 0, len(self.words)))
         self.values.append(0.0)
-        self.below.append(len(self.below))
-        return len(self.below) - 1
+        return len(self.words) - 1
 
     def _fill(self, place: int, tree: Tree) -> list[tuple[int, Tree]]:
         """Fill in a node; returns its children with their places."""
         if not isinstance(tree, Branch):
             self.values[place] = tree
             return []
-        self.columns[place], self.thresholds[place], low, high = tree
-        self.below[place] = len(self.below)
-        return [(self._leaf(), low), (self._leaf(), high)]
+        field = int(self._inputs.columns[tree.column])
+        self.words[place] = pack(limit_of(tree, self._inputs), field, len(self.words))
+        return [(self._leaf(), tree.low), (self._leaf(), tree.high)]
 
 
-_KIND, _ADMISSION = kinds_with(forest_of([[Group([0.0], 1.0)]]))
+_KIND, _ADMISSION = kinds_with(forest_of([Trees([0.0], 1.0)], Inputs(np.zeros(1, np.int64), np.ones(1))))
 
 
 @kernel_jit

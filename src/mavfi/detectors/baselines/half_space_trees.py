@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT
-from mavfi.detectors.baselines.forest import Branch, Forest, ForestScorer, Group, Tree, forest_of
-from mavfi.detectors.baselines.library import LibraryDetector, columns_of
+from mavfi.detectors.baselines.forest import Branch, Forest, ForestScorer, Tree, Trees, forest_of
+from mavfi.detectors.baselines.library import Inputs, LibraryDetector, columns_of
 from mavfi.detectors.everything import Everything
 
 _TREES, _HEIGHT, _WINDOW = 25, 8, 100
@@ -16,15 +16,17 @@ _LEAST = 0.1
 """Mass of a node / window below which the path ends (the paper's SizeLimit)."""
 
 
-def half_spaces(inputs: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray]) -> Forest:
+def half_spaces(rows: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray], inputs: Inputs) -> Forest:
     """Forests by state, fitted in the order of the rows; they do not learn in flight.
 
     Args:
-        inputs: Training rows, shape (m, w).
+        rows: Training rows, shape (m, w).
         slots: Their states. Shape (m,).
         columns: By state, the columns of its codes; a state without codes or rows scores 0.
+        inputs: What the columns are.
     """
-    return forest_of([_groups(inputs[slots == slot], own) for slot, own in enumerate(columns)], sign=-1.0, shift=1.0)
+    states = [_trees(rows[slots == slot], own) for slot, own in enumerate(columns)]
+    return forest_of(states, inputs, sign=-1.0, shift=1.0)
 
 
 def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
@@ -39,13 +41,13 @@ def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
     return forest
 
 
-def _groups(rows: np.ndarray, own: np.ndarray) -> list[Group]:
+def _trees(rows: np.ndarray, own: np.ndarray) -> Trees:
     if not len(own) or not len(rows):
-        return []
+        return Trees([], 1.0)
     forest = fitted(rows[:, own])
     trees = [_tree(tree, own, 0, 0.0, _LEAST * forest.window_size) for tree in forest.trees]
     most = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
-    return [Group(trees, most)]
+    return Trees(trees, most)
 
 
 def _tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) -> Tree:  # noqa: ANN401
@@ -63,6 +65,6 @@ class HalfSpaceTreesDetector(LibraryDetector):
     model_kind, package, scorer_type = "half_space_trees", "river", ForestScorer
 
     @classmethod
-    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Forest:
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Forest:
         """See `LibraryDetector.tables`."""
-        return half_spaces(inputs, slots, columns_of(everything))
+        return half_spaces(rows, slots, columns_of(everything), inputs)

@@ -39,60 +39,53 @@ def require(package: str) -> None:
         raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
 
 
-def rate(row: np.ndarray, slot: int, model: Any) -> float:  # noqa: ANN401 - a type in `RATES`
+class Inputs(NamedTuple):
+    """Inputs of a library's model: the codes of the watched fields / their largest in training, clamped.
+
+    Attributes:
+        columns: Indices of the watched fields. Shape (w,), int64.
+        scale: Largest code of each in training. Shape (w,).
+    """
+
+    columns: np.ndarray
+    scale: np.ndarray
+
+
+@kernel_jit
+def input_of(codes: np.ndarray, place: int, inputs: Inputs) -> float:
+    """One input, in [0, w), of codes of shape (n,)."""
+    return float(min(max(codes[inputs.columns[place]] / inputs.scale[place], -INPUT_LIMIT), INPUT_LIMIT))
+
+
+def rate(codes: np.ndarray, slot: int, model: Any) -> float:  # noqa: ANN401 - a type in `RATES`
     """Anomaly score of a publication, any real number.
 
     Args:
-        row: Codes of all watched fields / their largest in training. Shape (w,).
+        codes: The latest codes of all fields. Shape (n,), int16.
         slot: Index of the published state.
         model: Tables of a fitted model.
     """
-    return RATES[type(model)](row, slot, model)
+    return RATES[type(model)](codes, slot, model)
 
 
 @overload(rate)
-def _rate(row, slot, model):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
+def _rate(codes, slot, model):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
     own = RATES[model.instance_class]
-    return lambda row, slot, model: own(row, slot, model)
+    return lambda codes, slot, model: own(codes, slot, model)
 
 
 @kernel_jit
-def rates(rows: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # noqa: ANN401
-    """Scores of publications of states `slots`, shape (m,), see `rate`; rows have shape (m, w)."""
-    found = np.zeros(len(rows))
-    for index in range(len(rows)):
-        found[index] = rate(rows[index], slots[index], model)
+def rates(codes: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # noqa: ANN401
+    """Scores of publications of states `slots`, shape (m,), see `rate`; codes have shape (m, n)."""
+    found = np.zeros(len(codes))
+    for index in range(len(codes)):
+        found[index] = rate(codes[index], slots[index], model)
     return found
-
-
-class Inputs(NamedTuple):
-    """From codes to the inputs of a model.
-
-    Attributes:
-        scale: Largest code of each field in training. Shape (n,).
-        columns: Indices of the watched fields. Shape (w,), int64.
-        floor: Smallest score in training, subtracted from all scores. Shape (1,).
-        row: Inputs of the publication judged last. Shape (w,).
-    """
-
-    scale: np.ndarray
-    columns: np.ndarray
-    floor: np.ndarray
-    row: np.ndarray
-
-
-@kernel_jit
-def excess(vector: np.ndarray, slot: int, model: Any, inputs: Inputs) -> float:  # noqa: ANN401
-    """Score of the latest codes, shape (n,), above the smallest one in training; 0 below it."""
-    for place in range(len(inputs.columns)):
-        column = inputs.columns[place]
-        inputs.row[place] = min(max(vector[column] / inputs.scale[column], -INPUT_LIMIT), INPUT_LIMIT)
-    return float(max(0.0, rate(inputs.row, slot, model) - inputs.floor[0]))
 
 
 @kernel_jit
 def learn(
-    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, inputs: Inputs  # noqa: ANN401
+    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
 ) -> None:  # fmt: skip
     """Hold the codes of a normal publication; 0 for an anomalous one."""
     hold(own, judged, limit, model, holding)
@@ -108,36 +101,36 @@ def update(own: Book, holding: Holding) -> None:
 
 @kernel_jit
 def judge_model(
-    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, inputs: Inputs  # noqa: ANN401
+    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
 ) -> float:  # fmt: skip
     """Score of the latest codes by a model, in units of the limit of their state and regime."""
-    learn(own, judged, limit, model, holding, inputs)
+    learn(own, judged, limit, model, holding, floor)
     update(own, holding)
     slot = own.place[book.SLOT]
     if own.place[book.REGIME] >= 0:
-        judged.distance[slot] = excess(holding.vector, slot, model, inputs)
+        judged.distance[slot] = max(0.0, rate(holding.vector, slot, model) - floor)
     return conclude(slot, slot + 1, own, judged, limit)
 
 
 @kernel_jit
 def admit_by_model(
-    header: Any, own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, inputs: Inputs,  # noqa: ANN401
+    header: Any, own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float,  # noqa: ANN401
     recent: Recent,
 ) -> bool:  # fmt: skip
     """`judge_model` of a publication that is accepted without an alarm; the same codes have the same score."""
     book.measure(header, own)
-    learn(own, judged, limit, model, holding, inputs)
+    learn(own, judged, limit, model, holding, floor)
     update(own, holding)
     slot = own.place[book.SLOT]
     if own.place[book.REGIME] >= 0:
         row = slot * REMEMBERED + row_of(holding.vector, REMEMBERED)
         if not recall(holding.vector, recent, row):
-            recent.errors[row, 0] = excess(holding.vector, slot, model, inputs)
+            recent.errors[row, 0] = max(0.0, rate(holding.vector, slot, model) - floor)
         judged.distance[slot] = recent.errors[row, 0]
     return book.accept_unless_alarm(conclude(slot, slot + 1, own, judged, limit), own)
 
 
-_MEMORY = Holding(*np.zeros((2, 1), np.int16)), Inputs(np.zeros(1), np.zeros(1, np.int64), np.zeros(1), np.zeros(1))
+_MEMORY = Holding(*np.zeros((2, 1), np.int16)), 0.0
 
 
 def kinds_with(model: Any) -> tuple[Any, Any]:  # noqa: ANN401
@@ -156,18 +149,15 @@ class ModelScorer(OfStates):
     Args:
         everything: Computes the codes.
         model: Tables of the fitted model.
-        scale: Largest code of each field in training. Shape (n,).
-        floor: Smallest score in training.
+        floor: Smallest score in training, subtracted from all scores.
     """
 
     judge, learns = staticmethod(judge_model), staticmethod(learn)
 
-    def __init__(self, everything: Everything, model: Any, scale: np.ndarray, floor: float) -> None:  # noqa: ANN401
-        columns = np.flatnonzero(everything.quanta > 0.0)
+    def __init__(self, everything: Everything, model: Any, floor: float) -> None:  # noqa: ANN401
         holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
-        inputs = Inputs(scale, columns, np.array([floor]), np.zeros(len(columns)))
         recent = no_scores(len(everything.slots), len(everything.fields))
-        super().__init__(everything, model, holding, inputs, recent=recent)
+        super().__init__(everything, model, holding, floor, recent=recent)
         self.kept = {**self.kept, "held": holding.held}
 
 
@@ -204,7 +194,7 @@ class LibraryDetector(AllFieldsDetector):
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
         tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
-        return cls.scorer_type(everything, tables, scale, float(model.numbers("floor")))
+        return cls.scorer_type(everything, tables, float(model.numbers("floor")))
 
     @classmethod
     def check_installed(cls) -> None:
@@ -213,13 +203,14 @@ class LibraryDetector(AllFieldsDetector):
 
     @classmethod
     @abstractmethod
-    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Any:  # noqa: ANN401
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Any:  # noqa: ANN401
         """Tables of a model that the library fits to normal publications.
 
         Args:
-            inputs: Their inputs, see `rate`. Shape (m, w).
+            rows: Their inputs. Shape (m, w).
             slots: Their states. Shape (m,).
             everything: Codes from which they were made.
+            inputs: How.
         """
 
     @classmethod
@@ -228,7 +219,8 @@ class LibraryDetector(AllFieldsDetector):
         cls.check_installed()
         generator = np.random.Generator(np.random.PCG64(0))
         dithered = rows + generator.uniform(-0.5, 0.5, rows.shape)
-        return cls.tables(scaled(dithered, scale)[:, everything.quanta > 0.0], slots, everything)
+        columns = np.flatnonzero(everything.quanta > 0.0)
+        return cls.tables(scaled(dithered, scale)[:, columns], slots, everything, Inputs(columns, scale[columns]))
 
     @classmethod
     def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -245,7 +237,7 @@ class LibraryDetector(AllFieldsDetector):
         model = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, everything)
         chosen = representative(sample, int(figures["calibrated"]))
         part = Sample(*(getattr(sample, name)[chosen] for name in Sample.__annotations__))
-        scores = rates(np.ascontiguousarray(scaled(part.vectors, scale)[:, everything.quanta > 0.0]), part.slots, model)
+        scores = rates(part.vectors, part.slots, model)
         floor = float(scores.min())
         peaks, counts = state_peaks(scores - floor, part, len(everything.slots))
         limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))

@@ -28,6 +28,10 @@ from mavfi.numerics.stored import load
 
 LENGTH = 8
 """Publications per subsequence."""
+BLOCK = 64
+"""Subsequences compared at a time."""
+_ROUNDING = 1e-9
+"""More than sums of LENGTH inputs can be wrong by."""
 _NEVER = 1e17
 """Limit for states without a training subsequence."""
 
@@ -36,17 +40,19 @@ class Series(NamedTuple):
     """Values in training and in flight.
 
     Attributes:
-        history: Training series of each state. Shape (slots, k).
-        lengths: Number of values of each. Shape (slots,), int64.
+        history: Different subsequences of the training series of each state, see `nearest`. Shape (slots, LENGTH, k).
+        sums: Their sums. Shape (slots, k).
+        counts: Number of each. Shape (slots,), int64.
         scale: Largest code of each field in training. Shape (n,).
         recent: The latest values of each state. Shape (slots, LENGTH - 1).
         published: Number of values of each state. Shape (slots,).
         stretch: Subsequence of the publication judged last. Shape (LENGTH,).
-        squares: Squared distances, work. Shape (k,).
+        squares: Work. Shape (BLOCK,).
     """
 
     history: np.ndarray
-    lengths: np.ndarray
+    sums: np.ndarray
+    counts: np.ndarray
     scale: np.ndarray
     recent: np.ndarray
     published: np.ndarray
@@ -64,20 +70,57 @@ def largest_code(codes: np.ndarray, scale: np.ndarray) -> float:
 
 
 @kernel_jit
-def nearest(stretch: np.ndarray, history: np.ndarray, squares: np.ndarray) -> float:
-    """Smallest Euclidean distance of a subsequence, shape (LENGTH,), from a history, shape (k,); 0 if too short."""
-    count = len(history) - LENGTH + 1
-    if count < 1:
-        return 0.0
+def least_square(stretch: np.ndarray, history: np.ndarray, first: int, last: int, squares: np.ndarray) -> float:
+    """Smallest squared distance of a subsequence from the columns [first, last), at most BLOCK."""
+    count = last - first
     squares[:count] = 0.0
-    for place in range(LENGTH):  # all subsequences side by side: several per machine instruction
-        value, moved = stretch[place], history[place : place + count]
+    for place in range(LENGTH):  # all columns side by side: several per machine instruction
+        value, column = stretch[place], history[place, first:last]
         for index in range(count):
-            away = value - moved[index]
+            away = value - column[index]
             squares[index] += away * away
-    best = squares[0]
+    best = np.inf
     for index in range(count):
         best = min(best, squares[index])
+    return best
+
+
+@kernel_jit
+def nearest(stretch: np.ndarray, history: np.ndarray, sums: np.ndarray, squares: np.ndarray) -> float:
+    """Smallest Euclidean distance of a subsequence from those in the columns of a history.
+
+    It is at least the difference of their sums / sqrt(LENGTH) (Cauchy and Schwarz): columns are compared from the
+    nearest sum on, until no other can be nearer.
+
+    Args:
+        stretch: The subsequence. Shape (LENGTH,).
+        history: Columns, by their sums. Shape (LENGTH, k).
+        sums: Their sums. Shape (k,).
+        squares: Work. Shape (BLOCK,).
+
+    Returns:
+        The distance; 0 if k is 0.
+    """
+    count = len(sums)
+    if count == 0:
+        return 0.0
+    total = stretch.sum()
+    low = high = np.searchsorted(sums, total)
+    best = np.inf
+    while low > 0 or high < count:
+        below = total - sums[low - 1] if low > 0 else np.inf
+        above = sums[high] - total if high < count else np.inf
+        apart = max(min(below, above) - _ROUNDING, 0.0)
+        if apart * apart > LENGTH * best:
+            break
+        if high == count or (low > 0 and below <= above):
+            start = max(low - BLOCK, 0)
+            best = min(best, least_square(stretch, history, start, low, squares))
+            low = start
+        else:
+            end = min(high + BLOCK, count)
+            best = min(best, least_square(stretch, history, high, end, squares))
+            high = end
     return float(np.sqrt(best))
 
 
@@ -110,7 +153,8 @@ def extend(own: Book, series: Series) -> bool:
 @kernel_jit
 def distance_of(slot: int, series: Series) -> float:
     """Distance of the subsequence judged last from the training series of its state."""
-    return nearest(series.stretch, series.history[slot, : series.lengths[slot]], series.squares)
+    count = series.counts[slot]
+    return nearest(series.stretch, series.history[slot], series.sums[slot, :count], series.squares)
 
 
 @kernel_jit
@@ -142,7 +186,9 @@ def admit_by_stretch(
     return book.accept_unless_alarm(conclude(slot, slot + 1, own, judged, limit), own)
 
 
-_EXAMPLE = Series(np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 1)), *np.zeros((3, 1)))
+_EXAMPLE = Series(
+    np.zeros((1, 1, 1)), np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 1)), *np.zeros((3, 1))
+)
 _KIND, _ADMISSION = kind_with(_EXAMPLE), kind_with(_EXAMPLE, no_scores(1, 1))
 
 
@@ -154,6 +200,14 @@ def _stretch_at(address: int) -> float:
 @short_jit
 def _admit_stretch(address: int, header: Any) -> bool:
     return admit_by_stretch(header_of(header), *load(address, _ADMISSION))
+
+
+def subsequences(series: np.ndarray) -> np.ndarray:
+    """The different subsequences of a series, shape (k,), in columns, by their sums; often half of them are equal."""
+    if len(series) < LENGTH:
+        return np.zeros((LENGTH, 0))
+    found = np.unique(np.lib.stride_tricks.sliding_window_view(series, LENGTH), axis=0).T
+    return found[:, np.argsort(found.sum(axis=0), kind="stable")]
 
 
 class StretchScorer(OfStates):
@@ -169,13 +223,14 @@ class StretchScorer(OfStates):
     admit_at, kind, admission = staticmethod(_admit_stretch), _KIND, _ADMISSION
 
     def __init__(self, everything: Everything, histories: list[np.ndarray], scale: np.ndarray) -> None:
-        slots, lengths = len(everything.slots), np.array([len(one) for one in histories], np.int64)
+        slots, parts = len(everything.slots), [subsequences(one) for one in histories]
+        counts = np.array([part.shape[1] for part in parts], np.int64)
         series = Series(
-            np.zeros((slots, max(lengths))), lengths, scale, np.zeros((slots, LENGTH - 1)), np.zeros(slots),
-            np.zeros(LENGTH), np.zeros(max(lengths)),
+            np.zeros((slots, LENGTH, max(counts))), np.zeros((slots, max(counts))), counts, scale,
+            np.zeros((slots, LENGTH - 1)), np.zeros(slots), np.zeros(LENGTH), np.zeros(BLOCK),
         )  # fmt: skip
-        for row, history in zip(series.history, histories, strict=True):
-            row[: len(history)] = history
+        for own, sums, part in zip(series.history, series.sums, parts, strict=True):
+            own[:, : part.shape[1]], sums[: part.shape[1]] = part, part.sum(axis=0)
         super().__init__(everything, series, recent=no_scores(slots, 4 * LENGTH))
         self.kept = {**self.kept, "recent": series.recent, "published": series.published}
 

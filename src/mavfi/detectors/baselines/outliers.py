@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.baselines.forest import Branch, ForestScorer, Group, Tree, forest_of
+from mavfi.detectors.baselines.forest import Branch, ForestScorer, Tree, Trees, forest_of
 from mavfi.detectors.baselines.library import (
     RATES,
+    Inputs,
     LibraryDetector,
     ModelScorer,
     admit_by_model,
+    input_of,
     judge_model,
     kinds_with,
 )
@@ -25,6 +27,7 @@ class Components(NamedTuple):
     """Principal components; the score is the sum of the distances from them, each divided by its eigenvalue's share.
 
     Attributes:
+        inputs: The inputs.
         mean: Of each input in training. Shape (w,).
         deviation: Of each input in training. Shape (w,).
         components: Shape (w, c).
@@ -32,6 +35,7 @@ class Components(NamedTuple):
         squares: Squared distances, work. Shape (c,).
     """
 
+    inputs: Inputs
     mean: np.ndarray
     deviation: np.ndarray
     components: np.ndarray
@@ -40,11 +44,11 @@ class Components(NamedTuple):
 
 
 @kernel_jit
-def rate_by_components(row: np.ndarray, slot: int, model: Components) -> float:
+def rate_by_components(codes: np.ndarray, slot: int, model: Components) -> float:
     """See `library.rate`."""
     model.squares[:] = 0.0
-    for index in range(len(row)):
-        value = (row[index] - model.mean[index]) / model.deviation[index]
+    for index in range(len(model.mean)):
+        value = (input_of(codes, index, model.inputs) - model.mean[index]) / model.deviation[index]
         for component in range(len(model.squares)):
             away = value - model.components[index, component]
             model.squares[component] += away * away
@@ -58,35 +62,38 @@ class Ellipsoid(NamedTuple):
     """A centre and a precision matrix; the score is the squared Mahalanobis distance.
 
     Attributes:
+        inputs: The inputs.
         centre: Shape (w,).
         precision: Shape (w, w).
         product: Precision times difference, work. Shape (w,).
     """
 
+    inputs: Inputs
     centre: np.ndarray
     precision: np.ndarray
     product: np.ndarray
 
 
 @kernel_jit
-def rate_by_ellipsoid(row: np.ndarray, slot: int, model: Ellipsoid) -> float:
+def rate_by_ellipsoid(codes: np.ndarray, slot: int, model: Ellipsoid) -> float:
     """See `library.rate`."""
     model.product[:] = 0.0
-    for index in range(len(row)):
-        away = row[index] - model.centre[index]
-        for other in range(len(row)):
+    for index in range(len(model.centre)):
+        away = input_of(codes, index, model.inputs) - model.centre[index]
+        for other in range(len(model.centre)):
             model.product[other] += away * model.precision[index, other]
     total = 0.0
-    for index in range(len(row)):
-        total += (row[index] - model.centre[index]) * model.product[index]
+    for index in range(len(model.centre)):
+        total += (input_of(codes, index, model.inputs) - model.centre[index]) * model.product[index]
     return total
 
 
 RATES[Components], RATES[Ellipsoid] = rate_by_components, rate_by_ellipsoid
+_INPUTS = Inputs(np.zeros(1, np.int64), np.ones(1))
 _COMPONENTS, _BY_COMPONENTS = kinds_with(
-    Components(np.zeros(1), np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.zeros(1))
+    Components(_INPUTS, np.zeros(1), np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.zeros(1))
 )
-_ELLIPSOID, _BY_ELLIPSOID = kinds_with(Ellipsoid(np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
+_ELLIPSOID, _BY_ELLIPSOID = kinds_with(Ellipsoid(_INPUTS, np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
 
 
 @kernel_jit
@@ -129,12 +136,12 @@ class _OutlierDetector(LibraryDetector):
     package = "pyod"
 
     @classmethod
-    def tables(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Any:  # noqa: ANN401
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Any:  # noqa: ANN401
         """See `LibraryDetector.tables`."""
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            return cls.tables_of(cls.make().fit(inputs), len(everything.slots))
+            return cls.tables_of(cls.make().fit(rows), inputs, len(everything.slots))
 
     @classmethod
     @abstractmethod
@@ -143,8 +150,8 @@ class _OutlierDetector(LibraryDetector):
 
     @classmethod
     @abstractmethod
-    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
-        """The tables of a fitted model, for this number of states."""
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
+        """The tables of a fitted model of these inputs, for this number of states."""
 
 
 class IsolationForestDetector(_OutlierDetector):
@@ -160,13 +167,13 @@ class IsolationForestDetector(_OutlierDetector):
         return IForest(n_estimators=100, random_state=0, n_jobs=1)
 
     @classmethod
-    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
         """See the base class."""
         forest = fitted.detector_
         trees = [_isolation_tree(one.tree_, 0, 0) for one in forest.estimators_]
         unit = len(trees) * path_length(forest.max_samples_) / math.log(2.0)
-        found = forest_of([[Group(trees, unit)]], decays=True, shift=float(forest.offset_))
-        return found._replace(spans=np.tile(found.spans, (states, 1)))
+        found = forest_of([Trees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
+        return found._replace(spans=np.tile(found.spans, (states, 1)), unit=np.full(states, unit))
 
 
 def path_length(rows: int) -> float:
@@ -206,11 +213,12 @@ class PcaDetector(_OutlierDetector):
         return PCA(random_state=0, svd_solver="full")
 
     @classmethod
-    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
         """See the base class."""
         components = np.ascontiguousarray(fitted.selected_components_.T)
         weights = np.ascontiguousarray(fitted.selected_w_components_)
-        return Components(fitted.scaler_.mean_, fitted.scaler_.scale_, components, weights, np.zeros(len(weights)))
+        mean, deviation = fitted.scaler_.mean_, fitted.scaler_.scale_
+        return Components(inputs, mean, deviation, components, weights, np.zeros(len(weights)))
 
 
 class MahalanobisDetector(_OutlierDetector):
@@ -226,7 +234,7 @@ class MahalanobisDetector(_OutlierDetector):
         return MCD(random_state=0)
 
     @classmethod
-    def tables_of(cls, fitted: Any, states: int) -> Any:  # noqa: ANN401
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
         """See the base class."""
         centre = fitted.detector_.location_
-        return Ellipsoid(centre, np.ascontiguousarray(fitted.detector_.get_precision()), np.zeros(len(centre)))
+        return Ellipsoid(inputs, centre, np.ascontiguousarray(fitted.detector_.get_precision()), np.zeros(len(centre)))
