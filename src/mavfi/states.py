@@ -104,12 +104,10 @@ BASELINES = ("isolation_forest", "pca", "mahalanobis", "half_space_trees", "grad
 """Detectors whose models other libraries fit (extra `bench`)."""
 DETECTORS: dict[str, tuple[str, ...]] = {
     "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3]), *_ESTIMATE),
-    "gaussian": ("judge",),
-    "autoencoder": ("judge",),
+    **dict.fromkeys(("gaussian", "autoencoder"), ("judge",)),
     "physics_gate": ("judge_gate",),
-    **dict.fromkeys(("limits", "autoencoder_all", "cusum", "conformal"), _CODES),
+    **dict.fromkeys(("limits", "autoencoder_all", "cusum", "conformal", *BASELINES), _CODES),
     "checksum": ("crc32c",),
-    **dict.fromkeys(BASELINES, _CODES),
 }
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"

@@ -18,6 +18,7 @@ from mavfi.detectors.baselines.library import (
     kinds_with,
 )
 from mavfi.detectors.everything import Everything
+from mavfi.numerics.elementary import log
 from mavfi.numerics.jit import kernel_jit, short_jit
 from mavfi.numerics.lent import header_of
 from mavfi.numerics.stored import load
@@ -171,7 +172,7 @@ class IsolationForestDetector(_OutlierDetector):
         """See the base class."""
         forest = fitted.detector_
         trees = [_isolation_tree(one.tree_, 0, 0) for one in forest.estimators_]
-        unit = len(trees) * path_length(forest.max_samples_) / math.log(2.0)
+        unit = len(trees) * path_length(forest.max_samples_) / log(2.0)
         found = forest_of([Trees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
         return found._replace(spans=np.tile(found.spans, (states, 1)), unit=np.full(states, unit))
 
@@ -180,7 +181,7 @@ def path_length(rows: int) -> float:
     """Mean path length of an unsuccessful search in a binary tree of `rows` rows, c(n) of the paper's equation 1."""
     if rows <= 2:
         return float(max(rows, 1) - 1)
-    return 2.0 * (math.log(rows - 1.0) + float(np.euler_gamma)) - 2.0 * (rows - 1.0) / rows
+    return 2.0 * (log(rows - 1.0) + float(np.euler_gamma)) - 2.0 * (rows - 1.0) / rows
 
 
 def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 - of the library
