@@ -129,6 +129,12 @@ def rate_by_forest(codes: np.ndarray, slot: int, forest: Forest) -> float:
 RATES[Forest] = rate_by_forest
 
 
+def spans_of(counts: Sequence[int] | np.ndarray) -> np.ndarray:
+    """First and one past the last of parts that follow each other. Shape (k, 2), int64."""
+    ends = np.cumsum(counts, dtype=np.int64)
+    return np.stack([ends - counts, ends], axis=1).astype(np.int64)
+
+
 def forest_of(
     states: Sequence[Trees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
 ) -> Forest:  # fmt: skip
@@ -141,13 +147,12 @@ def forest_of(
         sign: See `Forest`.
         shift: See `Forest`.
     """
-    counts = np.array([len(own.trees) for own in states])
     nodes, roots, depths = _Nodes(inputs), [], []
     for tree in (tree for own in states for tree in own.trees):
         roots.append(len(nodes.values))
         depths.append(nodes.add(tree))
     return Forest(
-        np.stack([np.cumsum(counts) - counts, np.cumsum(counts)], axis=1).astype(np.int64),
+        spans_of([len(own.trees) for own in states]),
         np.array([own.unit for own in states], np.float64), decays, sign, shift, np.array(roots, np.int64),
         np.array(depths, np.int64), np.array(nodes.words, np.int64), np.array(nodes.values, np.float64),
     )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.baselines.forest import Branch, Tree, limit_of
+from mavfi.detectors.baselines.forest import Branch, Tree, limit_of, spans_of
 from mavfi.detectors.baselines.library import (
     RATES,
     Inputs,
@@ -155,16 +155,10 @@ def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regresso
             branches += sorted(words)
     counts = np.array([len(one.trees) for one in every], np.int64)
     return Regressors(
-        _spans([len(own) for own in states]), _spans(counts), np.array([one.column for one in every], np.int64),
+        spans_of([len(own) for own in states]), spans_of(counts), np.array([one.column for one in every], np.int64),
         np.array([one.unit for one in every], np.float64), starts, np.array(branches, np.int64), leaves,
         np.zeros(max((sum(len(one.trees) for one in own) for own in states), default=0), np.int64), inputs,
     )  # fmt: skip
-
-
-def _spans(counts: Sequence[int] | np.ndarray) -> np.ndarray:
-    """First and one past the last of parts that follow each other. Shape (k, 2), int64."""
-    ends = np.cumsum(counts, dtype=np.int64)
-    return np.stack([ends - counts, ends], axis=1).astype(np.int64)
 
 
 class _Branches:
@@ -185,7 +179,7 @@ class _Branches:
         return self._leaves(tree, number, 0)
 
     def _leaves(self, tree: Tree, number: int, first: int) -> list[float]:
-        """The same of a subtree of a tree, after so many leaves."""
+        """Values of the leaves of a subtree of tree `number`; its first leaf has bit `first`."""
         if not isinstance(tree, Branch):
             return [tree]
         limit = limit_of(tree, self._inputs)
