@@ -80,11 +80,8 @@ KERNELS: dict[str, KernelSpec] = {spec.name: spec for spec in _KERNEL_TABLE}
 clearance map, whose updates are stored by `apply_updates`; the planner's copy is not injected.
 """
 
-_SHORTEN = ("shortcut_greedy", "shortcut_random")
 PLANNERS: dict[str, tuple[str, ...]] = {
-    "rrt": ("plan_rrt", *_SHORTEN),
-    "rrt_connect": ("plan_rrt_connect", *_SHORTEN),
-    "rrt_star": ("plan_rrt_star", *_SHORTEN),
+    name: (f"plan_{name}", "shortcut_greedy", "shortcut_random") for name in ("rrt", "rrt_connect", "rrt_star")
 }
 """Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
@@ -112,7 +109,8 @@ DETECTORS: dict[str, tuple[str, ...]] = {
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"
 """Recovery as a target of faults, in flights with any detector: its functions, and what it remembers between alarms."""
-GUARDS = {**DETECTORS, RECOVERY: ("respond", "wait_for_path")}
+_RESTARTS = ("escalate", "series_start", "frequency", "down_time", "left_after")
+GUARDS = {**DETECTORS, RECOVERY: ("respond", *_RESTARTS, "distance", "closing_rate", "wait_for_path")}
 """Injectable functions of detectors and of recovery."""
 WATCHING = tuple(name for name in GUARDS if name != "checksum")
 """Targets of memory faults that exist only in flights with a detector; a checksum is not kept."""

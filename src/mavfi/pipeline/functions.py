@@ -35,6 +35,13 @@ class KernelFunctions:
     shortcut_random: Compiled = path.shortcut_random
     track: Compiled = pid.track
     respond: Compiled = response.respond
+    escalate: Compiled = response.escalate
+    series_start: Compiled = response.series_start
+    frequency: Compiled = response.frequency
+    down_time: Compiled = response.down_time
+    left_after: Compiled = response.left_after
+    distance: Compiled = response.distance
+    closing_rate: Compiled = response.closing_rate
     wait_for_path: Compiled = response.wait_for_path
 
     def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":

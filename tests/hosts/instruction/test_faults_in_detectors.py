@@ -11,7 +11,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.detectors import load_detector
+from mavfi.detectors import Alarm, load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.chain import Chain
 from mavfi.detectors.detector import part_of
@@ -148,6 +148,46 @@ def test_a_flight_continues_whatever_becomes_of_its_recovery(name, entry):
     assert {flight.log.status for flight in found.flights} == {MissionStatus.SUCCESS}
     hangs = [flight for flight in found.flights if flight.log.kernel.effect == "hang"]
     assert hangs and not any(flight.log.alarms for flight in hangs), "a dead one does not respond"
+
+
+class _Nervous:
+    """Reports a violated rule at every thirtieth command, and at its recomputation."""
+
+    states = frozenset({"control.command"})
+
+    def start(self):
+        self._asked = 0
+
+    def check(self, state, now):
+        self._asked += 1
+        return Alarm("nervous", "control", hard=True) if self._asked % 30 in (0, 1) and self._asked > 1 else None
+
+    def accept(self, state, now): ...
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("same_twice", "degraded", "entries"),
+    [
+        ("escalate", "none", {"escalate", "down_time", "left_after"}),
+        ("escalate", "hold", {"series_start", "distance", "closing_rate"}),
+        ("limit", "none", {"frequency"}),
+    ],
+)
+def test_limits_and_commands_of_recovery_are_targets_where_they_are_evaluated(same_twice, degraded, entries):
+    spec = MissionSpec(
+        environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), same_twice=same_twice,
+        grain="kernel", degraded=degraded, dead_node="readback",
+    )  # fmt: skip
+    scenario, policy = resolve(spec), Recovery.of(spec)
+    request = InstructionRequest({RECOVERY: 40}, sampling="stratified")
+    drawn = draw_instruction_faults(scenario, request, "test", seed=3, detector=_Nervous(), recovery=policy)
+    faults = drawn.faults[RECOVERY]
+    assert entries <= {fault.entry for fault in faults}
+    one_of_each = list({fault.entry: fault for fault in faults}.values())
+    found = fly_instruction_faults(scenario, one_of_each, _Nervous(), recovery=policy)
+    assert found.golden.log.digest() == drawn.golden.log.digest()
+    assert len(found.flights) == len(one_of_each)
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ from mavfi.hosts.loop.waiting import WAYPOINT
 from mavfi.kernels.recovery import response as responses
 from mavfi.states import KERNELS, STAGE_KERNELS, Stage, State, StateSpec
 
-After = Literal["", "resend", "recompute"]
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that are recomputed together, starting from the image."""
 
@@ -47,11 +46,8 @@ class Awaited(NamedTuple):
     place: int
 
 
-_AFTER = {"": responses.FIRST, "resend": responses.RESENT, "recompute": responses.RECOMPUTED}
-
-
 def decide(
-    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: After = "", uncured: bool = False,
+    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: int = responses.FIRST, uncured: bool = False,
     respond: Callable[..., int] = responses.respond,
 ) -> Action | None:  # fmt: skip
     """Select the response to an alarm on a value of state `spec`.
@@ -62,14 +58,14 @@ def decide(
         alarm: The alarm, checked by `detector.checked_alarm`.
         spec: The state's specification.
         recovery: The recovery policy.
-        after: Action that produced the value.
+        after: What produced the value: a code of `kernels.recovery.response`.
         uncured: Whether the degraded mode applies: no restart is left or hard alarms persist, and a mode is configured.
         respond: `kernels.recovery.response.respond`, compiled or instrumented.
     """
     stage, gated, own = Stage(alarm.stage), recovery.coupling == "inline", Stage(alarm.stage) is spec.stage
     stop, abandon, resends = bool(alarm.stop), bool(alarm.abandon_waypoint), recovery.resends
     action: Action | None = None
-    match respond(_AFTER[after], uncured, stop, abandon, own, resends):
+    match respond(after, uncured, stop, abandon, own, resends):
         case responses.DEGRADE if recovery.degraded != "none":
             action = Action(recovery.degraded, Stage.CONTROL)
         case responses.RESTART if recovery.restarts and spec.writer in KERNELS:

@@ -4,10 +4,10 @@ They replace the tracker's commands, whose inputs and memory are no longer trust
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Memory
 from mavfi.states import ODOMETRY, State, floats
 
@@ -17,8 +17,6 @@ SPACING = 1.0
 """Distance between stored positions of the flown path (m)."""
 REACHED = 0.5
 """Distance at which a stored position counts as reached (m); less than `SPACING`."""
-GAIN = 1.0
-"""Commanded speed / distance to the target (1/s)."""
 SHARE = 0.5
 """Largest commanded speed / v_max."""
 VALID_S = 0.1
@@ -38,14 +36,6 @@ class Trail(Memory):
     points: list[list[float]] = field(default_factory=list)
 
 
-def towards(position: Sequence[float], target: Sequence[float], largest: float) -> list[float]:
-    """Velocity towards a target: proportional to the distance (m), at most `largest` (m/s)."""
-    distance = math.dist(position, target)
-    speed = min(GAIN * distance, largest)
-    share = speed / distance if distance > 0.0 else 0.0
-    return [share * (end - start) for start, end in zip(position, target, strict=True)]
-
-
 class Setpoints:
     """Commands of a degraded mode.
 
@@ -55,6 +45,7 @@ class Setpoints:
     Args:
         mode: The mode.
         v_max: Speed limit of the mission (m/s).
+        functions: Functions that it calls: compiled or instrumented.
 
     Attributes:
         states: Names of the states that it reads.
@@ -62,8 +53,8 @@ class Setpoints:
 
     states = frozenset(ODOMETRY.values())
 
-    def __init__(self, mode: Degraded, v_max: float) -> None:
-        self._mode, self._largest = mode, SHARE * v_max
+    def __init__(self, mode: Degraded, v_max: float, functions: KernelFunctions = PLAIN) -> None:
+        self._mode, self._largest, self._functions = mode, SHARE * v_max, functions
 
     def note(self, trail: Trail, odometry: State, *, flown: bool) -> None:
         """Store the vehicle's position if it is finite; `flown`: it belongs to the path that `back` follows."""
@@ -71,7 +62,7 @@ class Setpoints:
         if not all(map(math.isfinite, position)):
             return
         trail.position = position
-        if flown and self._mode == "back" and not (trail.points and math.dist(position, trail.points[-1]) < SPACING):
+        if flown and self._mode == "back" and not (trail.points and self._away(trail) < SPACING):
             trail.points.append(position)
 
     def begin(self, trail: Trail) -> None:
@@ -81,10 +72,17 @@ class Setpoints:
 
     def command(self, trail: Trail, published: State) -> State | None:
         """The command in place of a published one; None = none."""
-        while len(trail.points) > 1 and math.dist(trail.position, trail.points[-1]) < REACHED:
+        while len(trail.points) > 1 and self._away(trail) < REACHED:
             trail.points.pop()
         if self._mode == "hover" or not trail.points or not trail.position:
             return None
+        rate = self._functions.closing_rate(self._away(trail), self._largest)
+        velocity = [rate * (end - start) for start, end in zip(trail.position, trail.points[-1], strict=True)]
         command = published.copy()
-        command.header[0] = (*towards(trail.position, trail.points[-1], self._largest), 0.0, VALID_S)
+        command.header[0] = (*velocity, 0.0, VALID_S)
         return command
+
+    def _away(self, trail: Trail) -> float:
+        """Distance to the newest stored position (m)."""
+        away: float = self._functions.distance(*trail.position, *trail.points[-1])
+        return away

@@ -22,11 +22,22 @@ from mavfi.detectors.bounded import LIMIT_S, StuckError, limited
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.detectors.sealed import DIFFERENT
 from mavfi.flight_record import LIMITED, SILENCED, STUCK
-from mavfi.hosts.loop.decision import Action, After, Awaited, decide, record_of
+from mavfi.hosts.loop.decision import Action, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Setpoints, Trail
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
-from mavfi.kernels.recovery import response as responses
+from mavfi.kernels.recovery.response import (
+    CURABLE,
+    FEW,
+    FIRST,
+    GAP_US,
+    MANY,
+    MOST_RESTARTS,
+    RECOMPUTED,
+    REFUSED,
+    RESENT,
+    UNCURED,
+)
 from mavfi.numerics.jit import entry
 from mavfi.pipeline.memory import Memory
 from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec
@@ -37,15 +48,8 @@ if TYPE_CHECKING:
 COMMAND = "control.command"
 UNREADABLE = "unreadable"
 """Source of the alarm on a message that its consumers cannot read."""
-RESTART_US, BACK_OFF = 20_000, 3
-"""Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
-by which the down time grows with each restart in a flight.  Their sum exceeds the duration of a fault of 1 s."""
-MOST_RESTARTS = 5
-"""Limit per flight: a faulty detector must not keep a vehicle from flying."""
-PERSISTS_US, GAP_US = 2_000_000, 500_000
-"""Hard alarms are persistent if they span the first duration with gaps of at most the second (us)."""
-MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
-"""Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
+MOST_ALARMS = 50
+"""Number of hard alarms in `ALARMS_WITHIN_US` after which a detector that may restart nodes is disabled as faulty."""
 MOST_UNCHANGED = 5
 """Number of recomputations without a change, within the same time, above which `same_twice: limit` does not respond."""
 SKIPPED_US = 50_000_000
@@ -111,13 +115,14 @@ class Watch:
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self._at_once, self._otherwise = admission(detector)
         self._accept, self._seal = limited(detector, "accept"), limited(detector, "seal")
-        self._respond = entry(loop.functions.respond, responses.FIRST, *[False] * 5)
+        self._functions = loop.functions
+        self._respond = entry(loop.functions.respond, FIRST, *[False] * 5)
         self.forget()
         states = getattr(detector, "states", None)
         always = {WAYPOINT}.union(Answer.states if recovery.answer_s else ())  # required even without a model
         self._setpoints = None
         if recovery.degraded != "none":
-            self._setpoints = Setpoints(recovery.degraded, loop.scenario.v_max)
+            self._setpoints = Setpoints(recovery.degraded, loop.scenario.v_max, loop.functions)
             always |= {COMMAND} | self._setpoints.states
         self.states = None if states is None else always.union(states)
         self.seals = self._seal is not None or recovery.resends
@@ -212,22 +217,20 @@ class Watch:
         return not self.memory.silenced and (awaited is None or self._recovery.escalates)
 
     def _is_limited(self, now: int) -> bool:
-        """Whether the limit of recomputations without a change is reached."""
-        if not self._recovery.limits:
-            return False
-        latest = self.memory.hard[-MOST_UNCHANGED:]
-        return len(latest) == MOST_UNCHANGED and now - latest[0] < ALARMS_WITHIN_US
+        """Whether the limit of recomputations without a change is reached, or the node died that counts them."""
+        return self._recovery.limits and self._frequency(MOST_UNCHANGED, now) != FEW
+
+    def _frequency(self, most: int, now: int) -> int:
+        latest = self.memory.hard[-most:]
+        return self._functions.frequency(latest[0], now) if len(latest) == most else FEW
 
     def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: Awaited | None) -> Action | None:
         """Select the response to an alarm on a value of state `spec`; it is also in `action`, with its `alarm`."""
-        after = self._after(awaited)
-        uncured = False
+        after, uncured = self._after(awaited), False
         if alarm is not None:
             self.alarm = alarm  # even if it is refused: the process that decides on it may be another
-            uncured = self._is_uncured(checked_alarm(self._detector, alarm), now, again=after == "recompute")
-        given_up = after == "recompute" and not self._may_restart
-        if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
-            alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error
+            found = self._escalate(checked_alarm(self._detector, alarm), now, after)
+            alarm, uncured = None if found == REFUSED else alarm, found == UNCURED
         action = None if alarm is None else self._select(alarm, spec, after, uncured=uncured)
         self.alarm, self.action = None if action is None else alarm, action
         return action
@@ -241,41 +244,39 @@ class Watch:
         self._loop.record.alarms.append(record_of(self.alarm, self.action, spec.name, now))
         self._execute(self.action, rejected, now)
 
-    def _select(self, alarm: Alarm, spec: StateSpec, after: After, *, uncured: bool) -> Action | None:
+    def _select(self, alarm: Alarm, spec: StateSpec, after: int, *, uncured: bool) -> Action | None:
         """The response to an alarm on a value; None = a faulty one that the policy does not contain."""
         action = decide(alarm, spec, self._recovery, after=after, uncured=uncured, respond=self._respond)
-        may_restart = self._may_restart and self._recovery.escalates
+        may_restart = self.memory.restarts_left > 0 and self._recovery.escalates
         return None if action is not None and action.kind == "restart" and not may_restart else action
 
-    @property
-    def _may_restart(self) -> bool:
-        return self.memory.restarts_left > 0
-
-    def _after(self, awaited: Awaited | None) -> After:
-        """The action that produced a value; any action other than a retransmission counts as a recomputation."""
+    def _after(self, awaited: Awaited | None) -> int:
+        """What produced a value, as a code; any action other than a retransmission counts as a recomputation."""
         if awaited is None:
-            return ""
-        return "resend" if self._loop.record.alarms[awaited.place].action == "resend" else "recompute"
+            return FIRST
+        resent = self._loop.record.alarms[awaited.place].action == "resend"
+        return RESENT if resent else RECOMPUTED
 
-    def _is_uncured(self, alarm: Alarm, now: int, *, again: bool) -> bool:
-        """Whether a degraded mode is configured, and starts with this alarm."""
-        if not alarm.hard or self._recovery.degraded == "none":
-            return False
-        memory = self.memory
-        if now - memory.last_us > GAP_US:
-            memory.first_us = now
-        memory.last_us = now
-        used_up = again and self._recovery.restarts and not self._may_restart
-        return used_up or now - memory.first_us > PERSISTS_US
+    def _escalate(self, alarm: Alarm, now: int, after: int) -> int:
+        """Whether an alarm gets a response, as a code; it is part of the series of hard alarms."""
+        memory, recovery, hard = self.memory, self._recovery, bool(alarm.hard)
+        degrades = recovery.degraded != "none"
+        if after == FIRST and not degrades:
+            return CURABLE
+        left, series = memory.restarts_left, (memory.first_us, memory.last_us, now)
+        found: int = self._functions.escalate(after, hard, degrades, recovery.restarts, left, *series)
+        if hard and degrades:
+            memory.first_us, memory.last_us = self._functions.series_start(*series), now
+        return found
 
     def _count(self, now: int, times: int, later: int) -> None:
         """Count an alarm against the detector; disable one with too many of them as faulty."""
         hard = self.memory.hard
         hard += [now + later] * times
         del hard[:-MOST_ALARMS]
-        if self._is_limited(now):
+        if self._recovery.limits and self._frequency(MOST_UNCHANGED, now) == MANY:
             self._loop.record.note(now, LIMITED, {"alarms": MOST_UNCHANGED})
-        if len(hard) == MOST_ALARMS and now - hard[0] < ALARMS_WITHIN_US:
+        if self._frequency(MOST_ALARMS, now) == MANY:
             self._silence(now, SILENCED, alarms=MOST_ALARMS)
 
     def _silence(self, now: int, kind: str, **data: float) -> None:
@@ -302,9 +303,9 @@ class Watch:
             self.memory.degraded = True
             return
         if action.kind == "restart":
-            left = min(max(self.memory.restarts_left, 1), MOST_RESTARTS)  # a corrupted number must not stall the flight
-            self.memory.restarts_left = left - 1
-            self._restart(action.kernel, now, RESTART_US * BACK_OFF ** (MOST_RESTARTS - left))
+            left = self.memory.restarts_left
+            self._restart(action.kernel, now, max(self._functions.down_time(left), 0))  # negative after a fault in it
+            self.memory.restarts_left = self._functions.left_after(left)
             return
         if action.awaited:
             loop.awaited[action.awaited] = Awaited(rejected, len(loop.record.alarms) - 1)
@@ -333,10 +334,15 @@ class Watch:
             return
         away = recovery.degraded != "none" and STATES[PATH].writer in self._loop.down
         waited = answer.overdue(self.memory.waiting, state, now, away=away)
-        if waited is not None and (self._may_restart or recovery.degraded != "none"):
-            alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
-            uncured = not self._may_restart
-            action = decide(alarm, STATES[PATH], recovery, after="recompute", uncured=uncured, respond=self._respond)
-            if action is not None and action.kind in ("restart", *MODES):  # else a faulty one: it is about a value
-                self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
-                self._execute(action, state, now)
+        if waited is None:
+            return
+        policy = recovery.degraded != "none", recovery.restarts
+        found = self._functions.escalate(RECOMPUTED, True, *policy, self.memory.restarts_left, now, now, now)
+        if found == REFUSED:
+            return
+        alarm = Alarm("deadline", Stage.PLANNING, score=waited / recovery.answer_s, hard=True)
+        uncured = found == UNCURED
+        action = decide(alarm, STATES[PATH], recovery, after=RECOMPUTED, uncured=uncured, respond=self._respond)
+        if action is not None and action.kind in ("restart", *MODES):  # else a faulty one: it is about a value
+            self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
+            self._execute(action, state, now)

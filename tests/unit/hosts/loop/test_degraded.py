@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.hosts.loop.degraded import REACHED, SPACING, VALID_S, Setpoints, Trail, towards
+from mavfi.hosts.loop.degraded import REACHED, SHARE, SPACING, VALID_S, Setpoints, Trail
 from mavfi.states import new_state
 
 V_MAX = 3.0
@@ -15,12 +15,12 @@ reals = st.floats(-1e3, 1e3)
 points = st.tuples(reals, reals, reals)
 
 
-@given(points, points, st.floats(0.0, 10.0))
-def test_a_velocity_points_to_the_target_and_is_limited(position, target, largest):
-    velocity = np.array(towards(position, target, largest))
-    assert np.linalg.norm(velocity) <= largest * (1 + 1e-9) + 1e-12
-    way = np.subtract(target, position)
-    assert np.linalg.norm(velocity) == pytest.approx(min(np.linalg.norm(way), largest))
+@given(points, points, st.floats(0.1, 10.0))
+def test_a_command_points_to_the_target_and_is_limited(position, target, v_max):
+    setpoints, trail = Setpoints("hold", v_max), Trail(list(position), [list(target)])
+    row = setpoints.command(trail, new_state("control.command")).header[0]
+    velocity, way = np.array([row["vx"], row["vy"], row["vz"]]), np.subtract(target, position)
+    assert np.linalg.norm(velocity) == pytest.approx(min(np.linalg.norm(way), SHARE * v_max))
     assert np.allclose(np.cross(velocity, way), 0.0, atol=1e-6 * (1.0 + np.linalg.norm(way)))
     assert velocity @ way >= 0.0
 

@@ -17,9 +17,17 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.decision import Action, decide, record_of
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.loop.recovery import ALARMS_WITHIN_US, MOST_ALARMS, MOST_RESTARTS, MOST_UNCHANGED, RESTART_US, Watch
+from mavfi.hosts.loop.recovery import MOST_ALARMS, MOST_UNCHANGED, Watch
 from mavfi.hosts.watching import with_keys_of
-from mavfi.kernels.recovery.response import DEGRADE, RESTART
+from mavfi.kernels.recovery.response import (
+    ALARMS_WITHIN_US,
+    DEGRADE,
+    MOST_RESTARTS,
+    RECOMPUTED,
+    RESENT,
+    RESTART,
+    RESTART_US,
+)
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import PPC_STAGES, STAGE_KERNELS, STATES, Stage, new_state
@@ -147,13 +155,13 @@ def test_a_message_that_is_wrong_twice_is_computed_again():
     recovery = Recovery(grain="message", same_twice="escalate")
     alarm = Alarm("d", "perception", hard=True)
     assert decide(alarm, STATES[STATUS], recovery) == Action("resend", Stage.PERCEPTION, awaited=STATUS, withholds=True)
-    assert decide(alarm, STATES[STATUS], recovery, after="resend") == Action(
+    assert decide(alarm, STATES[STATUS], recovery, after=RESENT) == Action(
         "recompute", Stage.PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True
     )
 
 
 def test_an_alarm_about_a_recomputation_restarts_the_writer():
-    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, after="recompute")
+    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, after=RECOMPUTED)
     assert answer == Action("restart", Stage.PERCEPTION, "collision_check", withholds=True)
 
 
@@ -514,6 +522,30 @@ def test_a_deadline_restarts_the_planner_or_degrades_whatever_is_selected(code, 
     expected = ["restart"] if code == RESTART else [degraded] if code == DEGRADE and degraded != "none" else []
     assert [alarm.action for alarm in flight.record.alarms] == expected
     assert [kernel for kernel, *_ in flight.restarted] == (["planner"] if code == RESTART else [])
+
+
+@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("entry", ["escalate", "series_start", "frequency", "down_time", "left_after"])
+@pytest.mark.parametrize("recovery", [*POLICIES, Recovery(same_twice="limit")], ids=str)
+def test_whatever_a_limit_evaluates_to_the_response_is_one_of_the_policy_or_none(recovery, entry, code):
+    flight, asked = Flight(), Always(hard=True)
+    flight.functions = replace(PLAIN, **{entry: lambda *arguments: code})
+    watching, values = Watch(flight, asked, recovery, flight.restart), [status(number // 2) for number in range(40)]
+    for now, value in enumerate(values):
+        watching.seal(value, now)
+        watching(value, now)
+    kinds = {"recompute", recovery.grain.replace("message", "resend"), recovery.degraded}
+    kinds |= {"restart"} if recovery.same_twice == "escalate" else set()
+    assert {alarm.action for alarm in flight.record.alarms} <= kinds
+    assert len(flight.restarted) <= len(values) and all(down >= 0 for *_, down in flight.restarted)
+
+
+@pytest.mark.parametrize("entry", ["escalate", "respond"])
+def test_a_dead_recovery_does_not_respond(entry):
+    flight = Flight()
+    flight.functions = replace(PLAIN, **{entry: lambda *arguments: 0})
+    assert shown(Always(hard=True), HOVERS, [(1, status(5)), (2, status(5))], flight, 0) == [True, True]
+    assert flight.outcomes == [] and flight.restarted == []
 
 
 @pytest.mark.parametrize("code", CODES)
