@@ -109,8 +109,8 @@ DETECTORS: dict[str, tuple[str, ...]] = {
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
 RECOVERY = "recovery"
 """Recovery as a target of faults, in flights with any detector: its functions, and what it remembers between alarms."""
-_RESTARTS = ("escalate", "series_start", "frequency", "down_time", "left_after")
-GUARDS = {**DETECTORS, RECOVERY: ("respond", *_RESTARTS, "distance", "closing_rate", "wait_for_path")}
+_LIMITS = ("escalate", "series_start", "frequency", "down_time", "left_after")
+GUARDS = {**DETECTORS, RECOVERY: ("respond", *_LIMITS, "distance", "closing_rate", "wait_for_path")}
 """Injectable functions of detectors and of recovery."""
 WATCHING = tuple(name for name in GUARDS if name != "checksum")
 """Targets of memory faults that exist only in flights with a detector; a checksum is not kept."""

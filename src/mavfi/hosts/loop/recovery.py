@@ -265,7 +265,7 @@ class Watch:
             return CURABLE
         left, series = memory.restarts_left, (memory.first_us, memory.last_us, now)
         found: int = self._functions.escalate(after, hard, degrades, recovery.restarts, left, *series)
-        if hard and degrades:
+        if hard and degrades:  # after the decision: a start from a node that has died is no evidence
             memory.first_us, memory.last_us = self._functions.series_start(*series), now
         return found
 
