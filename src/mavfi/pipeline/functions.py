@@ -12,7 +12,7 @@ from typing import Any
 from mavfi.kernels.control import pid
 from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, octree, point_cloud
 from mavfi.kernels.planning import path, rrt, rrt_connect, rrt_star
-from mavfi.kernels.recovery import response
+from mavfi.kernels.recovery import limits, response, setpoints
 
 Compiled = Callable[..., Any]
 
@@ -35,13 +35,13 @@ class KernelFunctions:
     shortcut_random: Compiled = path.shortcut_random
     track: Compiled = pid.track
     respond: Compiled = response.respond
-    escalate: Compiled = response.escalate
-    series_start: Compiled = response.series_start
-    frequency: Compiled = response.frequency
-    down_time: Compiled = response.down_time
-    left_after: Compiled = response.left_after
-    distance: Compiled = response.distance
-    closing_rate: Compiled = response.closing_rate
+    escalate: Compiled = limits.escalate
+    series_start: Compiled = limits.series_start
+    frequency: Compiled = limits.frequency
+    down_time: Compiled = limits.down_time
+    left_after: Compiled = limits.left_after
+    distance: Compiled = setpoints.distance
+    closing_rate: Compiled = setpoints.closing_rate
     wait_for_path: Compiled = response.wait_for_path
 
     def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":

@@ -8,45 +8,45 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.kernels.perception.collision_check import NO_COLLISION
-from mavfi.kernels.recovery.response import (
-    ABANDON,
+from mavfi.kernels.recovery.limits import (
     ALARMS_WITHIN_US,
-    BEGIN,
-    CHARGE,
     CURABLE,
-    DEGRADE,
-    END,
     FEW,
-    FIRST,
-    GAIN,
     GAP_US,
-    KEEP,
     MANY,
     MOST_RESTARTS,
-    NOT_WAITING,
-    OVERDUE,
     PERSISTS_US,
-    POSTPONE,
-    RECOMPUTE,
-    RECOMPUTED,
     REFUSED,
-    RESEND,
-    RESENT,
-    RESTART,
     RESTART_US,
-    STOP,
     UNCURED,
-    closing_rate,
-    distance,
     down_time,
     escalate,
     frequency,
-    is_free,
     left_after,
-    respond,
     series_start,
+)
+from mavfi.kernels.recovery.response import (
+    ABANDON,
+    BEGIN,
+    CHARGE,
+    DEGRADE,
+    END,
+    FIRST,
+    KEEP,
+    NOT_WAITING,
+    OVERDUE,
+    POSTPONE,
+    RECOMPUTE,
+    RECOMPUTED,
+    RESEND,
+    RESENT,
+    RESTART,
+    STOP,
+    is_free,
+    respond,
     wait_for_path,
 )
+from mavfi.kernels.recovery.setpoints import GAIN, closing_rate, distance
 
 BOTH = (False, True)
 

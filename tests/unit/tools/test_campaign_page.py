@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.kernels.recovery.response import BACK_OFF, MOST_RESTARTS, RESTART_US
+from mavfi.kernels.recovery.limits import BACK_OFF, MOST_RESTARTS, RESTART_US
 from mavfi.states import BASELINES, WATCHING
 from tests.unit.campaign.analysis.test_failure_views import campaign as failures
 from tests.unit.campaign.analysis.test_scheme_views import lasting_scenario

@@ -26,18 +26,8 @@ from mavfi.hosts.loop.decision import Action, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Setpoints, Trail
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.waiting import PATH, WAYPOINT, Answer, Waiting, repeats
-from mavfi.kernels.recovery.response import (
-    CURABLE,
-    FEW,
-    FIRST,
-    GAP_US,
-    MANY,
-    MOST_RESTARTS,
-    RECOMPUTED,
-    REFUSED,
-    RESENT,
-    UNCURED,
-)
+from mavfi.kernels.recovery.limits import CURABLE, FEW, GAP_US, MANY, MOST_RESTARTS, REFUSED, UNCURED
+from mavfi.kernels.recovery.response import FIRST, RECOMPUTED, RESENT
 from mavfi.numerics.jit import entry
 from mavfi.pipeline.memory import Memory
 from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec

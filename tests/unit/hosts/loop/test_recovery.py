@@ -19,15 +19,8 @@ from mavfi.hosts.loop.decision import Action, decide, record_of
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.recovery import MOST_ALARMS, MOST_UNCHANGED, Watch
 from mavfi.hosts.watching import with_keys_of
-from mavfi.kernels.recovery.response import (
-    ALARMS_WITHIN_US,
-    DEGRADE,
-    MOST_RESTARTS,
-    RECOMPUTED,
-    RESENT,
-    RESTART,
-    RESTART_US,
-)
+from mavfi.kernels.recovery.limits import ALARMS_WITHIN_US, MOST_RESTARTS, RESTART_US
+from mavfi.kernels.recovery.response import DEGRADE, RECOMPUTED, RESENT, RESTART
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import PPC_STAGES, STAGE_KERNELS, STATES, Stage, new_state
