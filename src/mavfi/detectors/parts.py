@@ -57,6 +57,11 @@ class Verdict(NamedTuple):
 class Scorer(ABC):
     """Measures publications against its model of normal behaviour; independent of alarms and policies.
 
+    Calls: `use` once; `start` before each flight; then, for each publication, `score`, and `accept` when the value is
+    passed on to its readers. A value that recovery replaces is scored and never accepted. `score` may be called more
+    than once for a publication, so it must not change the memory; what a scorer learns during a flight, it learns in
+    `accept`.
+
     Attributes:
         fields: Watched fields, "state.field".
         stages: Stage of each.
