@@ -24,6 +24,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
 from mavfi.hosts.host import ArmSetup, Flight, Host, host_for
+from mavfi.hosts.isolated import in_child
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
@@ -51,7 +52,8 @@ def fly(
         mission: The mission; None = as given by the options.
         fault: A fault, or its text as for `mavfi fly --fault`; properties omitted in the text are drawn.
         fault_seed: Seed of that draw.
-        detector: A detector or its name; None = no detector.
+        detector: A detector or its name; None = no detector.  An object is called in this process, so that it has its
+            memory of the flight afterwards; one that is named and not part of mavfi, in a child process.
         profile: Profile of a named detector.
         models: Folder of trained models; None = the shipped ones.
         options: Keys of `MissionSpec`, e.g. environment, seed, wind; they override those of `mission`.
@@ -71,9 +73,14 @@ def fly(
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models, spec.trained_for)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
-    if not isinstance(fault, str):
-        return _fly_fault(own, fault, label, resolve(asked))
-    return fly_request(own, parse(fault, spec.localization), fault_seed, label, resolve(asked))
+    bare, request = resolve(asked), parse(fault, spec.localization) if isinstance(fault, str) else None
+
+    def fly_all() -> FlightResult:
+        if isinstance(fault, str):
+            return fly_request(own, request, fault_seed, label, bare)
+        return _fly_fault(own, fault, label, bare)
+
+    return in_child(watching, fly_all) if isinstance(detector, str) else fly_all()
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:

@@ -7,6 +7,7 @@ passing it to the Python API, or by allowing all plug-ins.  A name in a file fro
 import importlib
 import inspect
 import os
+import pickle
 import re
 import sys
 from collections.abc import Iterable, Mapping
@@ -182,6 +183,21 @@ def plugin_failure(error: BaseException) -> str:
             file = Path(frame.f_code.co_filename).name
             return f"{_plugin_in(frame, _loaded[package])}: {reason(error)} ({file}:{line}, {frame.f_code.co_name})"
     return ""
+
+
+def portable(error: BaseException) -> BaseException:
+    """The exception if another process can unpickle it, otherwise a `MavfiError` with its text.
+
+    An exception of a plug-in becomes its one line: pickling loses the traceback that names it.
+    """
+    of_plugin = plugin_failure(error)
+    if of_plugin:
+        return BadInputError(of_plugin)
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # noqa: BLE001 - third-party exception classes may fail in any way
+        return MavfiError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def _package(module: str) -> str:

@@ -7,35 +7,31 @@ Exceptions of mavfi itself are recorded as `unknown`, never as an effect of a fa
 """
 
 import json
-import pickle
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from mavfi.campaign.alone import fly_alone
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.copies import lead_of
 from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
+from mavfi.detectors.bounded import is_foreign
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import replicated
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
+from mavfi.hosts.isolated import IsolatedFlights
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
-from mavfi.ir.forked import WALL_CLOCK, run_in_child
 from mavfi.mission import Scenario
 from mavfi.plugins import plugin_failure, reason
-
-ATTEMPTS_ALONE = 3
-"""Attempts in separate child processes before an injected run that crashes its process counts as `due`."""
-LONGEST_ALONE = 180.0
-"""Wall-time limit of such a child (s); the attempts of a run sum to less than the time-out of executors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +183,16 @@ class _Ready:
         host = host_of(campaign)
         return _Ready(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})
 
+    def foreign(self) -> dict[str, ArmSetup]:
+        """The arms whose detector is not part of mavfi, and called in this process."""
+        arms = self.setups.items() if self.host.in_process else ()
+        return {name: setup for name, setup in arms if is_foreign(setup.detector())}
+
+
+def foreign_arms(mission: MissionPlan) -> Collection[str]:
+    """Arms of a mission whose detector is not part of mavfi, and called in this process."""
+    return _Ready.of(mission).foreign()
+
 
 def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
     """Fly all runs of a mission that are not in the ledger yet.
@@ -232,8 +238,10 @@ def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Plan
     golden = plan.golden(*mission.world)
     yield Planned.of(golden, last=False)
     sampled: dict[str, Sampled] = {}
+    foreign = ready.foreign() if mission.alone else {}
+    isolated = {arm: IsolatedFlights(ready.host, {arm: setup}) for arm, setup in foreign.items()}
     for spec in golden:
-        flown = _golden(plan, spec, flights, ready.setups[spec.arm], sampled)
+        flown = _golden(plan, spec, isolated.get(spec.arm, flights), ready.setups[spec.arm], sampled)
         if spec.run_id not in mission.done:
             yield flown
     runs = _draw(plan, mission, sampled)
@@ -245,11 +253,17 @@ def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Plan
         else:
             left.append(spec)
 
+    def from_take_off(arm: str) -> MissionFlights:
+        return ready.host.mission({arm: ready.setups[arm]}, fast_forward=False)
+
+    def fly_one(spec: RunSpec) -> Flown:
+        return next(_injected([spec], from_take_off(spec.arm) if spec.arm in isolated else flights))
+
     def fly_golden(arm: str) -> None:
-        ready.host.mission({arm: ready.setups[arm]}, fast_forward=False).golden(arm)
+        from_take_off(arm).golden(arm)
 
     places = {spec.run_id: (spec.arm, spec.fault) for spec in left}
-    for flown in _alone(left, flights, fly_golden) if mission.alone else _injected(left, flights):
+    for flown in fly_alone(left, fly_one, fly_golden, isolated) if mission.alone else _injected(left, flights):
         if not flown.unknown:
             known[places[flown.run_id]] = flown
         yield flown
@@ -313,56 +327,6 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
         note = _note(error)
     for spec in left.values():
         yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
-
-
-def _alone(
-    specs: Sequence[RunSpec], flights: MissionFlights, fly_golden: Callable[[str], None]
-) -> Iterator[Flown]:  # fmt: skip
-    """Runs, each in a separate child process: `due` if every attempt dies, `unknown` if one exceeds the time limit.
-
-    A process that dies without its fault, too, dies of the machine: before a `due`, `fly_golden` flies the golden run
-    of the arm in a child.
-
-    Raises:
-        MachineError: A child was killed from outside, or the golden run died, too.
-    """
-    for spec in specs:
-        late = False
-        for _ in range(ATTEMPTS_ALONE):
-            ended = run_in_child(partial(_pickled, spec, flights), LONGEST_ALONE)
-            if ended.how == "done":
-                yield _unpickled(ended.payload)
-                break
-            late |= ended.detail == WALL_CLOCK
-        else:
-            if not late:
-                _check_machine(spec, fly_golden)
-            end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
-            yield Flown.of(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
-
-
-def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
-    def fly() -> bytes:
-        fly_golden(spec.arm)
-        return b""
-
-    ended = run_in_child(fly, LONGEST_ALONE)
-    if ended.how != "done":
-        raise MachineError(f"{spec.run_id}: the process died, and that of its golden run, too ({ended.detail})")
-
-
-def _pickled(spec: RunSpec, flights: MissionFlights) -> bytes:
-    try:
-        return pickle.dumps(next(_injected([spec], flights)))
-    except MachineError as error:
-        return pickle.dumps(error)
-
-
-def _unpickled(payload: bytes) -> Flown:
-    flown: Flown | MachineError = pickle.loads(payload)
-    if isinstance(flown, MachineError):
-        raise flown
-    return flown
 
 
 def _judged(flight: Recorded | Exception) -> FlightRecord:

@@ -4,12 +4,21 @@ import fcntl
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
-from mavfi.campaign.mission import Job, MissionPlan, fly_mission, fly_missions, host_of, model_hashes, scenarios_of
+from mavfi.campaign.mission import (
+    Job,
+    MissionPlan,
+    fly_mission,
+    fly_missions,
+    foreign_arms,
+    host_of,
+    model_hashes,
+    scenarios_of,
+)
 from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
@@ -21,7 +30,12 @@ from mavfi.states import DETECTORS, GUARDS, PLANNERS, RECOVERY
 
 
 def warm_up(mission: MissionPlan) -> None:
-    """Fly golden runs and draw faults to compile the required code; results are discarded."""
+    """Fly golden runs and draw faults to compile the required code; results are discarded.
+
+    With a detector that is not part of mavfi, only those without a detector: it may not return, or end this process.
+    """
+    if foreign_arms(mission):
+        mission = replace(mission, campaign=_bare(mission.campaign), scenarios={})
     for item in fly_mission(mission):
         if isinstance(item, Planned) and item.last:
             return

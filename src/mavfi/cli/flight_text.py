@@ -106,10 +106,10 @@ def _fault(result: FlightResult) -> list[RenderableType]:
 
 
 def _alarms(result: FlightResult) -> list[RenderableType]:
-    if not result.log.alarms:
+    story = alarm_lines(result.log, None if result.golden is None else result.golden.log, MOST_ALARMS)
+    if not story:
         return [Text("\nno alarm", style="dim")] if result.detector else []
-    golden = None if result.golden is None else result.golden.log
-    return [Text(), story_table(alarm_lines(result.log, golden, MOST_ALARMS))]
+    return [Text(), story_table(story)]
 
 
 def story_table(story: list[tuple[str, str]]) -> Table:

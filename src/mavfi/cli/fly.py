@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +17,7 @@ from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.hosts.host import ArmSetup
     from mavfi.hosts.local.mission_flights import LocalHost
     from mavfi.mission import Scenario
     from mavfi.reports.flight_result import FlightResult
@@ -66,6 +68,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
+        from mavfi.hosts.isolated import in_child
         from mavfi.hosts.loop.compose import resolve
         from mavfi.hosts.loop.policy import Recovery
         from mavfi.hosts.watching import with_keys_of
@@ -75,23 +78,20 @@ def fly(  # noqa: PLR0913 - one parameter per option
         if cold:
             _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario, mission)
-        make = None if watching is None else lambda: watching
-        with observing.observing(live, live_port, mavlink, pace) as observers:
-            setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
-            result = fly_request(setup, wanted, fault_seed or 0, label, bare, host)
+        setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
+
+        def fly_all() -> FlightResult:
+            with observing.observing(live, live_port, mavlink, pace) as views:
+                return fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
+
+        result = in_child(watching, fly_all)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
         _draw(picture, result)
     if html is not None:
-        from mavfi.cli.flight_pages import fly_command, write_page_of_result
-
-        command = fly_command(asked, fault, fault_seed, detector, profile, models)
-        write_page_of_result(html, result, setup, bare, command)
-    if as_json:
-        write_json(result.to_json())
-        return
-    _show(result, (save, picture, html))
+        _write_page(html, result, setup, bare, (asked, fault, fault_seed, detector, profile, models))
+    _show(result, (save, picture, html), as_json=as_json)
 
 
 def _is_instrumented(mission: MissionSpec, fault: str | None) -> bool:
@@ -113,9 +113,12 @@ def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
         raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
 
 
-def _show(result: FlightResult, written: Sequence[Path | None]) -> None:
+def _show(result: FlightResult, written: Sequence[Path | None], *, as_json: bool) -> None:
     from mavfi.cli.flight_text import panel
 
+    if as_json:
+        write_json(result.to_json())
+        return
     out = console()
     out.print(panel(result))
     for path in written:
@@ -153,6 +156,12 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
         raise BadInputError(f"--depth-noise: {mission.depth_noise:g}: {text}")
     host, port = world_address(world)
     return LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
+
+
+def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
+    from mavfi.cli.flight_pages import fly_command, write_page_of_result
+
+    write_page_of_result(html, result, setup, bare, fly_command(*options))
 
 
 def _draw(picture: Path, result: FlightResult) -> None:

@@ -1,23 +1,94 @@
-"""A time limit on calls of detectors that are not part of mavfi: one that never returns must not block a flight.
+"""Calls of detectors that are not part of mavfi: one that never returns, or ends its process, must not block a flight.
+
+Python code and system calls are stopped after `LIMIT_S`.  Compiled code cannot be stopped, nor can a process that it
+crashed continue.  But a flight is a pure function of its specification: `split_again` repeats it in another child
+process, where the call of the same number raises a `StuckError` at once.  Without such a parent, compiled code that
+does not return ends its process after `LONGEST_S`, with the line of the detector that called it.
 
 Such a flight depends on the wall clock, like one whose forked kernel or ROS node hangs; without the limit it would not
-end.  Compiled code cannot be stopped: it ends the process, after twice that time, with the line of the detector that
-called it.  A campaign continues without the worker.
+end.
 """
 
 import faulthandler
+import mmap
 import signal
+import struct
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
+from mavfi.ir.forked import Ended, ForkPoint
+
 LIMIT_S = 60.0
-"""Wall time of a call (s), as on ROS."""
+"""Wall time after which a call is stopped (s), as on ROS."""
+LONGEST_S = 2.0 * LIMIT_S
+"""That after which its process is ended, if it cannot be stopped (s)."""
+_CALL = struct.Struct("qd")  # number of the call in progress (0 = none), and its start (s, monotonic)
 
 
 class StuckError(BaseException):
-    """A call did not return in time; not an `Exception`, since the code called may handle those."""
+    """A call did not return in time, or ended its process; not an `Exception`, since the code called may handle those.
+
+    Attributes:
+        died: How it ended its process, e.g. "SIGSEGV"; "" = it did not return.
+    """
+
+    def __init__(self, died: str = "") -> None:
+        super().__init__(died)
+        self.died = died
+
+
+class _Calls:
+    """The calls of this process, counted, and known to its parent.
+
+    Attributes:
+        cell: Memory shared with the parent; None = it does not repeat flights.
+        ended: Those that ended earlier attempts, by number, see `StuckError.died`.
+    """
+
+    def __init__(self, cell: mmap.mmap | None, ended: dict[int, str]) -> None:
+        self.cell, self.ended = cell, ended
+        self._number = 0
+
+    def begin(self) -> None:
+        """Count a call; raises a `StuckError` if it ended an earlier attempt."""
+        self._number += 1
+        if self._number in self.ended:
+            raise StuckError(self.ended[self._number])
+        if self.cell is not None:
+            _CALL.pack_into(self.cell, 0, self._number, time.monotonic())
+
+    def end(self) -> None:
+        """Note that the call has ended."""
+        if self.cell is not None:
+            _CALL.pack_into(self.cell, 0, 0, 0.0)
+
+
+_calls = [_Calls(None, {})]
+"""Of this process: the only element."""
+
+
+def split_again(point: ForkPoint, timeout: float) -> Ended | None:
+    """As `ForkPoint.split`; a child that ends in a call is repeated without that call."""
+    found: dict[int, str] = {}
+    while True:
+        cell = mmap.mmap(-1, _CALL.size)
+
+        def is_overdue(cell: mmap.mmap = cell) -> bool:
+            number, since = _CALL.unpack_from(cell)
+            return bool(number) and time.monotonic() - since > LONGEST_S
+
+        ended = point.split(timeout, is_overdue=is_overdue)
+        if ended is None:
+            _calls[:] = [_Calls(cell, found)]
+            return None
+        number, _ = _CALL.unpack_from(cell)
+        late = is_overdue()
+        if ended.how == "done" or not number or (ended.how == "hang" and not late):
+            return ended
+        found[number] = "" if late else ended.detail
 
 
 def limited(detector: Any, method: str) -> Any:  # noqa: ANN401 - a user's own
@@ -31,18 +102,17 @@ def limited(detector: Any, method: str) -> Any:  # noqa: ANN401 - a user's own
     def call(*args: Any) -> Any:  # noqa: ANN401
         return getattr(detector, method)(*args)
 
-    return bounded(call) if _is_foreign(detector) else call
+    return bounded(call) if is_foreign(detector) else call
 
 
 def bounded(call: Callable[..., Any]) -> Callable[..., Any]:
-    """A call with the limit in the main thread; other threads receive no signals.
-
-    The limit stops Python code and system calls; in compiled code SIGVTALRM ends the process after twice the limit.
-    """
+    """A call with the limit in the main thread; other threads receive no signals."""
 
     def timed(*args: Any) -> Any:  # noqa: ANN401
         if threading.current_thread() is not threading.main_thread():
             return call(*args)
+        calls = _calls[0]
+        calls.begin()
         before = signal.signal(signal.SIGALRM, _stop)
         timer = signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
         _end_hanging()
@@ -52,20 +122,26 @@ def bounded(call: Callable[..., Any]) -> Callable[..., Any]:
             signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             signal.setitimer(signal.ITIMER_REAL, *timer)
             signal.signal(signal.SIGALRM, before or signal.SIG_DFL)
+            calls.end()
 
     return timed
 
 
+def is_foreign(detector: Any) -> bool:  # noqa: ANN401
+    """Whether there is a detector, and it, or one of its parts, is not part of mavfi."""
+    own = detector is None or type(detector).__module__.startswith("mavfi.")
+    return not own or any(map(is_foreign, getattr(detector, "parts", ())))
+
+
 def _end_hanging() -> None:
-    """Let the process end after twice the limit in user time: no handler in Python runs during a compiled call."""
+    """Let SIGVTALRM end the process, with the line that called: no handler in Python runs during a compiled call.
+
+    It comes from the parent, or after `LONGEST_S` of user time if that does not repeat flights.
+    """
     if signal.getsignal(signal.SIGVTALRM) is signal.SIG_DFL and sys.__stderr__ is not None:
         faulthandler.register(signal.SIGVTALRM, sys.__stderr__, all_threads=False, chain=True)
-    signal.setitimer(signal.ITIMER_VIRTUAL, 2.0 * LIMIT_S)
-
-
-def _is_foreign(detector: Any) -> bool:  # noqa: ANN401
-    own = type(detector).__module__.startswith("mavfi.")
-    return not own or any(map(_is_foreign, getattr(detector, "parts", ())))
+    if _calls[0].cell is None:
+        signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST_S)
 
 
 def _stop(number: int, frame: Any) -> None:  # noqa: ANN401

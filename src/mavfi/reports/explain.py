@@ -9,7 +9,7 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
-from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, INSTANT, LIMITED, SILENCED, STUCK
+from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, CRASHED, INSTANT, LIMITED, SILENCED, STUCK
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.reports.text import change, lost, signed_percent
@@ -236,7 +236,8 @@ def _path(parted: Departure) -> str:
 
 _UNANSWERED = {
     LIMITED: "no response to further alarms for a while, {alarms} had changed nothing (same_twice: limit)",
-    STUCK: "the detector is disabled from then on, a call of it did not return within {seconds:g} s",
+    STUCK: "the detector is disabled from {at:.2f} s on, a call of it did not return within {seconds:g} s",
+    CRASHED: "the detector is disabled from {at:.2f} s on, a call of it ended its process ({how})",
     SILENCED: "no response to further alarms, the detector is faulty: {alarms} on violated rules had changed nothing",
 }
 """What follows from these events."""
@@ -257,7 +258,9 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARM
     story = [("alarms", ", ".join(parts))]
     story += [("", _alarm(alarm, also=_key(alarm) in known)) for alarm in (*near, *others)[:most]]
     story += [("", f"and {len(log.alarms) - most} more")] if len(log.alarms) > most else []
-    return story + [("", _UNANSWERED[kind].format(**event.data)) for kind, event in events.items()]
+    return story + [
+        ("", _UNANSWERED[kind].format(at=1e-6 * event.time_us, **event.data)) for kind, event in events.items()
+    ]
 
 
 def around(log: FlightLog) -> tuple[list[AlarmRecord], list[AlarmRecord]]:

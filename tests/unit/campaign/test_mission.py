@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.campaign import mission as mission_module
-from mavfi.campaign.mission import ATTEMPTS_ALONE, MissionPlan, fly_mission
+from mavfi.campaign import alone
+from mavfi.campaign.alone import ATTEMPTS_ALONE
+from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Flown, Planned
 from mavfi.errors import BadInputError, MachineError
 from mavfi.flight_record import End
@@ -76,8 +77,8 @@ def test_a_run_in_a_child_has_three_attempts(tmp_path, monkeypatch, count, survi
 
 def test_the_wall_clock_is_no_effect_of_a_fault(monkeypatch):
     ends = iter([Ended("crash", detail="SIGSEGV"), Ended("hang", detail=WALL_CLOCK), Ended("crash", detail="SIGSEGV")])
-    really = mission_module.run_in_child
-    monkeypatch.setattr(mission_module, "run_in_child", lambda *arguments: next(ends, None) or really(*arguments))
+    really = alone.run_again
+    monkeypatch.setattr(alone, "run_again", lambda *arguments: next(ends, None) or really(*arguments))
     _, found = flown(replace(MISSION, alone=True))
     [lost] = [item for item in found.values() if item.record.end is not End.FLOWN]
     assert (lost.record.end, lost.record.error) == (End.UNKNOWN, "took too long")
@@ -143,17 +144,10 @@ def test_names_that_are_not_known_end_the_mission():
         list(fly_mission(MissionPlan(small(environments=["venus"]), "venus", 10_000)))
 
 
-class Deadly:
-    """Flights whose process dies in each injected run."""
-
-    def injected(self, runs):
-        os._exit(9)
-
-
 @pytest.mark.parametrize(("golden", "due"), [(lambda arm: None, True), (lambda arm: os._exit(9), False)])
 def test_a_process_that_dies_without_its_fault_too_is_a_failure_of_the_machine(golden, due):
-    """`_alone` is what `fly_mission` does with a mission whose worker died; memory is not exhausted in a test."""
-    runs = mission_module._alone([injected(1, None).spec], Deadly(), golden)
+    """What `fly_mission` does with a mission whose worker died; memory is not exhausted in a test."""
+    runs = alone.fly_alone([injected(1, None).spec], lambda spec: os._exit(9), golden, ())
     if due:
         assert [flown.record.end for flown in runs] == [End.DUE]
     else:

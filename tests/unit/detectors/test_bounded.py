@@ -1,5 +1,10 @@
-"""The time limit on calls of detectors: it stops what does not return, and leaves signals and timers as they were."""
+"""The limit on calls of detectors: what does not return is stopped, or repeated without that call, in time.
 
+Signals and timers stay as they were.
+"""
+
+import ctypes
+import os
 import signal
 import subprocess
 import sys
@@ -10,10 +15,11 @@ from types import SimpleNamespace
 import pytest
 
 from mavfi.detectors import bounded as module
-from mavfi.detectors.bounded import StuckError, bounded, limited
+from mavfi.detectors.bounded import StuckError, bounded, limited, split_again
 from mavfi.detectors.chain import Chain
 from mavfi.detectors.registry import NoDetector
 from mavfi.detectors.replicas import replicated
+from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
 from mavfi.states import new_state
 
 
@@ -124,7 +130,7 @@ def check():
     return spin(1)
 
 spin(0)
-module.LIMIT_S = 0.2
+module.LONGEST_S = 0.4
 module.bounded(lambda: 5)()
 module.bounded(check)()
 """
@@ -134,3 +140,114 @@ def test_compiled_code_that_does_not_return_ends_the_process_and_names_its_calle
     done = subprocess.run([sys.executable, "-c", HANGING], capture_output=True, text=True, timeout=60)
     assert done.returncode == -signal.SIGVTALRM
     assert "in check" in done.stderr
+
+
+def die(number):
+    os.kill(os.getpid(), number)
+
+
+def lock_twice():
+    """Waits for ever in compiled code, and takes no processor time."""
+    mutex = ctypes.create_string_buffer(64)
+    lock = ctypes.PyDLL(None).pthread_mutex_lock
+    lock(mutex)
+    lock(mutex)
+
+
+def nothing():
+    pass
+
+
+def calls(*functions):
+    """What became of each call, one after the other."""
+    found = []
+    for call in functions:
+        try:
+            bounded(call)()
+        except StuckError as error:
+            found.append(error.died or "stuck")
+        else:
+            found.append("returned")
+    return " ".join(found)
+
+
+def again(work, timeout=60.0):
+    """How the last of the children ended in which `work` was called."""
+    point = ForkPoint()
+    with point.guard():
+        ended = split_again(point, timeout)
+        if ended is None:
+            point.finish(work().encode())
+    return ended
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Processes are ended long before a call of Python is stopped."""
+    monkeypatch.setattr(module, "LONGEST_S", 0.3)
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (lambda: die(signal.SIGSEGV), "SIGSEGV"),
+        (lambda: os._exit(3), "ended with status 3 without a report"),
+        (lambda: os._exit(0), "ended with status 0 without a report"),
+        (lock_twice, "stuck"),
+    ],
+)
+def test_a_child_that_ends_in_a_call_is_repeated_without_it(soon, call, why):
+    ended = again(lambda: calls(nothing, call, nothing, call))
+    assert ended == Ended("done", f"returned {why} returned {why}".encode())
+
+
+def test_what_is_stopped_in_time_is_not_repeated(short, tmp_path):
+    def work():
+        (tmp_path / str(os.getpid())).touch()
+        return calls(spin, nothing)
+
+    assert again(work) == Ended("done", b"stuck returned")
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_line_that_does_not_return_is_written(soon, capfd):
+    again(lambda: calls(lock_twice))
+    assert "in lock_twice" in capfd.readouterr().err
+
+
+def test_a_child_that_ends_between_calls_is_not_repeated():
+    def work():
+        calls(nothing)
+        os._exit(3)
+
+    assert again(work).detail == "ended with status 3 without a report"
+
+
+def test_a_call_that_raises_is_no_end_of_the_process():
+    def work():
+        bounded(lambda: 1 / 0)()
+        return ""
+
+    assert again(work) == Ended("exception", detail="ZeroDivisionError: division by zero")
+
+
+def test_a_child_out_of_time_is_not_repeated_for_a_call_that_is_not_overdue():
+    assert again(lambda: calls(sleep), timeout=0.3) == Ended("hang", detail=WALL_CLOCK)
+
+
+def test_each_process_counts_its_own_calls(soon):
+    """Two children of one child, forked after different calls, and that itself."""
+
+    def grandchild(*functions):
+        return again(lambda: calls(*functions)).payload.decode()
+
+    def work():
+        crash = lambda: die(signal.SIGSEGV)  # noqa: E731
+        own = calls(nothing, crash, nothing)
+        first = grandchild(nothing, nothing, crash)
+        own += f", {calls(nothing, crash)}"
+        return f"{own} | {first} | {grandchild(crash, nothing, nothing, nothing, nothing)}"
+
+    expected = "returned SIGSEGV returned, returned SIGSEGV"
+    expected += " | returned returned SIGSEGV | SIGSEGV returned returned returned returned"
+    assert again(work).payload.decode() == expected

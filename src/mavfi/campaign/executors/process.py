@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
-from mavfi.plugins import plugin_failure
+from mavfi.errors import MachineError, MavfiError, machine_failure
+from mavfi.plugins import portable
 
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 _MUTE_EXIT = 71  # EX_OSERR, sysexits.h
@@ -32,7 +32,7 @@ T = TypeVar("T")
 class Raised:
     """An exception raised by the function, as the last item."""
 
-    error: Exception
+    error: BaseException
 
 
 def is_last(item: object) -> bool:
@@ -206,7 +206,7 @@ def _next_of(answers: Iterator[Any]) -> tuple[bytes, bool]:
             return pickle.dumps(item), True
         return pickle.dumps(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)), False
     except Exception as error:  # raised in the parent
-        return pickle.dumps(Raised(_portable(error))), False
+        return pickle.dumps(Raised(portable(error))), False
 
 
 def _return_memory() -> None:
@@ -217,21 +217,6 @@ def _return_memory() -> None:
     gc.collect()
     with contextlib.suppress(AttributeError):  # only in glibc
         ctypes.CDLL(None).malloc_trim(0)
-
-
-def _portable(error: Exception) -> Exception:
-    """The exception if another process can unpickle it, otherwise a `MavfiError` with its text.
-
-    An exception of a plug-in becomes its one line: pickling loses the traceback that names it.
-    """
-    of_plugin = plugin_failure(error)
-    if of_plugin:
-        return BadInputError(of_plugin)
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:  # third-party exception classes may fail in any way
-        return MavfiError(f"{type(error).__name__}: {error}")
-    return error
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
+from mavfi.detectors.bounded import LONGEST_S, is_foreign, split_again
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
@@ -123,7 +124,7 @@ class ForkingFunction:
 
 
 class Forks(ABC):
-    """Injected runs that fork off a golden flight, with or without a detector.
+    """Injected runs that fork off a golden flight, with or without a detector; `others` are called in children.
 
     Attributes:
         cases: The faults, in order.
@@ -138,12 +139,16 @@ class Forks(ABC):
     loop: Loop
     published: list[Published] | None = None
 
-    def __init__(self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None) -> None:
+    def __init__(
+        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None,
+        others: Sequence[Detector] = (),
+    ) -> None:  # fmt: skip
         self.cases = [case_of(fault, scenario, detector) for fault in faults]
         self.child: Child | None = None
         self._awaited: dict[str, list[Case]] = {}
         self._detector, self._rewriting = detector, rewriting_of(scenario)
         self._shifts = detector is not None or self._rewriting is not None
+        self._timeout = TIMEOUT + (LONGEST_S if any(map(is_foreign, (detector, *others))) else 0.0)
 
     @abstractmethod
     def restarts(self) -> Restarts:
@@ -212,7 +217,7 @@ class Forks(ABC):
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
-            ended = point.split(TIMEOUT)
+            ended = split_again(point, self._timeout)
             if ended is None:
                 self.child = Child(point, case, dead)
             if ended is None or ended.detail != WALL_CLOCK:

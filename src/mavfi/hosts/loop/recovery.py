@@ -21,7 +21,7 @@ from weakref import proxy
 from mavfi.detectors.bounded import LIMIT_S, StuckError, limited
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.detectors.sealed import DIFFERENT
-from mavfi.flight_record import LIMITED, SILENCED, STUCK
+from mavfi.flight_record import CRASHED, LIMITED, SILENCED, STUCK
 from mavfi.hosts.loop.decision import Action, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Setpoints, Trail
 from mavfi.hosts.loop.policy import INLINE, Recovery
@@ -134,8 +134,8 @@ class Watch:
         if self._seal is not None:
             try:
                 self._seal(state, now)
-            except StuckError:
-                self._give_up(now)
+            except StuckError as error:
+                self._give_up(error, now)
 
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
@@ -151,9 +151,9 @@ class Watch:
         try:
             if asks and self._at_once[state.spec.name](state.header):
                 alarm = self._otherwise(state, now)
-        except StuckError:
+        except StuckError as error:
             asks = False
-            self._give_up(now)
+            self._give_up(error, now)
         admitted = asks and alarm is None
         if admitted and awaited is None:  # almost always
             self._keep_waiting(state, now)
@@ -174,12 +174,16 @@ class Watch:
         """Pass a published value to the detector that it has not admitted itself."""
         try:
             self._accept(state, now)
-        except StuckError:
-            self._give_up(now)
+        except StuckError as error:
+            self._give_up(error, now)
 
-    def _give_up(self, now: int) -> None:
-        """Disable a detector of which a call did not return."""
-        if not self.memory.silenced:
+    def _give_up(self, error: StuckError, now: int) -> None:
+        """Disable a detector of which a call did not return, or ended its process."""
+        if self.memory.silenced:
+            pass
+        elif error.died:
+            self._silence(now, CRASHED, how=error.died)
+        else:
             self._silence(now, STUCK, seconds=LIMIT_S)
         self._accept, self._seal = _ignore, None
 
@@ -269,7 +273,7 @@ class Watch:
         if self._frequency(MOST_ALARMS, now) == MANY:
             self._silence(now, SILENCED, alarms=MOST_ALARMS)
 
-    def _silence(self, now: int, kind: str, **data: float) -> None:
+    def _silence(self, now: int, kind: str, **data: object) -> None:
         """Ask the detector no more in this flight."""
         self.memory.silenced = True
         self._loop.record.note(now, kind, data)

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from mavfi.campaign.alone import ATTEMPTS_ALONE, LONGEST_ALONE
 from mavfi.campaign.executors import local
 from mavfi.campaign.executors import process as process_module
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
 from mavfi.campaign.executors.process import Worker
-from mavfi.campaign.mission import ATTEMPTS_ALONE, LONGEST_ALONE
 from mavfi.errors import BadInputError, MachineError, MavfiError
 
 
