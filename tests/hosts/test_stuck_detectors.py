@@ -17,6 +17,8 @@ from mavfi.campaign.replay import explain, replay
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
 from mavfi.detectors import bounded
+from mavfi.detectors.detector import AtOnce
+from mavfi.detectors.replicas import INJECTED, replicated
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import CRASHED, STUCK, End
@@ -25,7 +27,9 @@ from mavfi.hosts.isolated import IsolatedFlights, in_child
 from mavfi.hosts.local import fly
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import Recovery
+from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import MissionSpec
 from mavfi.plugins import allow_typed
 from mavfi.reports.explain import alarm_lines
@@ -112,6 +116,59 @@ def test_the_flight_goes_on_without_it(short, method):
     assert any(sentence in text for _, text in alarm_lines(log, None))
 
 
+class Starting(Endless):
+    def start(self):
+        super().start()
+        self.end()
+
+
+class Hasty(Endless):
+    """Commands are accepted at once, and each time it takes for ever."""
+
+    def __init__(self):
+        super().__init__("at_once", n=100)
+        self.at_once = AtOnce({"control.command": lambda header: self._count("at_once")})
+
+    def memory(self):
+        return self.calls
+
+    def restore(self, memory):
+        self.calls = memory
+
+
+@pytest.mark.parametrize(("make", "first"), [(lambda: Starting("start"), True), (Hasty, False)])
+def test_it_may_be_its_start_or_a_call_at_once(short, make, first):
+    expected = None
+    for fast in (False, True):
+        log = LocalHost().mission({"own": ArmSetup(mission(), make)}, fast_forward=fast).golden("own").log
+        (event,) = (event for event in log.events if event.kind == STUCK)
+        assert (event.time_us == 0) == first
+        assert log.digest() == golden().log.digest()
+        expected = expected or content(log)
+        assert content(log) == expected
+
+
+def test_nor_is_a_flight_blocked_by_its_restart(short):
+    """Recovery died, and with it the detector, which does not come back."""
+    loop, detector = new_loop(mission()), Scripted()
+    watch(loop, detector)
+    tap, restarts = loop.taps.detector, Restarts(loop, "fresh")
+    assert restarts.detector_dies(detector, 1_000, 500_000, recovery=True)
+    detector.start = sleep
+    loop.actions["detector back"](501_000)
+    assert loop.taps.detector is tap and tap.memory.silenced
+    assert [(event.time_us, event.kind) for event in loop.record.events] == [(501_000, STUCK)]
+
+
+def test_nor_by_the_restart_of_a_copy(short):
+    loop, voting = new_loop(mission()), replicated(Scripted(), 3)
+    watch(loop, voting)
+    assert Restarts(loop, "fresh").detector_dies(voting, 1_000, 500_000)
+    voting.parts[INJECTED].start = sleep
+    loop.actions["detector back"](501_000)
+    assert voting.dead == {INJECTED}
+
+
 @pytest.mark.parametrize("make", [lambda: Endless("check"), lambda: Endless("accept"), lambda: Sealing("seal")])
 def test_fast_forwarded_flights_are_those_from_take_off(short, make):
     injected, recovery = fault("control.command", "vx", 4.0, 62), Recovery(same_twice="limit")
@@ -131,9 +188,7 @@ def stops(died=""):
 
 
 @pytest.mark.parametrize("method", ["check", "accept", "seal"])
-@pytest.mark.parametrize(
-    ("end", "how"), [(lock_twice, ""), (crash, "SIGSEGV"), (leave, "ended with status 3 without a report")]
-)
+@pytest.mark.parametrize(("end", "how"), [(lock_twice, ""), (crash, "SIGSEGV"), (leave, "status 3")])
 def test_nor_can_compiled_code_that_does_not_return_or_a_crash_block_it(soon, method, end, how):
     injected, make = fault("control.command", "vx", 8.0, 62), Sealing if method == "seal" else Endless
     log = in_child(make(method), lambda: fly(mission(), injected, make(method, end))).log

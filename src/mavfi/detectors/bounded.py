@@ -10,13 +10,18 @@ end.
 """
 
 import faulthandler
+import itertools
 import mmap
+import os
+import re
 import signal
 import struct
 import sys
+import sysconfig
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from mavfi.ir.forked import Ended, ForkPoint
@@ -26,6 +31,9 @@ LIMIT_S = 60.0
 LONGEST_S = 2.0 * LIMIT_S
 """That after which its process is ended, if it cannot be stopped (s)."""
 _CALL = struct.Struct("qd")  # number of the call in progress (0 = none), and its start (s, monotonic)
+_FRAME = re.compile(r'File "(.+)", line (\d+) in (\S+)')  # the innermost is the first
+_LONGEST_STACK = 1 << 16
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 
 
 class StuckError(BaseException):
@@ -44,12 +52,12 @@ class _Calls:
     """The calls of this process, counted, and known to its parent.
 
     Attributes:
-        cell: Memory shared with the parent; None = it does not repeat flights.
+        parent: What the parent reads; None = it does not repeat flights.
         ended: Those that ended earlier attempts, by number, see `StuckError.died`.
     """
 
-    def __init__(self, cell: mmap.mmap | None, ended: dict[int, str]) -> None:
-        self.cell, self.ended = cell, ended
+    def __init__(self, parent: "_Parent | None", ended: dict[int, str]) -> None:
+        self.parent, self.ended = parent, ended
         self._number = 0
 
     def begin(self) -> None:
@@ -57,13 +65,46 @@ class _Calls:
         self._number += 1
         if self._number in self.ended:
             raise StuckError(self.ended[self._number])
-        if self.cell is not None:
-            _CALL.pack_into(self.cell, 0, self._number, time.monotonic())
+        if self.parent is not None:
+            _CALL.pack_into(self.parent.cell, 0, self._number, time.monotonic())
+            faulthandler.enable(self.parent.stack, all_threads=False)
 
     def end(self) -> None:
         """Note that the call has ended."""
-        if self.cell is not None:
-            _CALL.pack_into(self.cell, 0, 0, 0.0)
+        if self.parent is not None:
+            faulthandler.disable()
+            _CALL.pack_into(self.parent.cell, 0, 0, 0.0)
+
+
+class _Parent:
+    """What a parent knows of the present call of its child.
+
+    Attributes:
+        cell: Shared memory with a `_CALL`.
+        stack: File for the stack of a call that ends the process.
+    """
+
+    def __init__(self) -> None:
+        self.cell, self.stack = mmap.mmap(-1, _CALL.size), os.memfd_create("stack")
+
+    @property
+    def number(self) -> int:
+        """Number of the call; 0 = none."""
+        number: int = _CALL.unpack_from(self.cell)[0]
+        return number
+
+    def is_overdue(self) -> bool:
+        """Whether the call has taken too long."""
+        number, since = _CALL.unpack_from(self.cell)
+        return bool(number) and time.monotonic() - since > LONGEST_S
+
+    def tell(self, what: str) -> None:
+        """Write what became of the call to standard error, with its line if that is known."""
+        stack = _FRAME.findall(os.pread(self.stack, _LONGEST_STACK, 0).decode(errors="replace"))
+        frames = list(itertools.takewhile(lambda frame: frame[0] != __file__, stack))  # of the detector
+        own = [frame for frame in frames if not frame[0].startswith(_LIBRARIES)]
+        where = "".join(f" ({Path(file).name}:{line}, {name})" for file, line, name in (own or frames)[:1])
+        sys.stderr.write(f"mavfi: a call of a detector {what}{where}; the flight is repeated without that call\n")
 
 
 _calls = [_Calls(None, {})]
@@ -74,21 +115,20 @@ def split_again(point: ForkPoint, timeout: float) -> Ended | None:
     """As `ForkPoint.split`; a child that ends in a call is repeated without that call."""
     found: dict[int, str] = {}
     while True:
-        cell = mmap.mmap(-1, _CALL.size)
-
-        def is_overdue(cell: mmap.mmap = cell) -> bool:
-            number, since = _CALL.unpack_from(cell)
-            return bool(number) and time.monotonic() - since > LONGEST_S
-
-        ended = point.split(timeout, is_overdue=is_overdue)
+        parent = _Parent()
+        ended = point.split(timeout, is_overdue=parent.is_overdue)
         if ended is None:
-            _calls[:] = [_Calls(cell, found)]
+            _calls[:] = [_Calls(parent, found)]
             return None
-        number, _ = _CALL.unpack_from(cell)
-        late = is_overdue()
-        if ended.how == "done" or not number or (ended.how == "hang" and not late):
-            return ended
-        found[number] = "" if late else ended.detail
+        number, late = parent.number, parent.is_overdue()
+        try:
+            if ended.how == "done" or not number or (ended.how == "hang" and not late):
+                return ended
+            how = ended.detail.removeprefix("ended with ").removesuffix(" without a report")
+            found[number] = "" if late else how
+            parent.tell(f"did not return within {LONGEST_S:g} s" if late else f"ended its process, {how}")
+        finally:
+            os.close(parent.stack)
 
 
 def limited(detector: Any, method: str) -> Any:  # noqa: ANN401 - a user's own
@@ -111,18 +151,17 @@ def bounded(call: Callable[..., Any]) -> Callable[..., Any]:
     def timed(*args: Any) -> Any:  # noqa: ANN401
         if threading.current_thread() is not threading.main_thread():
             return call(*args)
-        calls = _calls[0]
-        calls.begin()
+        _calls[0].begin()
         before = signal.signal(signal.SIGALRM, _stop)
         timer = signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
         _end_hanging()
         try:
             return call(*args)
         finally:
+            _calls[0].end()
             signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             signal.setitimer(signal.ITIMER_REAL, *timer)
             signal.signal(signal.SIGALRM, before or signal.SIG_DFL)
-            calls.end()
 
     return timed
 
@@ -138,9 +177,11 @@ def _end_hanging() -> None:
 
     It comes from the parent, or after `LONGEST_S` of user time if that does not repeat flights.
     """
-    if signal.getsignal(signal.SIGVTALRM) is signal.SIG_DFL and sys.__stderr__ is not None:
-        faulthandler.register(signal.SIGVTALRM, sys.__stderr__, all_threads=False, chain=True)
-    if _calls[0].cell is None:
+    parent = _calls[0].parent
+    file = sys.__stderr__ if parent is None else parent.stack
+    if signal.getsignal(signal.SIGVTALRM) is signal.SIG_DFL and file is not None:
+        faulthandler.register(signal.SIGVTALRM, file, all_threads=False, chain=True)
+    if parent is None:
         signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST_S)
 
 

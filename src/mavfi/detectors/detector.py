@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mavfi.detectors.bounded import limited
+from mavfi.detectors.bounded import bounded, is_foreign, limited
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
@@ -83,6 +83,18 @@ class AtOnce(dict[str, Callable[..., object]]):
         return _takes_longer
 
 
+class _Limited(AtOnce):
+    """That of a detector that is not part of mavfi, whose calls have a time limit."""
+
+    def __init__(self, own: AtOnce) -> None:
+        super().__init__()
+        self._own = own
+
+    def __missing__(self, name: str) -> Callable[..., object]:
+        """The function for a state."""
+        return bounded(self._own[name])
+
+
 def _takes_longer(header: Any) -> bool:  # noqa: ANN401 - an array
     return True
 
@@ -118,7 +130,8 @@ def admission(detector: Detector) -> Admission:
 
     most = min(_level_of(detector, "check"), _level_of(detector, "accept"))
     own: Any = detector
-    return Admission(own.at_once if _level_of(detector, "at_once") <= most else AtOnce(), admit)
+    at_once = own.at_once if _level_of(detector, "at_once") <= most else AtOnce()
+    return Admission(_Limited(at_once) if is_foreign(detector) else at_once, admit)
 
 
 def _level_of(detector: Detector, method: str) -> float:

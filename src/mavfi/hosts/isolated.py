@@ -76,10 +76,13 @@ class IsolatedFlights:
         return one_by_one(runs, self._injected)
 
     def _injected(self, arm: str, fault: Fault) -> Recorded:
-        _, flight = in_child(self._detectors[arm], lambda: next(self._flights.injected([(arm, fault)])))
-        if isinstance(flight, Exception):
-            raise flight
-        return flight  # type: ignore[no-any-return]
+        def fly() -> Recorded:
+            _, flight = next(self._flights.injected([(arm, fault)]))
+            if isinstance(flight, Exception):
+                raise flight
+            return flight  # type: ignore[no-any-return]
+
+        return in_child(self._detectors[arm], fly)
 
 
 def _report(work: Callable[[], Any]) -> bytes:

@@ -191,8 +191,8 @@ def soon(monkeypatch):
     ("call", "why"),
     [
         (lambda: die(signal.SIGSEGV), "SIGSEGV"),
-        (lambda: os._exit(3), "ended with status 3 without a report"),
-        (lambda: os._exit(0), "ended with status 0 without a report"),
+        (lambda: os._exit(3), "status 3"),
+        (lambda: os._exit(0), "status 0"),
         (lock_twice, "stuck"),
     ],
 )
@@ -210,9 +210,20 @@ def test_what_is_stopped_in_time_is_not_repeated(short, tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_the_line_that_does_not_return_is_written(soon, capfd):
-    again(lambda: calls(lock_twice))
-    assert "in lock_twice" in capfd.readouterr().err
+def segmentation_fault():
+    ctypes.string_at(0)
+
+
+def test_the_line_that_does_not_return_or_crashes_is_written(soon, capfd):
+    again(lambda: calls(nothing, lock_twice, segmentation_fault, lambda: os._exit(3)))
+    first, second, third = capfd.readouterr().err.splitlines()
+    line = lock_twice.__code__.co_firstlineno + 5
+    rest = "; the flight is repeated without that call"
+    where = f"(test_bounded.py:{line}, lock_twice)"
+    assert first == f"mavfi: a call of a detector did not return within 0.3 s {where}{rest}"
+    where = f"(test_bounded.py:{segmentation_fault.__code__.co_firstlineno + 1}, segmentation_fault)"
+    assert second == f"mavfi: a call of a detector ended its process, SIGSEGV {where}{rest}"
+    assert third == f"mavfi: a call of a detector ended its process, status 3{rest}"
 
 
 def test_a_child_that_ends_between_calls_is_not_repeated():

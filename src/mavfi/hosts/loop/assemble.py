@@ -56,8 +56,7 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
         return
     check_states(detector)
     loop.marks = True
-    install(loop, detector, recovery, restarts_for(loop, recovery))
-    detector.start()
+    install(loop, detector, recovery, restarts_for(loop, recovery)).begin()
 
 
 def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:

@@ -104,6 +104,7 @@ class Watch:
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self._at_once, self._otherwise = admission(detector)
+        self._start = limited(detector, "start")
         self._accept, self._seal = limited(detector, "accept"), limited(detector, "seal")
         self._functions = loop.functions
         self._respond = entry(loop.functions.respond, FIRST, *[False] * 5)
@@ -128,6 +129,13 @@ class Watch:
         self.action: Action | None = None
         self._sent: State | None = None
 
+    def begin(self) -> None:
+        """Initialize the detector at the start of a flight."""
+        try:
+            self._start()
+        except StuckError as error:
+            self.give_up(error, 0)
+
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state
@@ -135,7 +143,7 @@ class Watch:
             try:
                 self._seal(state, now)
             except StuckError as error:
-                self._give_up(error, now)
+                self.give_up(error, now)
 
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
@@ -153,7 +161,7 @@ class Watch:
                 alarm = self._otherwise(state, now)
         except StuckError as error:
             asks = False
-            self._give_up(error, now)
+            self.give_up(error, now)
         admitted = asks and alarm is None
         if admitted and awaited is None:  # almost always
             self._keep_waiting(state, now)
@@ -175,9 +183,9 @@ class Watch:
         try:
             self._accept(state, now)
         except StuckError as error:
-            self._give_up(error, now)
+            self.give_up(error, now)
 
-    def _give_up(self, error: StuckError, now: int) -> None:
+    def give_up(self, error: StuckError, now: int) -> None:
         """Disable a detector of which a call did not return, or ended its process."""
         if self.memory.silenced:
             pass

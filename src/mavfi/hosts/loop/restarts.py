@@ -12,9 +12,11 @@
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from weakref import proxy
 
+from mavfi.detectors.bounded import StuckError, limited
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.replicas import INJECTED, Replicated
 from mavfi.faults.state import ActedOn
@@ -112,18 +114,24 @@ class Restarts:
         return True
 
     def _vote_again(self, detector: Replicated, now: int) -> None:
-        self._begin_again(detector.parts[INJECTED], now)
-        detector.rejoin()
+        with suppress(StuckError):  # it stays out of service
+            self._begin_again(detector.parts[INJECTED], now)
+            detector.rejoin()
 
     def _begin_again(self, detector: Detector, now: int) -> None:
         """Initialize a detector, and pass it the last publication of each state."""
-        detector.start()
+        start, accept = limited(detector, "start"), limited(detector, "accept")
+        start()
         for name in STATES:  # in data-flow order
             if name in self._latest:
-                detector.accept(self._latest[name], now)
+                accept(self._latest[name], now)
 
     def _watch_again(self, detector: Detector, tap: Tap | None, now: int) -> None:
-        self._begin_again(detector, now)
+        try:
+            self._begin_again(detector, now)
+        except StuckError as error:
+            if isinstance(tap, Watch):
+                tap.give_up(error, now)
         self._loop.awaited.clear()  # recomputations finished during the down time
         self._loop.taps.detector = tap
 
