@@ -226,6 +226,7 @@ def test_a_flight_has_its_kernels_but_for_those_that_cannot_be_sent():
     assert np.array_equal(flight.world.lower, golden().world.lower)
 
 
+@pytest.mark.slow
 def test_isolated_flights_are_those_of_the_host(soon):
     flights = IsolatedFlights(LocalHost(), {"own": ArmSetup(mission(), lambda: Endless("check", crash))})
     assert [event.kind for event in flights.golden("own").log.events].count(CRASHED) == 1
@@ -235,6 +236,7 @@ def test_isolated_flights_are_those_of_the_host(soon):
         assert content(flown[place].log) == content(fly(mission(), one, Endless("check", stops("SIGSEGV"))).log)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [400, 2000])
 @pytest.mark.parametrize("fast", [False, True])
 def test_faults_in_instructions_are_flown_with_it(soon, fast, n):
