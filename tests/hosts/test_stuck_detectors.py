@@ -5,6 +5,7 @@ import itertools
 import os
 import signal
 import time
+from functools import cache
 
 import numpy as np
 import pytest
@@ -195,7 +196,7 @@ def test_nor_can_compiled_code_that_does_not_return_or_a_crash_block_it(soon, me
     assert content(log) == content(fly(mission(), injected, make(method, stops(how))).log)
     (event,) = (event for event in log.events if event.kind in (STUCK, CRASHED))
     assert event.kind == (CRASHED if how else STUCK)
-    sentence = f"ended its process ({how})" if how else "did not return within 60 s"
+    sentence = f"a call of it crashed: {how}" if how else "did not return within 60 s"
     assert any(sentence in text for _, text in alarm_lines(log, None))
 
 
@@ -253,6 +254,69 @@ def test_faults_in_instructions_are_flown_with_it(soon, fast, n):
 
     mine = in_child(Endless("check"), lambda: flown(crash))
     assert mine == flown(stops("SIGSEGV"))
+
+
+@cache
+def commands():
+    """Those of the golden flight."""
+    found = set()
+
+    def note(state, time_us):
+        if state.spec.name == "control.command":
+            found.add(state.header.tobytes())
+
+    fly(mission(), recorders=[note])
+    return found
+
+
+class Brittle(Scripted):
+    """Cannot cope with commands other than those of the golden flight."""
+
+    known = None
+
+    def check(self, state, time_us):
+        known = commands() if self.known is None else self.known
+        if state.spec.name == "control.command" and state.header.tobytes() not in known:
+            raise ValueError("no such command")
+
+
+class Broken(Brittle):
+    known = frozenset()
+
+
+WRONG = fault("control.command", "vx", 8.0, 62)
+
+
+@pytest.mark.parametrize("make", [FastForward, None])
+def test_an_exception_after_the_injection_disables_it(make):
+    flight = fly(mission(), WRONG, Brittle()) if make is None else make(mission()).fly(WRONG, Brittle(), "own")
+    (event,) = (event for event in flight.log.events if event.kind == CRASHED)
+    assert event.data == {"how": "ValueError: no such command"}
+    assert event.time_us / 1e6 == pytest.approx(flight.log.injections[0].time_s)
+    assert content(flight.log)[0] == content(fly(mission(), WRONG).log)[0]
+
+
+def test_an_exception_before_it_is_raised():
+    for injected in (None, WRONG):
+        with pytest.raises(ValueError, match="no such command"):
+            fly(mission(), injected, Broken())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fast", [False, True])
+def test_nor_does_it_look_as_if_the_injected_kernel_had_died(fast):
+    faults = draw_instruction_faults(mission(), InstructionRequest({"pid": 6}), seed=3).faults["pid"]
+    arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), Brittle)}
+    flights = LocalHost().mission(arms, fast_forward=fast)
+    for arm in arms:
+        flights.know(arm, flights.golden(arm))
+    runs = [(arm, one) for arm in arms for one in faults]
+    flown = {runs[place]: flight.log for place, flight in flights.injected(runs)}
+    crashed = [one for one in faults if flown["own", one].count(CRASHED)]
+    assert crashed
+    for one in crashed:
+        assert flown["own", one].kernel == flown["", one].kernel
+        assert flown["own", one].digest() == flown["", one].digest()
 
 
 class Named(Endless):

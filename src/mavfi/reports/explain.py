@@ -237,7 +237,7 @@ def _path(parted: Departure) -> str:
 _UNANSWERED = {
     LIMITED: "no response to further alarms for a while, {alarms} had changed nothing (same_twice: limit)",
     STUCK: "the detector is disabled from {at:.2f} s on, a call of it did not return within {seconds:g} s",
-    CRASHED: "the detector is disabled from {at:.2f} s on, a call of it ended its process ({how})",
+    CRASHED: "the detector is disabled from {at:.2f} s on, a call of it crashed: {how}",
     SILENCED: "no response to further alarms, the detector is faulty: {alarms} on violated rules had changed nothing",
 }
 """What follows from these events."""

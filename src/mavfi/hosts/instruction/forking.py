@@ -219,7 +219,7 @@ class Forks(ABC):
             point = ForkPoint()
             ended = split_again(point, self._timeout)
             if ended is None:
-                self.child = Child(point, case, dead)
+                self.child, self.loop.forked = Child(point, case, dead), True
             if ended is None or ended.detail != WALL_CLOCK:
                 break
         return ended

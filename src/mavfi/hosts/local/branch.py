@@ -227,14 +227,14 @@ class Branch:
     def _alarms(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
         """Whether the detector, which must not be None, raises an alarm on publications of another flight.
 
-        One that does not return is asked again in the flight.
+        One that fails is asked again in the flight.
         """
         assert self._detector is not None  # precondition
         watched, admit = self.loop.taps.watched, admission(self._detector.content)
         seen = (one for one in track.shown[here.shown : there.shown] if watched is None or one[0].spec.name in watched)
         try:
             return any(admit(state, now) is not None for state, now in seen)
-        except StuckError:
+        except (StuckError, Exception):
             return True
 
     # ---- flying -----------------------------------------------------------------------------------------------------

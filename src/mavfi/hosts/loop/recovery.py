@@ -18,9 +18,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 from weakref import proxy
 
-from mavfi.detectors.bounded import LIMIT_S, StuckError, limited
+from mavfi.detectors.bounded import LIMIT_S, StuckError, is_foreign, limited
 from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
 from mavfi.detectors.sealed import DIFFERENT
+from mavfi.errors import machine_failure
 from mavfi.flight_record import CRASHED, LIMITED, SILENCED, STUCK
 from mavfi.hosts.loop.decision import Action, Awaited, decide, record_of
 from mavfi.hosts.loop.degraded import MODES, Setpoints, Trail
@@ -30,6 +31,7 @@ from mavfi.kernels.recovery.limits import CURABLE, FEW, GAP_US, MANY, MOST_RESTA
 from mavfi.kernels.recovery.response import FIRST, RECOMPUTED, RESENT
 from mavfi.numerics.jit import entry
 from mavfi.pipeline.memory import Memory
+from mavfi.plugins import plugin_failure, reason
 from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec
 
 if TYPE_CHECKING:
@@ -106,6 +108,7 @@ class Watch:
         self._at_once, self._otherwise = admission(detector)
         self._start = limited(detector, "start")
         self._accept, self._seal = limited(detector, "accept"), limited(detector, "seal")
+        self._is_foreign = is_foreign(detector)
         self._functions = loop.functions
         self._respond = entry(loop.functions.respond, FIRST, *[False] * 5)
         self.forget()
@@ -142,7 +145,7 @@ class Watch:
         if self._seal is not None:
             try:
                 self._seal(state, now)
-            except StuckError as error:
+            except (StuckError, Exception) as error:
                 self.give_up(error, now)
 
     def __call__(self, state: State, now: int) -> State | None:
@@ -159,7 +162,7 @@ class Watch:
         try:
             if asks and self._at_once[state.spec.name](state.header):
                 alarm = self._otherwise(state, now)
-        except StuckError as error:
+        except (StuckError, Exception) as error:
             asks = False
             self.give_up(error, now)
         admitted = asks and alarm is None
@@ -182,17 +185,22 @@ class Watch:
         """Pass a published value to the detector that it has not admitted itself."""
         try:
             self._accept(state, now)
-        except StuckError as error:
+        except (StuckError, Exception) as error:
             self.give_up(error, now)
 
-    def give_up(self, error: StuckError, now: int) -> None:
-        """Disable a detector of which a call did not return, or ended its process."""
-        if self.memory.silenced:
-            pass
-        elif error.died:
-            self._silence(now, CRASHED, how=error.died)
+    def give_up(self, error: BaseException, now: int) -> None:
+        """Disable a detector of which a call failed; raises an exception that is no consequence of the fault.
+
+        A detector that is not part of mavfi may have assumed what no longer holds after the injection.
+        """
+        if isinstance(error, StuckError):
+            how = error.died
+        elif self._is_foreign and self._loop.injected and not machine_failure(error):
+            how = plugin_failure(error) or reason(error)
         else:
-            self._silence(now, STUCK, seconds=LIMIT_S)
+            raise error
+        if not self.memory.silenced:
+            self._silence(now, *((CRASHED, {"how": how}) if how else (STUCK, {"seconds": LIMIT_S})))
         self._accept, self._seal = _ignore, None
 
     def lost(self, state: State, now: int) -> bool:
@@ -279,9 +287,9 @@ class Watch:
         if self._recovery.limits and self._frequency(MOST_UNCHANGED, now) == MANY:
             self._loop.record.note(now, LIMITED, {"alarms": MOST_UNCHANGED})
         if self._frequency(MOST_ALARMS, now) == MANY:
-            self._silence(now, SILENCED, alarms=MOST_ALARMS)
+            self._silence(now, SILENCED, {"alarms": MOST_ALARMS})
 
-    def _silence(self, now: int, kind: str, **data: object) -> None:
+    def _silence(self, now: int, kind: str, data: dict[str, object]) -> None:
         """Ask the detector no more in this flight."""
         self.memory.silenced = True
         self._loop.record.note(now, kind, data)

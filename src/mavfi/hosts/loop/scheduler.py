@@ -6,14 +6,14 @@ published through the taps after the platform's latency; the control command dri
 
 import heapq
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import proxy
 
 import numpy as np
 
-from mavfi.flight_log import FlightLog
+from mavfi.flight_log import FlightLog, Injection
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.decision import SCANNING, Action, Awaited
 from mavfi.hosts.loop.judge import Judge
@@ -82,6 +82,7 @@ class Loop:
         verify: Called with a kernel, the results of a step, and the instant (us); returns the results to publish and
             the additional time (us).  None = results are published unverified.
         repeating: Whether the current step repeats another one for verification.
+        forked: Whether this process was forked for an injected call.
     """
 
     def __init__(
@@ -112,11 +113,17 @@ class Loop:
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
         self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
-        self.repeating = False
+        self.repeating = self.forked = False
         self.mapped, self.captured_us, self.failed_plans = False, 0, 0
         self.command = np.zeros(4)
         self.reference = plant.odometry[:3].copy()
         self.status: MissionStatus | None = None
+
+    @property
+    def injected(self) -> bool:
+        """Whether a fault has been injected."""
+        injections: Sequence[Injection] = getattr(self.taps.injector, "injections", ())
+        return self.forked or any(one.activated for one in injections)
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)

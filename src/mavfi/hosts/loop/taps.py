@@ -43,6 +43,11 @@ class InTurn:
         """See `Injector.spent`."""
         return self._first.spent and self._second.spent
 
+    @property
+    def injections(self) -> list[Injection]:
+        """Those so far."""
+        return [one for injector in (self._first, self._second) for one in getattr(injector, "injections", ())]
+
     def __call__(self, state: State, time_us: int) -> State | None:
         """See `Injector`."""
         seen = self._first(state, time_us)
