@@ -115,12 +115,13 @@ class Admission(NamedTuple):
         return self.otherwise(state, time_us) if self.at_once[state.spec.name](state.header) else None
 
 
-def admission(detector: Detector) -> Admission:
+def admission(detector: Detector, *, limit: bool = True) -> Admission:
     """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these.
 
-    A detector that is not part of mavfi has a time limit; a call that exceeds it raises `bounded.StuckError`.
+    With `limit`, a detector that is not part of mavfi has a time limit; a call that exceeds it raises
+    `bounded.StuckError`.  The limit takes microseconds.
     """
-    check, accept = limited(detector, "check"), limited(detector, "accept")
+    check, accept = (limited(detector, name) if limit else getattr(detector, name) for name in ("check", "accept"))
 
     def admit(state: State, time_us: int) -> Alarm | None:
         alarm: Alarm | None = check(state, time_us)
@@ -131,7 +132,7 @@ def admission(detector: Detector) -> Admission:
     most = min(_level_of(detector, "check"), _level_of(detector, "accept"))
     own: Any = detector
     at_once = own.at_once if _level_of(detector, "at_once") <= most else AtOnce()
-    return Admission(_Limited(at_once) if is_foreign(detector) else at_once, admit)
+    return Admission(_Limited(at_once) if limit and is_foreign(detector) else at_once, admit)
 
 
 def _level_of(detector: Detector, method: str) -> float:

@@ -1,7 +1,7 @@
-"""Flights in a child process: a detector that is not part of mavfi cannot block them, whatever it is compiled of.
+"""Flights in a child process: a detector that is not part of mavfi cannot block them.
 
 See `mavfi.detectors.bounded`: a flight in which a call never returns, or ends the process, is repeated without that
-call.  The detector itself stays as it is here.
+call.  The detector object of this process does not change.
 """
 
 import io
