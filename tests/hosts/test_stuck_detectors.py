@@ -1,10 +1,8 @@
 """A detector that never returns, or ends its process, blocks no flight: it is disabled, and flies no further."""
 
-import ctypes
 import itertools
 import os
 import signal
-import time
 from functools import cache
 
 import numpy as np
@@ -36,18 +34,7 @@ from mavfi.plugins import allow_typed
 from mavfi.reports.explain import alarm_lines
 from tests.hosts.missions import Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import content
-
-
-def sleep():
-    time.sleep(1e4)
-
-
-def lock_twice():
-    """Waits for ever in compiled code."""
-    mutex = ctypes.create_string_buffer(64)
-    lock = ctypes.PyDLL(None).pthread_mutex_lock
-    lock(mutex)
-    lock(mutex)
+from tests.unit.detectors.test_bounded import lock_twice, sleep
 
 
 def spin():
@@ -149,16 +136,17 @@ def test_it_may_be_its_start_or_a_call_at_once(short, make, first):
         assert content(log) == expected
 
 
-def test_nor_is_a_flight_blocked_by_its_restart(short):
+@pytest.mark.parametrize(("start", "kind"), [(sleep, STUCK), (lambda: 1 / 0, CRASHED)])
+def test_nor_is_a_flight_blocked_by_its_restart(short, start, kind):
     """Recovery died, and with it the detector, which does not come back."""
     loop, detector = new_loop(mission()), Scripted()
     watch(loop, detector)
     tap, restarts = loop.taps.detector, Restarts(loop, "fresh")
     assert restarts.detector_dies(detector, 1_000, 500_000, recovery=True)
-    detector.start = sleep
+    detector.start, loop.forked = start, True
     loop.actions["detector back"](501_000)
     assert loop.taps.detector is tap and tap.memory.silenced
-    assert [(event.time_us, event.kind) for event in loop.record.events] == [(501_000, STUCK)]
+    assert [(event.time_us, event.kind) for event in loop.record.events] == [(501_000, kind)]
 
 
 def test_nor_by_the_restart_of_a_copy(short):
@@ -266,6 +254,17 @@ def commands():
 
     fly(mission(), recorders=[note])
     return found
+
+
+def test_it_is_not_asked_again_at_each_checkpoint(short):
+    ends = []
+
+    def end():
+        ends.append(1)
+        sleep()
+
+    FastForward(mission()).fly(None, Endless("check", end), "own")
+    assert len(ends) == 2, "on known publications, and in the flight"
 
 
 class Brittle(Scripted):

@@ -116,19 +116,20 @@ def split_again(point: ForkPoint, timeout: float) -> Ended | None:
     found: dict[int, str] = {}
     while True:
         parent = _Parent()
-        ended = point.split(timeout, is_overdue=parent.is_overdue)
-        if ended is None:
-            _calls[:] = [_Calls(parent, found)]
-            return None
-        number, late = parent.number, parent.is_overdue()
         try:
+            ended = point.split(timeout, is_overdue=parent.is_overdue)
+            if ended is None:
+                _calls[:] = [_Calls(parent, found)]
+                return None
+            number, late = parent.number, parent.is_overdue()
             if ended.how == "done" or not number or (ended.how == "hang" and not late):
                 return ended
             how = ended.detail.removeprefix("ended with ").removesuffix(" without a report")
             found[number] = "" if late else how
             parent.tell(f"did not return within {LONGEST_S:g} s" if late else f"ended its process, {how}")
         finally:
-            os.close(parent.stack)
+            if not point.in_child:
+                os.close(parent.stack)
 
 
 def limited(detector: Any, method: str) -> Any:  # noqa: ANN401 - a user's own

@@ -227,9 +227,11 @@ class Branch:
     def _alarms(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
         """Whether the detector, which must not be None, raises an alarm on publications of another flight.
 
-        One that fails is asked again in the flight.
+        One that fails is asked again in the flight, which may give it up.
         """
-        assert self._detector is not None  # precondition
+        assert self._detector is not None and self._tap is not None  # precondition
+        if self._tap.gave_up:
+            return False
         watched, admit = self.loop.taps.watched, admission(self._detector.content)
         seen = (one for one in track.shown[here.shown : there.shown] if watched is None or one[0].spec.name in watched)
         try:

@@ -139,6 +139,11 @@ class Watch:
         except StuckError as error:
             self.give_up(error, 0)
 
+    @property
+    def gave_up(self) -> bool:
+        """Whether the detector is called no more."""
+        return self._accept is _ignore
+
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state

@@ -129,9 +129,10 @@ class Restarts:
     def _watch_again(self, detector: Detector, tap: Tap | None, now: int) -> None:
         try:
             self._begin_again(detector, now)
-        except StuckError as error:
-            if isinstance(tap, Watch):
-                tap.give_up(error, now)
+        except (StuckError, Exception) as error:
+            if not isinstance(tap, Watch):
+                raise
+            tap.give_up(error, now)
         self._loop.awaited.clear()  # recomputations finished during the down time
         self._loop.taps.detector = tap
 
