@@ -19,6 +19,7 @@ from pydantic import (
     field_validator,
 )
 
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
 from mavfi.wording import finding, refuse_other_kind, shown
@@ -369,6 +370,8 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
         return load(model, Path(name))
     path = config_root() / kind / f"{name}.yaml"
     if not is_file(path):
+        if dropped_name(kind, name):
+            raise BadInputError(dropped_name(kind, name))
         allowed, what = ", ".join(names(kind)), "is a folder" if is_dir(Path(name)) else "not known"
         files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
         text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 
+from mavfi.dropped import dropped_key, dropped_value
 from mavfi.errors import hint
 
 _ALLOWED = {
@@ -37,6 +38,10 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None) -> str
     message: str = first["msg"].removeprefix("Value error, ")
     if kind == "value_error":
         return message if not key or message.startswith(f"{key}.") else f"key {key!r}: {message}"
+    if kind == "extra_forbidden" and dropped_key(name):
+        return dropped_key(name)
+    if kind == "literal_error" and dropped_value(name, first["input"]):
+        return dropped_value(name, first["input"])
     if kind == "extra_forbidden" and owner is not None:
         known = [*owner.model_fields, *getattr(owner, "also_accepts", ())]
         return f"unknown key {key!r}{hint(name, known)}; allowed: {', '.join(known)}"

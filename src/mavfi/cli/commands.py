@@ -37,6 +37,7 @@ from mavfi.cli import (
 )
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
+from mavfi.dropped import COMMANDS, OPTIONS
 from mavfi.errors import BadInputError, MavfiError, machine_failure
 from mavfi.plugins import allow_plugins, allow_typed, plugin_failure
 from mavfi.wording import allowed_by, shown
@@ -111,6 +112,9 @@ def run(arguments: Sequence[str]) -> int:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
         return _refused(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
     except typer.TyperException as error:  # missing argument, unknown option, invalid number
+        dropped = _dropped(arguments)
+        if dropped:
+            return complain(dropped, EXIT_BAD_INPUT)
         message = _refused_value(error) or error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
@@ -121,6 +125,18 @@ def run(arguments: Sequence[str]) -> int:
             raise
         return _refused(failed, EXIT_FAILURE) if failed else _refused(of_plugin, EXIT_BAD_INPUT)
     return code if isinstance(code, int) else EXIT_DONE
+
+
+def _dropped(arguments: Sequence[str]) -> str:
+    """The refusal of an option or command that earlier versions had; "" = there is none in these words."""
+    for word in arguments:
+        option = word.partition("=")[0]
+        if option in OPTIONS:
+            return f"{option}: dropped; {OPTIONS[option]}"
+    for command, replacement in COMMANDS.items():
+        if " ".join(arguments).startswith(command):
+            return f"{command}: dropped; {replacement}"
+    return ""
 
 
 def _refused_value(error: typer.TyperException) -> str:

@@ -1,0 +1,36 @@
+"""What earlier versions had is refused in one line that names what replaced it."""
+
+import pytest
+
+from mavfi.config import parse, shipped
+from mavfi.dropped import NAMES, VALUES, dropped_name
+from mavfi.errors import BadInputError
+from mavfi.mission import MissionSpec
+
+
+@pytest.mark.parametrize(("kind", "name"), NAMES)
+def test_a_dropped_name_is_refused_with_what_replaced_it(kind: str, name: str):
+    message = dropped_name(kind, name)
+    assert message.startswith(f"{kind[:-1]} {name!r}: dropped; ")
+    assert NAMES[kind, name] in message
+
+
+def test_a_shipped_name_is_not_refused():
+    assert dropped_name("detectors", "acceptance") == ""
+
+
+@pytest.mark.parametrize(("key", "value"), VALUES)
+def test_a_dropped_value_is_refused_with_the_value_to_use(key: str, value: str):
+    with pytest.raises(BadInputError) as refusal:
+        parse(MissionSpec, {key: value}, "mission")
+    assert str(refusal.value) == f"mission: key {key!r}: {value!r}: dropped; use {VALUES[key, value]!r}"
+
+
+def test_a_dropped_key_is_refused():
+    with pytest.raises(BadInputError, match="mission: key 'copies': dropped; no replacement: one copy"):
+        parse(MissionSpec, {"copies": 2}, "mission")
+
+
+def test_a_dropped_campaign_is_refused():
+    with pytest.raises(BadInputError, match="campaign 'replicas': dropped; use detector_instructions"):
+        shipped("campaigns", MissionSpec, "replicas")
