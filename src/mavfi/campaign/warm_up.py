@@ -25,6 +25,7 @@ from mavfi.errors import BadInputError
 from mavfi.hosts.loop.compiling import STAGES, compile_stage
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
+from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder
 from mavfi.states import DETECTORS, GUARDS, PLANNERS, RECOVERY
 
@@ -249,4 +250,5 @@ def _done(campaign: Campaign) -> Path:
     """File that exists if the code of a campaign is in the cache."""
     folder = code_folder()
     folder.mkdir(parents=True, exist_ok=True)
-    return folder / f"{hashlib.sha256(campaign.model_dump_json().encode()).hexdigest()[:16]}.warm"
+    campaign_digest = hashlib.sha256(campaign.model_dump_json().encode()).hexdigest()[:16]
+    return folder / f"{campaign_digest}-{packages_digest()}.warm"

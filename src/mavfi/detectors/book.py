@@ -12,6 +12,7 @@ from numba.extending import overload
 
 from mavfi.detectors import residuals
 from mavfi.detectors.features import REGIMES
+from mavfi.numerics.dependencies import uses
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.stored import kind_of, load
 from mavfi.states import STATES
@@ -195,6 +196,9 @@ _BY_TYPE = {
 def _measure(header, book):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
     own = next(own for dtype, own in _BY_TYPE.items() if from_dtype(dtype) == header.dtype)
     return lambda header, book: own(header, book)
+
+
+uses(measure, _BY_TYPE)  # for the key of compiled code that calls `measure`
 
 
 @kernel_jit

@@ -178,7 +178,8 @@ class InstructionFault(Planned):
     """The result of one dynamic instruction in one call of a compiled function, once.
 
     Attributes:
-        function: Module and name of the compiled function.
+        function: Module and name of a user's own function; "" = `kernel` and `entry` tell which one it is, wherever its
+            source is.
         ir_sha256: Digest of the IR to which the index refers; other machine code is rejected.
         index: Dynamic index among the values that the call writes, from 0.
         call: Index of the call in the flight, from 0; `NO_SITE` = the kernel executes no such instruction.

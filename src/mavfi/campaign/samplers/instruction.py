@@ -31,7 +31,7 @@ from mavfi.hosts.local.mission_flights import LocalFlights
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.ir.build import Rewriting, name_of
+from mavfi.ir.build import Rewriting
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, GUARDS, INJECTABLE
@@ -119,7 +119,7 @@ def instruction_fault(scenario: Scenario, site: InstructionSite, detector: Detec
     functions = _functions(site.kernel, detector)
     if site.entry not in functions:
         raise BadInputError(f"kernel {site.kernel!r}: no function {site.entry!r}; allowed: {', '.join(functions)}")
-    return InstructionFault(name_of(functions[site.entry]), kernel=site.kernel, entry=site.entry, **site.given)
+    return InstructionFault("", kernel=site.kernel, entry=site.entry, **site.given)
 
 
 def in_other_calls(fault: InstructionFault, setup: ArmSetup, count: int) -> list[InstructionFault]:
@@ -218,7 +218,7 @@ class _Draw:
         function, request = self.counted[name], self.request
         self.found.append(
             plan(
-                self.random, name_of(function.function), function.digests[call], site, index, request.model,
+                self.random, "", function.digests[call], site, index, request.model,
                 call=call, which=request.which, budget=budget_for(function.counts[call]), kernel=self.kernel,
                 entry=name, restart_s=request.restart_s, weight=weight, seed=self.seed,
             )

@@ -20,6 +20,7 @@ from mavfi.faults.sampling import share_out
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.hosts.local.mission_flights import LocalFlights
+from mavfi.ir.digest import DIGEST_VERSION
 from mavfi.states import GUARDS, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 
@@ -36,8 +37,9 @@ class InstructionSampler:
         assert isinstance(campaign.sampling, InstructionSampling)  # as `sampler_for` chooses
         self._campaign, self._sampling = campaign, campaign.sampling
         self.versions: Mapping[str, str] = {
-            "python": python()
-        }  # Numba compiles Python's bytecode, which determines the fault space
+            "python": python(),  # Numba compiles Python's bytecode, which determines the fault space
+            "fault space": DIGEST_VERSION,
+        }
         self._blocks: dict[str, Sequence[Block]] = {}
         planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
         others = [name for name in self._sampling.kernels if name in PLANNERS and name != planner]

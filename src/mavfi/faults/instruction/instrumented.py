@@ -142,7 +142,7 @@ class Injecting:
 
     def __init__(self, function: Any, fault: InstructionFault, before: Callable[[], bool] | None = None) -> None:
         if fault.budget == 0:
-            raise BadInputError(f"fault in {fault.function}: budget 0; allowed: what `budget_for` gives for the count")
+            raise BadInputError(f"fault in {fault.site}: budget 0; allowed: what `budget_for` gives for the count")
         self._function = function
         self._fault = fault
         self._before = before

@@ -30,7 +30,7 @@ def plan(
 
     Args:
         random: Random stream of the fault.
-        function: Module and name.
+        function: Module and name of a user's own function; "" for one of a kernel, given by `more`.
         ir_sha256: Digest of the IR.
         site: The static instruction.
         index: Dynamic index.
@@ -76,11 +76,11 @@ def budget_for(total: int) -> int:
 
 def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
     """Raise a MismatchError if a fault was drawn for another function or other machine code."""
-    if fault.function != name_of(function):
+    if fault.function and fault.function != name_of(function):
         raise MismatchError(f"fault in {fault.function}: given to {name_of(function)}")
     if fault.ir_sha256 != variant.ir_sha256:
         raise MismatchError(
-            f"fault in {fault.function}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
+            f"fault in {fault.site}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
             "source, numba or llvmlite differ"
         )
 
