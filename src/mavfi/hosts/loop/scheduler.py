@@ -15,7 +15,7 @@ import numpy as np
 
 from mavfi.flight_log import FlightLog, Injection
 from mavfi.hosts.host import Flight
-from mavfi.hosts.loop.decision import SCANNING, Action, Awaited
+from mavfi.hosts.loop.decide import SCANNING, Action, Awaited, Response
 from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.loop.record import Publications, Record
@@ -212,7 +212,7 @@ class Loop:
         """
         request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # perception: `capture`
         if request is not None:
-            if request.kind != "recompute":
+            if request.kind is not Response.RECOMPUTE:
                 kernel.mark()  # the request replaces the step of this period
             self.recompute(request, now)
             return
@@ -312,8 +312,11 @@ class Loop:
         """Restore memory and repeat the step, or request another way-point; charges the latency again."""
         kernel: Any = self.kernels[action.kernel]
         cost = self.charge(action)
-        if action.kind != "recompute":
-            self.finish(kernel, kernel.stop() if action.kind == "stop" else kernel.abandon(now), now, cost)
+        if action.kind is Response.STOP:
+            self.finish(kernel, kernel.stop(), now, cost)
+            return
+        if action.kind is Response.ABANDON:
+            self.finish(kernel, kernel.abandon(now), now, cost)
             return
         if action.alone:
             repeat(kernel)
