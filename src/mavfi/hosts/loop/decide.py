@@ -173,7 +173,8 @@ class History(Memory):
 
     def down_time(self) -> int:
         """Down time of the next node that is restarted (us)."""
-        return RESTART_US * BACK_OFF ** (MAX_RESTARTS - self.restarts_left)
+        factor: int = BACK_OFF ** (MAX_RESTARTS - self.restarts_left)
+        return RESTART_US * factor
 
 
 # ---- the decision table ---------------------------------------------------------------------------------------------
