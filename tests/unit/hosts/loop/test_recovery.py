@@ -24,7 +24,7 @@ from mavfi.hosts.loop.decide import (
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.recovery import DetectorTap, record_of
 from mavfi.mission import MissionSpec
-from mavfi.states import Stage, new_state
+from mavfi.states import PPC_STAGES, Stage, new_state
 
 
 @pytest.mark.parametrize("stage", ["sensor", "steering", ""])
@@ -123,6 +123,13 @@ class Always:
 
     def accept(self, state, now):
         self.accepted.append(now)
+
+
+class OfKernels(Always):
+    """Alarms at every value that a kernel has written."""
+
+    def check(self, state, now):
+        return super().check(state, now) if state.spec.stage in PPC_STAGES else None
 
 
 class Never(Always):
@@ -360,7 +367,7 @@ def test_an_alarm_without_an_answer_ends_in_degraded_mode_when_no_restart_is_lef
 
 def test_commands_are_replaced_by_those_that_hold_the_position():
     flight = Flight()
-    tap = DetectorTap(flight, Always(hard=True), HOLDS, flight.restart)
+    tap = DetectorTap(flight, OfKernels(hard=True), HOLDS, flight.restart)
     tap.memory.restarts_left = 0
     tap(odometry(4.0), 10)
     assert [tap(state, 20 + now) is None for now, state in ((0, status(5)), (1, status(5)))] == [True, False]
