@@ -43,7 +43,7 @@ def new_loop(
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
     make = partial(make_kernels, config)
-    return Loop(scenario, world, plant, make, functions=functions, want_profile=profile, marks=rewindable)
+    return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:

@@ -22,7 +22,6 @@ from mavfi.hosts.loop.record import Publications, Record
 from mavfi.hosts.loop.sensing import SensorMemory, Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
 from mavfi.platforms.compute import latency, redo_latency, stage_latency
@@ -87,9 +86,9 @@ class Loop:
 
     def __init__(
         self, scenario: Scenario, world: World, plant: Plant, make_kernels: Callable[[], dict[str, Kernel]], *,
-        functions: KernelFunctions = PLAIN, want_profile: bool = False, marks: bool = False,
+        want_profile: bool = False, marks: bool = False,
     ) -> None:  # fmt: skip
-        self.scenario, self.world, self.plant, self.functions = scenario, world, plant, functions
+        self.scenario, self.world, self.plant = scenario, world, plant
         self.marks = marks
         self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
         self.kernels = make_kernels()
