@@ -158,17 +158,14 @@ sensors: setup  ## fly missions with failing sensors and motors, write docs/gene
 	@$(BIN)/mavfi campaign run sensors --scale paper --out out/sensors
 	@$(BIN)/python -m tools.campaign_pages sensors out/sensors
 
-detector-faults: setup  ## inject faults in detectors, copies and recovery, write docs/generated/detector-faults.md
+detector-faults: setup  ## inject faults in detectors, write docs/generated/detector-faults.md
 	@$(BIN)/mavfi campaign run detector_memory --scale paper --out out/detector-memory
 	@$(BIN)/mavfi campaign run detector_memory_others --scale paper --out out/detector-memory-others
-	@$(BIN)/mavfi campaign run recovery_memory --scale paper --out out/recovery-memory
-	@$(BIN)/mavfi campaign run replicas --scale paper --out out/replicas
 	@$(BIN)/mavfi campaign run detector_instructions --scale paper --out out/detector-instructions
-	@$(BIN)/mavfi campaign run recovery_instructions --scale paper --out out/recovery-instructions
 	@$(BIN)/mavfi campaign run failure_rate --scale paper --out out/failure-rate
 	@$(BIN)/mavfi bench detectors --part instruction --scale paper --out out/bench-paper --workers $(JOBS)
 	@$(BIN)/mavfi bench detectors --part instruction --out out/bench-quick --workers $(JOBS)
-	@$(BIN)/python -m tools.detector_faults out/detector-memory out/detector-memory-others out/recovery-memory out/replicas out/detector-instructions out/recovery-instructions out/failure-rate out/bench-paper/instruction out/bench-quick/instruction
+	@$(BIN)/python -m tools.detector_faults out/detector-memory out/detector-memory-others out/detector-instructions out/failure-rate out/bench-paper/instruction out/bench-quick/instruction
 
 lasting: setup  ## fly missions with stuck bits, intermittent ones and bursts, write docs/generated/lasting.md
 	@$(BIN)/mavfi campaign run lasting --scale paper --out out/lasting

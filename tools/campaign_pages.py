@@ -31,9 +31,8 @@ PAGES = {
         "*twice*: a second fault while a recovery runs; the resent or recomputed value is corrupted as well. *for "
         "ever*: to the end of the flight. *intermittent*: the same, in a fifth of the publications. `recommended` "
         "restarts a node at most five times, away for 2.4 s together; after that, wrong values of a fault that still "
-        "lasts pass. `hover`, `hold` and `back` are `recommended` with that degraded mode: it gives the mission up "
-        "and keeps the vehicle in the air. All three are entered by the same alarm and give up the goal: their rows "
-        "can differ only where one of them then loses the vehicle.",
+        "lasts pass. `hold` is `recommended` with that degraded mode: it gives the mission up and keeps the vehicle in "
+        "the air.",
         ("schemes", "schemes_by_duration", "schemes_by_target"),
     ),
     "protected": Page(

@@ -1,7 +1,7 @@
 """Whether detectors prevent more failures than their own instructions cause, from ledgers of several campaigns.
 
 A ledger with faults in detectors says what these cause; one with faults in kernels, flown with and without the same
-detector, what it prevents.  Copies of a detector prevent what one does, since without a fault they agree.
+detector, what it prevents.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -20,11 +20,10 @@ TEXT = (
     "Failures per flight hour caused by faults in the detector's own instructions, minus failures prevented by the "
     "detector, in pairs of runs with the same fault in a kernel; below zero the detector pays. All kernels: dominated "
     "by the map with its many instructions. Planner: the kernel whose death loses missions. Prevented failures are "
-    "those of the campaign with most faults in kernels under the same detector. N copies prevent as many failures as "
-    "one and expose N times its instructions."
+    "those of the campaign with most faults in kernels under the same detector."
 )
 Scheme = tuple[str, str, tuple[tuple[str, Any], ...]]
-"""Detector, profile if there is a choice, and keys of the mission without the number of copies."""
+"""Detector, profile if there is a choice, and keys of the mission."""
 Parts = Mapping[str, tuple[int, tuple[Exposed, ...]]]
 
 
@@ -43,7 +42,6 @@ class Source(NamedTuple):
 def scheme_of(arm: Mapping[str, Any]) -> Scheme:
     """The scheme of an arm, as `Runs.campaign` describes it, whatever its name."""
     detector, mission = str(arm["detector"]), {**arm.get("mission", {})}
-    mission.pop("copies", None)
     profile = str(arm["profile"]) if detector in of_monitored_fields() else ""
     return detector, profile, tuple(sorted(mission.items()))
 

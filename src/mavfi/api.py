@@ -24,7 +24,6 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
 from mavfi.hosts.host import ArmSetup, Flight, Host, host_for
-from mavfi.hosts.isolated import in_child
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
@@ -74,13 +73,9 @@ def fly(
     watching, label = _watching(scenario, detector, profile, models, spec.trained_for)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
     bare, request = resolve(asked), parse(fault, spec.localization) if isinstance(fault, str) else None
-
-    def fly_all() -> FlightResult:
-        if isinstance(fault, str):
-            return fly_request(own, request, fault_seed, label, bare)
-        return _fly_fault(own, fault, label, bare)
-
-    return in_child(watching, fly_all) if isinstance(detector, str) else fly_all()
+    if isinstance(fault, str):
+        return fly_request(own, request, fault_seed, label, bare)
+    return _fly_fault(own, fault, label, bare)
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:

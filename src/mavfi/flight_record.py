@@ -29,8 +29,8 @@ AFTERMATH = 1.0
 
 LIMITED, SILENCED = "detector_limited", "detector_silenced"
 """Kinds of events: alarms get no response for a while, or no longer, since too many of them changed nothing."""
-STUCK, CRASHED = "detector_stuck", "detector_crashed"
-"""Kinds of events: a detector is disabled since a call of it did not return, or crashed."""
+CRASHED = "detector_crashed"
+"""Kind of the event when a custom detector is disabled after an exception."""
 CONTROLLER_LOST = "controller_lost"
 """Kind of the event when a flight controller that is a program of its own ends or hangs."""
 

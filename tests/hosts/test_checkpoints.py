@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.local import checkpoints, fly
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import Watch
+from mavfi.hosts.loop.recovery import DetectorTap
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.watching import detector_for
 from mavfi.pipeline.memory import Foreign, Memory
@@ -66,7 +66,7 @@ class Stop:
         loop.taps.injector = None if self.injector is None else self.injector.copy()
         self.keeper.restore(self.detector)
         if self.keeper.content is not None:
-            loop.taps.detector = Watch(loop, self.keeper.content)
+            loop.taps.detector = DetectorTap(loop, self.keeper.content)
         with np.errstate(all="ignore"):
             loop.run()
         return loop.flight().log

@@ -19,8 +19,8 @@ from mavfi.hosts.local import branch, fast_forward, fly
 from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.decide import History
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.loop.recovery import Remembered
 from mavfi.hosts.loop.sensing import SensorMemory
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
@@ -278,7 +278,7 @@ TAKING_PART = {
     "duplicate": (lambda: Duplicate(), INLINE),
     "recommended": (lambda: detector_of("recommended", "paper", mission()), escalating()),
     "restarts": (lambda: Scripted("perception.map_update", n=25, stage="perception", times=3, hard=True), escalating()),
-    "hover": (lambda: Scripted("control.command", n=300, times=200, hard=True), escalating(degraded="hover")),
+    "hold": (lambda: Scripted("control.command", n=300, times=200, hard=True), escalating(degraded="hold")),
 }
 """Detectors that act on flights without an alarm, or answer one depending on earlier events."""
 
@@ -303,15 +303,15 @@ STRUCK = [None, *(FAULTS[number] for number in (0, 3, 8, 9, 13, 20, 16, 17))]
 )
 def test_detectors_that_take_part_are_fast_forwarded_too(name):
     forward = FastForward(mission())
-    faults = STRUCK[:3] if name == "hover" else STRUCK  # which hovers to the time limit
+    faults = STRUCK[:3] if name == "hold" else STRUCK  # which holds its position to the time limit
     other, logs = under(name, forward, faults)
     assert other == []
     assert forward.share.flights == len(faults) and forward.share.flown < forward.share.ticks
     if name in ("checksum", "oracle", "recommended"):  # a message that is sent again leaves no trace
         assert forward.share.converged > 0
-    if name in ("restarts", "hover"):
+    if name in ("restarts", "hold"):
         kinds = {alarm.action for log in logs for alarm in log.alarms}
-        assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hover": {"hover"}}[name]
+        assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hold": {"hold"}}[name]
 
 
 @pytest.mark.slow
@@ -331,7 +331,7 @@ def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not(
         ("duplicate", (branch, "takes_part", lambda *_: False)),
         ("silent", (branch, "takes_part", lambda *_: False)),
         ("restarts", (branch.Branch, "begin_empty", lambda _: None)),
-        ("hover", (Remembered, "copy", lambda _: Remembered())),
+        ("hold", (History, "copy", lambda _: History())),
     ],
 )
 def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, name, mutant):
@@ -340,7 +340,7 @@ def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, nam
     forward = FastForward(mission())
     try:
         forward.fly()
-        assert under(name, forward, [STRUCK[5]] if name == "hover" else STRUCK[:7])[0] != []
+        assert under(name, forward, [STRUCK[5]] if name == "hold" else STRUCK[:7])[0] != []
     except Exception as error:  # the flight from take-off would decide
         assert not isinstance(error, AssertionError), error
 

@@ -17,7 +17,7 @@ from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
-from mavfi.states import GUARDS, INJECTABLE, MONITORED_SETS, PLANNERS
+from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
@@ -38,7 +38,7 @@ _UNDER_TEST = {"node": "node", "airsim_program": "program"}
 
 
 class MemorySampling(Config):
-    """Faults in memory of kernels, detectors or recovery: one bit, uniform over bits and instants of a golden run."""
+    """Faults in memory of kernels or detectors: one bit, uniform over bits and instants of a golden run."""
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["memory"]
@@ -68,7 +68,7 @@ class InstructionSampling(Config):
     scheme: Literal["uniform", "stratified"] = Field(
         "uniform", description="over dynamic instructions, or by value class and source line with weights"
     )
-    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm; recovery")
+    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm")
     share: Literal["kernel", "stage"] = Field(
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
     )
@@ -78,7 +78,7 @@ class InstructionSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *GUARDS))
+        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
         check_distinct("sampling.kernels", self.kernels)
         return self
 

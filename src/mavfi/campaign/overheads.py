@@ -23,7 +23,7 @@ from mavfi.detectors.detector import Detector, admission
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.decision import SCANNING, Action
+from mavfi.hosts.loop.decide import SCANNING, Action
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec
@@ -184,7 +184,7 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
     """
     detector.start()
     spent, clock = 0.0, time.perf_counter
-    at_once, otherwise = admission(detector, limit=False)  # which is no cost of a detector
+    at_once, otherwise = admission(detector)
     seal: Callable[[State, int], None] | None = getattr(detector, "seal", None)
     for first in range(0, len(publications), _BLOCK):
         block = publications[first : first + _BLOCK]

@@ -14,7 +14,6 @@ from typing import Any, Literal, NamedTuple
 
 from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.copies import lead_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
 from mavfi.campaign.shard import WHOLE, Shard
@@ -208,7 +207,7 @@ class Plan:
         else:
             kind = "injected"
             variant = self._arm(draw.variant)
-            again = self.copies_of(variant.name) if variant.detector else self.watching
+            again = (variant,) if variant.detector else self.watching
             settings = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in again]
             settings = settings if variant.detector else [(variant, FI), *settings]
         return [
@@ -227,7 +226,7 @@ class Plan:
             first = (shard.number - 1 - place * campaign.missions) % shard.of
             for block in self.sampler.blocks(name):
                 variant = block.draw(0).variant if block.count else ""
-                runs = len(self.copies_of(variant)) if self._arm(variant).detector else each
+                runs = 1 if self._arm(variant).detector else each
                 total += _of_shard(block.count, campaign.missions, first, shard.of) * runs
             total += _of_shard(campaign.nulls, campaign.missions, first, shard.of)
         return total
@@ -239,11 +238,6 @@ class Plan:
     def keys(self, environment: str) -> dict[str, str]:
         """Scenario keys of an environment, by arm."""
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
-
-    def copies_of(self, arm: str) -> tuple[Arm, ...]:
-        """The arms that differ from an arm with a detector at most in its copies, itself included."""
-        arms = self.campaign.arms
-        return tuple(one for one in self.watching if lead_of(arms, one.name) == lead_of(arms, arm))
 
     def _arm(self, name: str) -> Arm:
         return next(arm for arm in self.arms if arm.name == name)

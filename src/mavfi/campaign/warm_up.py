@@ -14,7 +14,7 @@ from mavfi.campaign.mission import (
     MissionPlan,
     fly_mission,
     fly_missions,
-    foreign_arms,
+    has_custom_detectors,
     host_of,
     model_hashes,
     scenarios_of,
@@ -27,15 +27,15 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder
-from mavfi.states import DETECTORS, GUARDS, PLANNERS, RECOVERY
+from mavfi.states import DETECTORS, PLANNERS
 
 
 def warm_up(mission: MissionPlan) -> None:
     """Fly golden runs and draw faults to compile the required code; results are discarded.
 
-    With a detector that is not part of mavfi, only those without a detector: it may not return, or end this process.
+    With a custom detector, only those without a detector: it may not return, or end this process.
     """
-    if foreign_arms(mission):
+    if has_custom_detectors(mission):
         mission = replace(mission, campaign=_bare(mission.campaign), scenarios={})
     for item in fly_mission(mission):
         if isinstance(item, Planned) and item.last:
@@ -184,11 +184,8 @@ def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
         for kernel in campaign.sampling.kernels
     ]
     order = {name: place for place, name in enumerate([*DETECTORS, *PLANNERS])}
-    last = len(order)  # recovery calls the code of its arms' detectors
-    return [
-        _Mission(campaign)
-        for _, campaign in sorted(found, key=lambda one: order.get(one[0], last + (one[0] == RECOVERY)))
-    ]
+    last = len(order)
+    return [_Mission(campaign) for _, campaign in sorted(found, key=lambda one: order.get(one[0], last))]
 
 
 def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
@@ -206,7 +203,7 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
 def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
     if isinstance(campaign.sampling, InstructionSampling):
-        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in GUARDS))
+        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in DETECTORS))
     return _with_arms(campaign, ())
 
 
@@ -221,7 +218,7 @@ def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     arms = {
         name: arm
         for name, arm in campaign.arms.items()
-        if not arm.detector or RECOVERY in detectors or any(is_named(arm.detector, one) for one in detectors)
+        if not arm.detector or any(is_named(arm.detector, one) for one in detectors)
     }
     return campaign.model_copy(update={"arms": arms})
 

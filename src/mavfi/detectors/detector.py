@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mavfi.detectors.bounded import bounded, is_foreign, limited
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
@@ -83,18 +82,6 @@ class AtOnce(dict[str, Callable[..., object]]):
         return _takes_longer
 
 
-class _Limited(AtOnce):
-    """That of a detector that is not part of mavfi, whose calls have a time limit."""
-
-    def __init__(self, own: AtOnce) -> None:
-        super().__init__()
-        self._own = own
-
-    def __missing__(self, name: str) -> Callable[..., object]:
-        """The function for a state."""
-        return bounded(self._own[name])
-
-
 def _takes_longer(header: Any) -> bool:  # noqa: ANN401 - an array
     return True
 
@@ -115,24 +102,19 @@ class Admission(NamedTuple):
         return self.otherwise(state, time_us) if self.at_once[state.spec.name](state.header) else None
 
 
-def admission(detector: Detector, *, limit: bool = True) -> Admission:
-    """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these.
-
-    With `limit`, a detector that is not part of mavfi has a time limit; a call that exceeds it raises
-    `bounded.StuckError`.  The limit takes microseconds.
-    """
-    check, accept = (limited(detector, name) if limit else getattr(detector, name) for name in ("check", "accept"))
+def admission(detector: Detector) -> Admission:
+    """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these."""
 
     def admit(state: State, time_us: int) -> Alarm | None:
-        alarm: Alarm | None = check(state, time_us)
+        alarm = detector.check(state, time_us)
         if alarm is None:
-            accept(state, time_us)
+            detector.accept(state, time_us)
         return alarm
 
     most = min(_level_of(detector, "check"), _level_of(detector, "accept"))
     own: Any = detector
     at_once = own.at_once if _level_of(detector, "at_once") <= most else AtOnce()
-    return Admission(_Limited(at_once) if limit and is_foreign(detector) else at_once, admit)
+    return Admission(at_once, admit)
 
 
 def _level_of(detector: Detector, method: str) -> float:
@@ -147,7 +129,7 @@ def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of 
     That is the part that raises alarms as `source`, or one with its code, like the single rules of the acceptance test.
 
     It has `compiled`, these functions by name, and `instrument`, which replaces the functions of the given names and
-    restores all others.  Of several copies it is in the first, see `replicas.INJECTED`.
+    restores all others.
     """
     parts = getattr(detector, "parts", None)
     if parts is not None:

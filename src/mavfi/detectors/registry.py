@@ -28,9 +28,7 @@ them.  The figures are those of configs/detectors/<name>.yaml.  A class with a t
 the `MissionLimits` of the mission, one with a true `needs_seed` with its seed.  `recovery` contains
 the mission keys, of `OF_RECOVERY`, that go with a detector; they give way to those of a command or an arm, and replace
 `OF_OWN`."""
-OF_RECOVERY = (
-    "coupling", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node", "alarm", "epoch_liveness",
-)  # fmt: skip
+OF_RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
 """Mission keys that a detector may set."""
 OF_OWN: Mapping[str, Any] = {"grain": "kernel", "same_twice": "limit"}
 """Mission keys of a detector that is not part of mavfi, unless it sets them: it may raise alarms without end."""

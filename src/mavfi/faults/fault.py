@@ -128,7 +128,7 @@ class MemoryFault(Planned):
     """One bit of a word in a kernel's memory, at an instant.
 
     Attributes:
-        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector, or recovery.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector.
         field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".

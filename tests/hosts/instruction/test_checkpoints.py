@@ -130,10 +130,7 @@ def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatc
     "policy",
     [
         "readback",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("end", "latched", "recompute", "checkpoint", "standby")
-        ),
+        pytest.param("end", marks=pytest.mark.long),
     ],
 )
 def test_nodes_that_die_come_back_as_after_a_flight_from_take_off(policy):

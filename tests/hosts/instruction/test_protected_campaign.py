@@ -28,7 +28,7 @@ def flown(tmp_path_factory):
         "name": "combined", "environments": ["sparse"], "first_seed": 7, "missions": 1, "faults": 5,
         "sampling": {"level": "instruction", "kernels": ["pid"], "which": "data"}, "mission": {"v_max": 6.0},
         "arms": {
-            "combined": {"protection": str(folder / "plan.yaml"), "detector": "acceptance", "dead_node": "latched"}
+            "combined": {"protection": str(folder / "plan.yaml"), "detector": "acceptance", "dead_node": "readback"}
         },
     })  # fmt: skip
     assert run_campaign(config, folder / "out", executor=LocalExecutor(1)).complete

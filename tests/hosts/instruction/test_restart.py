@@ -64,11 +64,7 @@ def test_plans_of_a_fresh_planner_have_old_counters_and_are_refused(died):
 @pytest.mark.parametrize(
     ("policy", "label"),
     [
-        ("latched", "success"),
         ("readback", "success"),
-        ("recompute", "success"),
-        ("checkpoint", "success"),
-        ("standby", "success"),
         ("end", "node_died"),
     ],
 )

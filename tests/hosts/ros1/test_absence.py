@@ -12,7 +12,7 @@ from mavfi.cli.ros_nodes import mission_with
 from mavfi.errors import BadInputError, OlderNameWarning
 from mavfi.hosts.ros1 import finder, install
 from mavfi.hosts.ros1.host import Ros1Host
-from mavfi.mission import FROM_MEMORY, MissionSpec
+from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
 from tests.hosts.ros1.needs import ros
 
@@ -59,7 +59,6 @@ def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
         (["--kill", "world@3"], "allowed: point_cloud, octomap"),
         (["--coupling", "observer"], "--detector"),
         (["--coupling", "both", "--detector", "gaussian"], "inline, observer"),
-        (["--dead-node", "recompute"], "dead_node: 'recompute': on ROS, what a process computes dies with it"),
         (
             ["--dead-node", "readback", "--free-running"],
             "dead_node: 'readback': not with --free-running; allowed: fresh",
@@ -82,15 +81,9 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert text.count("\n") == 1 and message in text
 
 
-@pytest.mark.parametrize("policy", FROM_MEMORY)
-def test_a_campaign_on_ros_refuses_that_a_dead_step_is_repeated_too(policy):
-    host = Ros1Host()
+def test_a_campaign_on_ros_takes_the_older_name_of_a_policy():
     with pytest.warns(OlderNameWarning):
-        assert host.resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
-    with pytest.raises(
-        BadInputError, match=f"dead_node: '{policy}': on ROS, .*; allowed: end, fresh, latched, readback$"
-    ):
-        host.resolve(MissionSpec(dead_node=policy))
+        assert Ros1Host().resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
 
 
 def test_packages_are_named_once_and_leave_the_big_ones_out():

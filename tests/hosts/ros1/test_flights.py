@@ -18,8 +18,8 @@ from mavfi.errors import MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
+from mavfi.hosts.loop.decide import MAX_UNCHANGED
 from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.loop.recovery import MOST_UNCHANGED
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure
@@ -240,7 +240,7 @@ def test_a_node_that_returns_while_the_gate_is_down_bypasses_it_as_well():
 def test_alarms_without_end_get_a_few_recomputations_as_here():
     alarming, limit = Scripted("control.command", times=10**6), Recovery(same_twice="limit")
     log = there(short(), None, alarming, recovery=limit)
-    assert len(log.alarms) == MOST_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
+    assert len(log.alarms) == MAX_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
     same(log, fly_here(short(), detector=alarming, recovery=limit).log)
 
 

@@ -231,8 +231,8 @@ def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
         "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad", "v_max": 2.0,
         "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
         "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
-        "same_twice": "escalate", "answer_s": 0.6, "degraded": "hover", "flight_controller": "betaflight",
-        "protection": "full", "copies": 3, "trained_for": "published/i9-9940x",
+        "same_twice": "escalate", "answer_s": 0.6, "degraded": "hold", "flight_controller": "betaflight",
+        "protection": "full", "trained_for": "published/i9-9940x",
     }  # fmt: skip
     assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
     for key, value in values.items():

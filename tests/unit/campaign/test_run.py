@@ -204,7 +204,6 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
         (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
         (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
         (small(host="tests.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS), "faults of level 'instruction'"),
-        (small(arms={"x": {"detector": "checksum", "copies": 2}}), "copies: 2: detector Checksum takes part in what"),
     ):
         with pytest.raises(BadInputError, match=message):
             flown_into(directory, campaign)

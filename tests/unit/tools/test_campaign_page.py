@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.kernels.recovery.limits import BACK_OFF, MOST_RESTARTS, RESTART_US
+from mavfi.hosts.loop.decide import BACK_OFF, MAX_RESTARTS, RESTART_US
 from mavfi.states import BASELINES, WATCHING
 from tests.unit.campaign.analysis.test_failure_views import campaign as failures
 from tests.unit.campaign.analysis.test_scheme_views import lasting_scenario
@@ -47,32 +47,28 @@ def test_each_page_has_a_target_and_a_link(target):
 
 
 def test_the_page_of_faults_in_detectors_has_a_section_for_each_of_its_campaigns(monkeypatch):
-    memory = [Path(name) for name in ("memory", "others", "waiting")]
-    instructions = [Path(name) for name in ("copies", "every", "recovery")]
-    flown = {**dict.fromkeys(memory, lasting_scenario()), **dict.fromkeys(instructions, failures())}
+    memory, instructions = [Path(name) for name in ("memory", "others")], Path("instructions")
+    flown = {**dict.fromkeys(memory, lasting_scenario()), instructions: failures()}
     monkeypatch.setattr(campaign_page, "load", flown.__getitem__)
     monkeypatch.setattr(detector_faults, "VIEWS", ("schemes_by_duration",))
-    page = detector_faults.content(*memory, *instructions)
+    page = detector_faults.content(*memory, instructions)
     titles = [line for line in page.splitlines() if line.startswith("#")]
     tables = ["## Failures per flight hour by setting and kernel"]
     assert titles[0] == "# Faults in detectors"
     assert titles[2:] == [
-        "## Memory of other detectors", titles[1], "## Memory of recovery", titles[1],
-        "## Instructions of detectors, alone and in copies", *tables, "## Instructions of every detector", *tables,
-        "## Instructions of recovery", *tables,
+        "## Memory of other detectors", titles[1], "## Instructions of every detector", *tables,
     ]  # fmt: skip
-    assert page.count("| sparse | fi | pid |") == 3 and detector_payoff.TITLE not in page
+    assert page.count("| sparse | fi | pid |") == 1 and detector_payoff.TITLE not in page
     named = {**failures().campaign, "arms": {"gaussian": {"detector": "gaussian", "profile": "paper", "mission": {}}}}
     monkeypatch.setattr(detector_faults, "load", lambda ledger: replace(failures(), campaign=named))
-    assert detector_payoff.TITLE in detector_faults.content(*memory, *instructions, Path("kernels"))
+    assert detector_payoff.TITLE in detector_faults.content(*memory, instructions, Path("kernels"))
 
 
 def test_the_campaigns_of_faults_in_detectors_are_those_of_its_target():
     lines = (ROOT / "Makefile").read_text(encoding="utf-8").split("\ndetector-faults: setup")[1].split("\n\n")[0]
     flown = [line.split()[3] for line in lines.splitlines() if "campaign run" in line]
     assert flown == [
-        "detector_memory", "detector_memory_others", "recovery_memory",
-        "replicas", "detector_instructions", "recovery_instructions", "failure_rate",
+        "detector_memory", "detector_memory_others", "detector_instructions", "failure_rate",
     ]  # fmt: skip
     outs = [line.split("--out ")[1] for line in lines.splitlines() if "campaign run" in line]
     assert "bench detectors --part instruction --scale paper --out out/bench-paper " in lines
@@ -83,7 +79,7 @@ def test_the_campaigns_of_faults_in_detectors_are_those_of_its_target():
 
 
 def test_whatever_remembers_something_is_a_target_of_one_of_these_campaigns():
-    memory = [load_campaign(name) for name in ("detector_memory", "detector_memory_others", "recovery_memory")]
+    memory = [load_campaign(name) for name in ("detector_memory", "detector_memory_others")]
     assert {campaign.sampling.level for campaign in memory} == {"memory"}
     targets = {name for campaign in memory for name in campaign.sampling.kernels}
     assert targets == {*WATCHING} - {*BASELINES}, "models of baselines are not shipped"
@@ -99,5 +95,5 @@ def test_every_duration_is_flown_with_every_group_of_fields():
 
 
 def test_the_text_tells_how_long_restarts_last():
-    away_us = sum(RESTART_US * BACK_OFF**number for number in range(MOST_RESTARTS))
+    away_us = sum(RESTART_US * BACK_OFF**number for number in range(MAX_RESTARTS))
     assert f"{1e-6 * away_us:.1f} s" in PAGES["lasting"].text

@@ -17,15 +17,14 @@ PLANNED = {"rrt_connect": {"instructions": 50, "calls": 1, "lines": []}}
 
 
 def in_detectors(*arms, lost=0, seeds=10):
-    """Faults in a detector with several copies, of which the golden runs count the instructions."""
+    """Faults in a detector of several arms, of which the golden runs count the instructions."""
     own = []
     for seed in range(seeds):
         own.append(golden(seed, counted("pid")))
         for arm in arms:
             own.append(golden(seed, counted("gaussian"), arm=arm))
             own.append(injected(seed, flown(seed >= lost), IN_DETECTOR, arm=arm, target="gaussian"))
-    known = {arm: {**GAUSSIAN, "mission": {"copies": number + 1}} for number, arm in enumerate(arms)}
-    return runs(*own, name="detectors", arms=known)
+    return runs(*own, name="detectors", arms=dict.fromkeys(arms, GAUSSIAN))
 
 
 def planner(name, arm, seeds, saved=True):
@@ -46,7 +45,7 @@ def cells(text):
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:4] == "| `d"]
 
 
-def test_copies_prevent_what_one_detector_does_and_cause_their_own_failures():
+def test_a_detector_prevents_failures_and_causes_its_own():
     one = replace_about(campaign(), name="kernels", arms={"gaussian": GAUSSIAN})
     rows = cells(section([in_detectors("x1", "x2", lost=2)], [one]))
     whole = payoff(campaign(), "sparse", "dr_gaussian", UPSET)
@@ -79,7 +78,6 @@ def test_a_detector_that_nobody_flew_with_faults_in_kernels_has_no_verdict_but_a
 
 
 def test_schemes_are_known_by_what_they_fly_with():
-    assert scheme_of({**GAUSSIAN, "mission": {"copies": 3}}) == scheme_of(GAUSSIAN)
     assert scheme_of({**GAUSSIAN, "profile": "tuned"}) != scheme_of(GAUSSIAN)
     assert scheme_of({**GAUSSIAN, "mission": {"grain": "kernel"}}) != scheme_of(GAUSSIAN)
     limits = {"detector": "limits", "profile": "paper", "mission": {}}

@@ -23,7 +23,7 @@ from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
 _NAMED = (
-    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node",
+    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node",
     "alarm", "epoch_liveness", "protection",
 )  # fmt: skip
 """Keys of a mission that are listed when they differ from their defaults."""

@@ -34,7 +34,7 @@ from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.ir.build import Rewriting
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.states import DETECTORS, GUARDS, INJECTABLE
+from mavfi.states import DETECTORS, INJECTABLE
 
 _ROUNDS, _SPARE, _NEAR = 6, 40, 200
 
@@ -104,7 +104,7 @@ def draw_instruction_faults(
         _draw_uniform(draws, resolve)
     return Drawn(
         golden,
-        {draw.kernel: _counts(list(draw.counted.values()), _copies(draw.kernel, recovery)) for draw in draws},
+        {draw.kernel: _counts(list(draw.counted.values())) for draw in draws},
         {draw.kernel: draw.faults() for draw in draws},
     )
 
@@ -158,11 +158,11 @@ def in_other_calls(fault: InstructionFault, setup: ArmSetup, count: int) -> list
 
 
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
-    """The compiled functions of a kernel, of the detector of that name, or of recovery."""
+    """The compiled functions of a kernel, or of the detector of that name."""
     if kernel in DETECTORS:
         compiled: dict[str, Any] = part_of(detector, kernel).compiled
         return compiled
-    return {name: getattr(PLAIN, name) for name in (INJECTABLE | GUARDS)[kernel]}
+    return {name: getattr(PLAIN, name) for name in INJECTABLE[kernel]}
 
 
 @contextmanager
@@ -269,19 +269,14 @@ def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
         draw.take((member.function, call, start + member.site.offset), member.site, chosen.weight)
 
 
-def _copies(kernel: str, recovery: Recovery) -> int:
-    """Number of copies that execute a kernel's instructions; in golden flights those of a detector are identical."""
-    return recovery.copies if kernel in DETECTORS else 1
-
-
-def _counts(functions: Sequence[Profiling], copies: int = 1) -> dict[str, Any]:
-    """Executed instructions and calls of all copies, given the functions of one."""
+def _counts(functions: Sequence[Profiling]) -> dict[str, Any]:
+    """Executed instructions and calls of functions."""
     lines: Counter[tuple[str, int]] = Counter()
     for function in functions:
         for _, site, times in function.executed():
-            lines[site.file, site.line] += copies * times
+            lines[site.file, site.line] += times
     return {
-        "instructions": copies * sum(sum(function.counts) for function in functions),
-        "calls": copies * sum(len(function.counts) for function in functions),
+        "instructions": sum(sum(function.counts) for function in functions),
+        "calls": sum(len(function.counts) for function in functions),
         "lines": [[file, line, count] for (file, line), count in sorted(lines.items())],
     }

@@ -2,18 +2,16 @@
 
 A mission's golden run counts the instructions of its kernels and draws the faults.  Faults in a planner other than the
 campaign's are drawn in separate missions with that planner.  Faults in a detector are drawn from the golden run of its
-arm, which counts kernels, recomputations included, and detector, and are injected in that arm alone; with arms that
-differ in its copies alone, in each of these.  Recovery is in every arm with a detector: each draws faults of its own.
+arm, which counts kernels, recomputations included, and detector, and are injected in that arm alone.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
-from mavfi.campaign.copies import injected_in, lead_of
 from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, watched_in
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
@@ -21,7 +19,7 @@ from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.hosts.local.mission_flights import LocalFlights
 from mavfi.ir.digest import DIGEST_VERSION
-from mavfi.states import GUARDS, KERNEL_STAGES, PLANNERS, PPC_STAGES
+from mavfi.states import DETECTORS, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 
 class InstructionSampler:
@@ -49,47 +47,39 @@ class InstructionSampler:
                 f"sampling.kernels: {others[0]!r}: detectors are trained with one planner; allowed with arms: kernels "
                 f"of missions with planner {planner!r}"
             )
-        self._watched = {name: injected_in(campaign, name) for name in self._sampling.kernels if name in GUARDS}
+        self._watched = {name: watched_in(campaign, name) for name in self._sampling.kernels if name in DETECTORS}
         _check_arms(campaign, self._sampling.kernels, {"planner": planner, "map": "octomap"})
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """One block per kernel or stage, and per arm of a guard; the seed draws the kernels of a stage's faults."""
+        """One block per kernel or stage; the seed draws the kernels of a stage's faults."""
         if environment not in self._blocks:
-            groups = [
-                (group, number)
-                for group in kernel_groups(self._sampling)
-                for number in range(len(self._flown_in(group[0])))
-            ]
-            self._blocks[environment] = [self._block(environment, place, *group) for place, group in enumerate(groups)]
+            groups = kernel_groups(self._sampling)
+            self._blocks[environment] = [self._block(environment, place, group) for place, group in enumerate(groups)]
         return self._blocks[environment]
 
-    def _block(self, environment: str, place: int, group: tuple[str, ...], number: int) -> Block:
+    def _block(self, environment: str, place: int, group: tuple[str, ...]) -> Block:
         campaign, stage = self._campaign, str(KERNEL_STAGES.get(group[0], group[0]))
         kernels = share_out(dict.fromkeys(group, 1.0), campaign.faults, campaign.first_seed, environment, stage)
-        # numbers identify the faults of a target, so each arm has its own; whole rounds of missions keep their missions
-        before = number * -(-campaign.faults // campaign.missions) * campaign.missions
 
         def draw_one(index: int) -> Draw:
-            seed, variant = campaign.first_seed + index % campaign.missions, self._flown_in(kernels[index])[number]
-            return Draw(kernels[index], before + index, seed, variant)
+            seed = campaign.first_seed + index % campaign.missions
+            return Draw(kernels[index], index, seed, self._flown_in(kernels[index]))
 
         return Block(campaign.faults, draw_one, place * campaign.faults)
 
-    def _flown_in(self, kernel: str) -> tuple[str, ...]:
-        """Variant or arms in whose golden runs faults of a kernel are drawn; "" = the campaign's own mission."""
-        return self._watched.get(kernel, (kernel if kernel in self.variants else "",))
+    def _flown_in(self, kernel: str) -> str:
+        """Variant or arm in whose golden runs faults of a kernel are drawn; "" = the campaign's own mission."""
+        return self._watched.get(kernel, kernel if kernel in self.variants else "")
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
         """Fly the golden run with instruction counters, and draw its faults."""
         targets = [draw.target for draw in draws]
-        lead = lead_of(self._campaign.arms, arm)
-        is_watched = any(lead in arms for arms in self._watched.values())
-        places = {lead, ""} if is_watched else {arm}  # there kernels are counted, too
-        kernels = [name for name in self._sampling.kernels if not places.isdisjoint(self._flown_in(name))]
+        places = {arm, ""} if arm in self._watched.values() else {arm}  # there kernels are counted, too
+        kernels = [name for name in self._sampling.kernels if self._flown_in(name) in places]
         if not kernels:
             return Sampled(flights.golden(arm))
         sampling, scenario = self._sampling, setup.scenario
@@ -136,4 +126,4 @@ def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
     if sampling.share == "kernel":
         return [(name,) for name in sampling.kernels]
     stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES.get(name) is stage) for stage in PPC_STAGES]
-    return [group for group in (*stages, *((name,) for name in sampling.kernels if name in GUARDS)) if group]
+    return [group for group in (*stages, *((name,) for name in sampling.kernels if name in DETECTORS)) if group]

@@ -10,6 +10,7 @@ import numpy as np
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import contains, detector_names, is_named
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import injection_of
@@ -19,7 +20,7 @@ from mavfi.hosts.host import Flight
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers
-from mavfi.states import DETECTORS, GUARDS, INJECTABLE, INJECTED_KERNEL, PLANNERS, RECOVERY, State
+from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, State
 
 WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
@@ -78,7 +79,7 @@ class Case:
 
     Attributes:
         fault: The sampled fault.
-        kernel: The injected kernel of the pipeline, "" = the detector or recovery; `call` of its function is injected,
+        kernel: The injected kernel of the pipeline, "" = the detector; `call` of its function is injected,
             at `time_us` (us).
         value: The injected value, as reported by the machine code.
         how: How the call ended, or `WAITING`; `detail`: as in `KernelEffect`.
@@ -104,20 +105,22 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
         BadInputError: The kernel is unknown, is a planner that the mission does not use, or is a detector that does not
             monitor the mission.
     """
-    if kernel in GUARDS:
+    if kernel in DETECTORS:
         check_watched(kernel, detector)
         return
+    if dropped_name("kernels", kernel):
+        raise BadInputError(dropped_name("kernels", kernel))
     if kernel not in INJECTABLE:
         configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
         why = f"is a configuration of {configured!r}, whose instructions can be injected" if configured else "not known"
-        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *GUARDS))}")
+        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
 
 
 def check_watched(target: str, detector: Detector | None) -> None:
-    """Check that a detector, or recovery, is part of a flight with `detector`; `BadInputError` if not."""
-    if part_of(detector, target) is None and not (target == RECOVERY and detector is not None):
+    """Check that a detector is part of a flight with `detector`; `BadInputError` if not."""
+    if part_of(detector, target) is None:
         found = {name: [one for one in PROFILES if contains(name, one, target)] for name in detector_names()}
         named = [name if PROFILES[0] in own else f"{name} (profile {own[0]})" for name, own in found.items() if own]
         raise BadInputError(

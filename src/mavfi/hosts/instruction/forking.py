@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
-from mavfi.detectors.bounded import LONGEST_S, is_foreign, split_again
+from mavfi.detectors.custom import split_noting_calls
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
@@ -41,13 +41,12 @@ from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.ir.build import name_of
 from mavfi.ir.forked import WALL_CLOCK
-from mavfi.kernels.recovery.response import NOTHING
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied, same
 from mavfi.sim.controller import is_rewindable
-from mavfi.states import DETECTORS, RECOVERY, State
+from mavfi.states import DETECTORS, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
@@ -124,7 +123,7 @@ class ForkingFunction:
 
 
 class Forks(ABC):
-    """Injected runs that fork off a golden flight, with or without a detector; `others` are called in children.
+    """Injected runs that fork off a golden flight, with or without a detector.
 
     Attributes:
         cases: The faults, in order.
@@ -140,15 +139,13 @@ class Forks(ABC):
     published: list[Published] | None = None
 
     def __init__(
-        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None,
-        others: Sequence[Detector] = (),
+        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None
     ) -> None:  # fmt: skip
         self.cases = [case_of(fault, scenario, detector) for fault in faults]
         self.child: Child | None = None
         self._awaited: dict[str, list[Case]] = {}
         self._detector, self._rewriting = detector, rewriting_of(scenario)
         self._shifts = detector is not None or self._rewriting is not None
-        self._timeout = TIMEOUT + (LONGEST_S if any(map(is_foreign, (detector, *others))) else 0.0)
 
     @abstractmethod
     def restarts(self) -> Restarts:
@@ -184,18 +181,18 @@ class Forks(ABC):
             if ended is None:
                 assert self.child is not None  # this is one
                 self.child.in_time = repetition == "vote"
-                return True, NOTHING if self._ends_recovery(case) else function(*args)
+                self._end_detector(case)
+                return True, function(*args)
             case.report = _report_of(ended)
         if case.kernel:
             self._awaited.setdefault(case.kernel, []).append(case)
         return False, None
 
-    def _ends_recovery(self, case: Case) -> bool:
-        """End the detector of a child whose call was of it or of recovery; returns whether recovery ends with it."""
-        if case.kernel or self._detector is None:
-            return False
-        down_us, recovery = round(1e6 * case.fault.restart_s), case.fault.kernel == RECOVERY
-        return self.restarts().detector_dies(self._detector, self.loop.now, down_us, recovery=recovery) and recovery
+    def _end_detector(self, case: Case) -> None:
+        """End the detector of a child whose call was of it."""
+        if not case.kernel and self._detector is not None:
+            down_us = round(1e6 * case.fault.restart_s)
+            self.restarts().detector_dies(self._detector, self.loop.now, down_us)
 
     def _repetition(self, function: Any, args: tuple[Any, ...]) -> str:
         """See `repetition_of`."""
@@ -217,7 +214,7 @@ class Forks(ABC):
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
-            ended = split_again(point, self._timeout)
+            ended = split_noting_calls(point, TIMEOUT)
             if ended is None:
                 self.child, self.loop.forked = Child(point, case, dead), True
             if ended is None or ended.detail != WALL_CLOCK:
@@ -265,7 +262,7 @@ class Forks(ABC):
                     if not child.in_time:
                         self.restarts().recompute(kernel.name, now, states)
                     return
-                self.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s), states)
+                self.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
             elif child.output is None:
                 child.output = Output.of(kernel, states)
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavfi.detectors.bounded import StuckError
 from mavfi.detectors.detector import Detector, admission
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog
@@ -236,7 +235,7 @@ class Branch:
         seen = (one for one in track.shown[here.shown : there.shown] if watched is None or one[0].spec.name in watched)
         try:
             return any(admit(state, now) is not None for state, now in seen)
-        except (StuckError, Exception):
+        except Exception:  # noqa: BLE001 - of a custom detector
             return True
 
     # ---- flying -----------------------------------------------------------------------------------------------------

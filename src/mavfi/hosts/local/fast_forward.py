@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.bounded import StuckError, limited
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
@@ -149,7 +148,7 @@ class FastForward:
         put(loop, self._take_off)
         branch.begin_empty()
         if detector is not None:
-            _start(detector)
+            detector.start()
         branch.keep(self._take_off)
         loop.record.publications.wanted = detector is None
         track = branch.fly()
@@ -161,7 +160,7 @@ class FastForward:
         """The golden flight with a detector."""
         plain = self.golden()
         branch = Branch(self, detector, [plain], keeps=True)
-        _start(detector)
+        detector.start()
         branch.begin(plain, plain.checkpoints[0])
         branch.loop.taps.injector = CounterWatch()
         branch.keep(plain.checkpoints[0].here)
@@ -208,11 +207,3 @@ class FastForward:
         if derived:
             self._tracks(fault)[arm] = track
         return track
-
-
-def _start(detector: Detector) -> None:
-    """Initialize a detector; raises a MavfiError if it does not return: it must be flown from take-off."""
-    try:
-        limited(detector, "start")()
-    except StuckError as error:
-        raise MavfiError("the detector does not start") from error

@@ -85,7 +85,7 @@ class ForksFromCheckpoints(Forks):
         self, forward: FastForward, faults: Sequence[InstructionFault], detector: Detector | None, arm: str,
         recovery: Recovery, watched: Mapping[str, WatchedArm],
     ) -> None:  # fmt: skip
-        super().__init__(forward.loop.scenario, faults, detector, [arm.detector for arm in watched.values()])
+        super().__init__(forward.loop.scenario, faults, detector)
         self.loop = forward.loop
         self._forward, self._arm, self._recovery, self._watched = forward, arm, recovery, watched
         self._branch: Branch | None = None

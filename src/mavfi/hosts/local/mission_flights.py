@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
+from mavfi.detectors.custom import is_custom
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.instruction import Resolving
@@ -17,7 +18,7 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.sim.simulator import Simulator
-from mavfi.states import GUARDS
+from mavfi.states import DETECTORS
 
 Found = TypeVar("Found")
 
@@ -102,7 +103,7 @@ class LocalFlights(ArmFlights):
         others = []
         for place, (arm, fault) in enumerate(runs):
             if isinstance(fault, InstructionFault):
-                batches.setdefault((fault.kernel in GUARDS, arm), []).append((place, fault))
+                batches.setdefault((fault.kernel in DETECTORS, arm), []).append((place, fault))
             else:
                 others.append(place)
         for number, flight in one_by_one([runs[place] for place in others], self._fly_injected):
@@ -150,7 +151,7 @@ class LocalFlights(ArmFlights):
     ) -> InjectedRuns | None:  # fmt: skip
         """As `_from_take_off`, fast-forwarded; None if that is not possible."""
         golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
-        if golden is None or takes_part(detector, recovery) or any(fault.kernel in GUARDS for fault in faults):
+        if golden is None or takes_part(detector, recovery) or any(fault.kernel in DETECTORS for fault in faults):
             return None
         followers = [other for other in arms if detector is None and self._follows(other, arm)]
         watched = {other: self._watched_arm(other) for other in followers}
@@ -163,8 +164,13 @@ class LocalFlights(ArmFlights):
         return self._forwarded(arm, fly_all)
 
     def _follows(self, arm: str, plain: str) -> bool:
-        """Whether an arm differs from one without a detector by a detector alone, and can be fast-forwarded."""
+        """Whether an arm differs from one without a detector by a detector alone, and can be fast-forwarded.
+
+        A custom detector is not called in the other arm's flights: it could end these.
+        """
         setup, detector = self._arms[arm], self._detector(arm)
+        if is_custom(detector):
+            return False
         same = setup.scenario.key() == self._arms[plain].scenario.key()
         return same and detector is not None and arm in self._golden and not takes_part(detector, setup.recovery)
 

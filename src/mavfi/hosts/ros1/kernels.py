@@ -10,7 +10,7 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.decision import SCANNING
+from mavfi.hosts.loop.decide import SCANNING
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.convert import MAP

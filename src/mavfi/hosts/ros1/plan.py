@@ -3,7 +3,7 @@
 import pickle
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
@@ -12,7 +12,7 @@ from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
-from mavfi.mission import FROM_MEMORY, DeadNode, MissionSpec, Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
 
@@ -24,22 +24,14 @@ def check_supported(spec: MissionSpec) -> None:
     """Check that ROS nodes can fly a mission.
 
     Raises:
-        BadInputError: The mission requires retransmission of messages, recomputation of a dead node's step, copies of
-            the detector, or a degraded mode.
+        BadInputError: The mission requires retransmission of messages, protection, or a degraded mode.
     """
     if spec.grain == "message":
         raise BadInputError("grain: 'message': on ROS, nodes keep no copy of what they sent; allowed: stage, kernel")
     if spec.protection:
         raise BadInputError(f"protection: {spec.protection!r}: not on ROS; allowed: none")
-    if spec.copies != 1:
-        raise BadInputError(f"copies: {spec.copies}: on ROS, the detector is one node; allowed: 1")
     if spec.degraded != "none":
         raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
-    if spec.dead_node in FROM_MEMORY:
-        allowed = ", ".join(policy for policy in get_args(DeadNode) if policy not in FROM_MEMORY)
-        raise BadInputError(
-            f"dead_node: {spec.dead_node!r}: on ROS, what a process computes dies with it; allowed: {allowed}"
-        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ import numpy as np
 from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.loop.decision import Action
-from mavfi.hosts.loop.recovery import Watch
+from mavfi.hosts.loop.decide import Action
+from mavfi.hosts.loop.recovery import DetectorTap
 from mavfi.hosts.ros1.convert import to_stamp
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type
@@ -20,7 +20,6 @@ from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTION, INJECTOR, RECOMPU
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports, fatal
 from mavfi.mission import Scenario
-from mavfi.pipeline.functions import PLAIN
 from mavfi.states import STATES, State, StateSpec, in_node
 
 if TYPE_CHECKING:
@@ -76,15 +75,15 @@ class Injector:
 
 
 class Shadow:
-    """Stub of a loop for `Watch` in the detector's node: the world holds the real loop and executes the actions.
+    """Stub of a loop for a `DetectorTap` in the detector's node: the world has the real loop and executes the actions.
 
     Attributes:
-        scenario, functions, awaited, requests, busy: As of `Loop`.
+        scenario, awaited, requests, busy: As of `Loop`.
         record: Alarms only; the world records events.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario, self.functions = scenario, PLAIN
+        self.scenario = scenario
         self.awaited: dict[str, Any] = {}
         self.requests: dict[str, Any] = {}
         self.busy: dict[str, Any] = {}
@@ -111,7 +110,7 @@ class Watcher:
         assert plan.detector is not None
         plan.detector.start()
         self._shadow = Shadow(plan.scenario)
-        self._watch = Watch(cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget)
+        self._tap = DetectorTap(cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget)
         self._gated, self._free = plan.gated, plan.free_running
         self._lock = threading.Lock()
         self._ports = ports = Ports(DETECTOR, plan)
@@ -147,8 +146,8 @@ class Watcher:
     def _arrived(self, state: State, number: int, time_us: int) -> None:
         with self._lock, np.errstate(all="ignore"):
             with suppress(BadInputError):  # an unknown stage: the world reports it
-                self._watch(state, time_us)
-            alarm, action = self._watch.alarm, self._watch.action
+                self._tap(state, time_us)
+            alarm, action = self._tap.alarm, self._tap.action
             withheld = action is not None and action.withholds
             if self._gated:
                 (self._rejects if withheld else self._outlets)[state.spec.name].publish(state, number, time_us)
