@@ -26,7 +26,7 @@ def runs():
 
 def test_the_page_has_a_row_for_every_site():
     page = build_fault_map.page(runs(), "2026-11-20")
-    assert page.startswith("<!-- Written by `make fault-map`; do not edit. -->\n\n# Fault map")
+    assert page.startswith("<!-- Written by `make results NAME=fault-map`; do not edit. -->\n\n# Fault map")
     assert "dense, 2 missions (seeds 0 to 1), 2026-11-20, mavfi 1.0, digest `0123456789abcdef`." in page
     assert "| way-point position \u00b7 sign | 2 | 50 [9, 91] | 100 [34, 100] | +25 % |" in page
     assert "| voxel \u00b7 sign | 2 | 0 [0, 66] | 0 [0, 66] | +1 % |" in page
@@ -39,4 +39,4 @@ def test_key_lines_leave_the_other_sites_out():
 
 def test_a_folder_without_a_ledger_is_refused(tmp_path, capsys):
     assert build_fault_map.main(tmp_path / "none") == 2
-    assert "run `make fault-map`" in capsys.readouterr().err
+    assert "run `make results NAME=fault-map`" in capsys.readouterr().err
