@@ -184,8 +184,8 @@ def table(studies: list[Study]) -> str:
     )
     lines = [
         f"Measured by `make bench NAME=machine_level`: {date.today()} · {processor()} · {versions}. Arguments of the "
-        f"call in the middle of a golden flight ({ENVIRONMENT}, {AUTOPILOT}, seed {SEED}), of the point cloud {RAYS} rays, "
-        f"of the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in "
+        f"call in the middle of a golden flight ({ENVIRONMENT}, {AUTOPILOT}, seed {SEED}), of the point cloud {RAYS} "
+        f"rays, of the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in "
         "points, with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code "
         "is for any x86-64 processor, plain code for the present one.",
         "",

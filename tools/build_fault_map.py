@@ -24,9 +24,10 @@ COLUMNS = (
 TEXT = (
     "A flag, its counter and the epochs of trajectories lose most missions, and no detector of the paper watches the "
     "epochs; way-points and path vertices cost time and some missions while they are in force; clouds, voxels and "
-    "commands, which the next message repairs, cost next to nothing. Of the paper's findings these confirm that way-points "
-    "matter, mantissas and low bits do not. Flown on the design seeds, on which the autopilot profiles were tuned, to "
-    "see whether a change of a rule hides faults: for publication, campaigns `table1` and `states` fly other seeds."
+    "commands, which the next message repairs, cost next to nothing. Of the paper's findings these confirm that "
+    "way-points matter, mantissas and low bits do not. Flown on the design seeds, on which the autopilot profiles "
+    "were tuned, to see whether a change of a rule hides faults: for publication, campaigns `table1` and `states` fly"
+    " other seeds."
 )
 MOST_HARMFUL = 0.07
 """Rows are shown whose rate of failed missions is at least this, and those that the text names."""

@@ -2,6 +2,7 @@
 
     make results NAME=leaderboard                    # flies mavfi-bench-1 at scale paper, hours
     python -m tools.build_leaderboard out/bench quick
+    python -m tools.build_leaderboard page           # the page alone, from the rows
 
 Rows are kept in configs/bench/mavfi-bench-1/PART-SCALE.rows.csv: `mavfi bench` shows them beside a custom detector.
 Schemes that were not flown keep their rows: all are of the same frozen faults.  Only scale paper has a page.
@@ -348,11 +349,14 @@ def fly(scale: str, bench: str = NAME) -> Path:
 
 def main(arguments: Sequence[str]) -> int:
     """Publish a bench; returns the exit code."""
+    bench = load_bench(NAME)
+    if list(arguments) == ["page"]:
+        write_page(bench)
+        return 0
     if len(arguments) not in (0, 2):
-        print("bad input: usage: python -m tools.build_leaderboard [DIR SCALE]", file=sys.stderr)
+        print("bad input: usage: python -m tools.build_leaderboard [page | DIR SCALE]", file=sys.stderr)
         return 2
     folder, scale = (Path(arguments[0]), arguments[1]) if arguments else (fly(PUBLISHED), PUBLISHED)
-    bench = load_bench(NAME)
     try:
         compared = set(load(folder / "sites").values("arm")) if (folder / "sites").is_dir() else set()
         if not any((folder / part).is_dir() for part in bench.parts):

@@ -4,8 +4,8 @@
 
 Of a study at another scale than paper, only the digests of its ledgers go to README.md.
 
-The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and tables.  All are copied
-verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
+The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and tables.  All are
+copied verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Draw docs/images/hardening.png: coverage of each kernel against its time, from the table of docs/results/hardening.md."""
+"""Draw docs/images/hardening.png: coverage of each kernel against its time (docs/results/hardening.md)."""
 
 import csv
 from dataclasses import dataclass

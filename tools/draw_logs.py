@@ -1,6 +1,7 @@
 """Draw docs/images/logs.png: alarms in a recorded flight around a known motor fault.
 
-Run as `make pictures LOGS=FOLDER`, with the folder of `make results NAME=real-logs`; without one the picture remains unchanged.
+Run as `make pictures LOGS=FOLDER`, with the folder of `make results NAME=real-logs`; without one the picture remains
+unchanged.
 """
 
 import os

@@ -52,7 +52,7 @@ def _kernels(rows: list[Row]) -> list[str]:
 def _firmware(rows: Iterable[Row]) -> list[str]:
     """What faults in registers of the firmware did to whole missions."""
     (row,) = (row for row in rows if row["registers"] == "in all")
-    runs = int(row["runs"])
+    runs = int(row["n"])
     masked, arrives, lost, ends, hangs = (
         int(row[f"{key}_successes"]) for key in ("identical", "arrives", "lost", "ends", "hangs")
     )

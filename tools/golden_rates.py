@@ -32,9 +32,9 @@ WORLDS = ("factory", "farm", "sparse", "dense")
 PLANNERS = ("rrt_connect", "rrt_star", "rrt")
 PROFILES = ("published", "hardened")
 TEXT = (
-    "Without a fault, missions arrive: all of 300 in each of the paper's worlds, with each planner and either autopilot "
-    "profile (the paper's: 95 and 85 % in sparse and dense). There `hardened` keeps within 0.7 m of its reference, "
-    "`published` within 2.1 m; of the harder settings only `clutter` at 5 m/s is lost now and then."
+    "Without a fault, missions arrive: all of 300 in each of the paper's worlds, with each planner and either "
+    "autopilot profile (the paper's: 95 and 85 % in sparse and dense). There `hardened` keeps within 0.7 m of its "
+    "reference, `published` within 2.1 m; of the harder settings only `clutter` at 5 m/s is lost now and then."
 )
 COLUMNS = (
     Column("environment", "environment"), Column("autopilot", "autopilot"), Column("planner", "planner"),

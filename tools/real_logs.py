@@ -34,10 +34,10 @@ HEADINGS = (
     *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES), "faults with an alarm (%)", "delays (s)",
 )  # fmt: skip
 TEXT = (
-    "On flights that mavfi neither flew nor simulated, GAD and AAD find every motor fault within 0.2 s, a third to four "
-    "fifths of flipped signs and exponents, and a flipped mantissa hardly ever. **The exposure is minutes, not hours**: "
-    "a row without any alarm excludes only rates above the upper bound, and few flights of few vehicles do not "
-    "represent others. How: [logs](../logs.md)."
+    "On flights that mavfi neither flew nor simulated, GAD and AAD find every motor fault within 0.2 s, a third to "
+    "four fifths of flipped signs and exponents, and a flipped mantissa hardly ever. **The exposure is minutes, not "
+    "hours**: a row without any alarm excludes only rates above the upper bound, and few flights of few vehicles do "
+    "not represent others. How: [logs](../logs.md)."
 )
 NOTES = (
     "alarms within one second count as one event; a detector that raises alarms all the time has few events, so the "

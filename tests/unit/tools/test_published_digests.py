@@ -19,8 +19,7 @@ from tools.markers import DOCS, ROOT
 
 KNOWN = published_digests.known()
 QUICK = pytest.mark.skipif(
-    "quick" not in KNOWN,
-    reason="README.md has no digests of scale quick: `make reproduce` and `make results NAME=study` adds them",
+    "quick" not in KNOWN, reason="README.md has no digests of scale quick: `make reproduce readme` adds them"
 )
 
 
@@ -49,9 +48,7 @@ def test_source_lines_in_the_records_are_where_they_were():
     lines = KNOWN["quick"]["lines"]
     assert {"mavfi/kernels/planning/rrt_star.py", "mavfi/detectors/parts.py"} <= set(lines)
     moved = [file for file, (numbers, text) in lines.items() if published_digests.text_of(file, numbers) != text]
-    assert moved == [], (
-        "lines have moved or changed: restore their place, or `make reproduce` and `make results NAME=study` flies again"
-    )
+    assert moved == [], "lines have moved or changed: restore their place, or `make reproduce readme` flies again"
 
 
 @QUICK
