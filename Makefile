@@ -96,7 +96,7 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
 
-pictures: setup  ## draw the pictures of the documentation from flights and kernel runs (LOGS=folder)
+pictures: setup  ## draw the pictures of kernels, hardening and README from flights and kernel runs
 	@for script in tools/draw_*.py; do echo "$$script"; $(BIN)/python -m tools.$$(basename $$script .py) || exit 1; done
 	@$(BIN)/mavfi fly --environment dense --seed 10007 --fault state:perception.collision_status.collision --fault-seed 1 --detector recommended --picture docs/images/rescue.png
 
