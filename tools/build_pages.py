@@ -7,7 +7,6 @@ from typing import cast
 
 from mavfi.bridges.mavlink.autopilot import TYPES as MAVLINK_TYPES
 from mavfi.bridges.mavlink.autopilot import UNITS as MAVLINK_UNITS
-from mavfi.campaign.bench import load_bench
 from mavfi.errors import BadInputError
 from mavfi.faults.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
 from mavfi.faults.strata import WORD_BITS
@@ -27,9 +26,9 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import bench_summary, build_leaderboard, build_reference, detector_pages
+from tools import build_reference
 from tools.fault_levels import level_table
-from tools.markers import DOCS, GENERATED, between
+from tools.markers import DOCS, between
 
 _INSTANT_US = 10_000_000
 
@@ -168,15 +167,6 @@ def ros_page() -> str:
     return page
 
 
-def leaderboards() -> dict[Path, str]:
-    """The pages of the bench with the summary of their sections."""
-    bench = load_bench(build_leaderboard.NAME)
-    return {
-        page: bench_summary.with_summary(page.read_text(encoding="utf-8"), bench)
-        for page in sorted(GENERATED.glob("leaderboard*.md"))
-    }
-
-
 def pages() -> dict[Path, str]:
     """Every generated page with its current content."""
     fault_model = DOCS / "fault-model.md"
@@ -187,8 +177,6 @@ def pages() -> dict[Path, str]:
         DOCS / "ros.md": ros_page(),
         fault_model: between(model, "memory", memory_table()),
         **build_reference.pages(),
-        **leaderboards(),
-        detector_pages.PAGE: detector_pages.page(load_bench(build_leaderboard.NAME)),
     }
 
 

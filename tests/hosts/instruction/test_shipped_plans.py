@@ -73,7 +73,7 @@ def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):
 
 @pytest.mark.parametrize("name", names("protections"))
 def test_each_shipped_plan_is_that_of_the_code(golden, name):
-    """Made again by `make hardening` and tools/full_protection.py after a change of a kernel."""
+    """Made again by `make results NAME=hardening` and tools/full_protection.py after a change of a kernel."""
     plan = load_plan(name)
     for planner in {one.kernel for one in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
         fly(mission("", planner=planner))  # its types are known then
