@@ -96,7 +96,7 @@ def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[
     from mavfi.hosts.ros1.session import fly as fly_there
     from mavfi.reports.flight_result import FlightResult
 
-    tell = None if quiet else _invite
+    tell = _invite if plan.pace > 0 and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
     golden = None if plan.fault is None else ros_nodes.without_registers(plan, with_fault=False)
     return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight

@@ -257,7 +257,7 @@ def test_time_passes_as_on_the_wall_if_wanted():
 @pytest.mark.alone
 def test_a_fault_in_a_register_of_a_node():
     scenario = short()
-    plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000, "fp", 3),), pace=0.5)
+    plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000, "fp", 3),))
     log = fly_there(plan).flight.log
     (injection,) = log.injections
     assert injection.activated and injection.details["node"] == "pid", injection
@@ -286,10 +286,10 @@ def test_no_process_is_left_behind(number, tmp_path):
         [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"], env={**os.environ, "TMPDIR": str(tmp_path)},
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    until = time.monotonic() + 60
-    while not (folders := list(tmp_path.glob("mavfi-ros-*/log/world.out"))) and time.monotonic() < until:
+    until = time.monotonic() + 120
+    while not (logs := list(tmp_path.glob("mavfi-ros-*/log/pid.out"))) and time.monotonic() < until:
         time.sleep(0.05)
-    folder = folders[0].parents[1]
+    folder = logs[0].parents[1]
     assert len(left_behind(folder)) > 3
     process.send_signal(number)
     _, stderr = process.communicate(timeout=30)

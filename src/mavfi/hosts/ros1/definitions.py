@@ -24,8 +24,8 @@ class Action(IntEnum):
     STOP = 5  # the setpoint generator abandons its trajectory
     ABANDON = 6  # the setpoint generator skips a way-point
     AGAIN = 7  # the kernel prepares to repeat its last step
-    RECALL = 8  # the node asks its peers for the publication `number`
-    RESUME = 9  # the kernel continues from what was recalled
+    GIVE = 8  # the publication `number` is `value`: one of before the node's restart
+    RESUME = 9  # the kernel continues from what was given
     RESET = 10  # the node's kernels are constructed anew
     CHECK = 11  # the detector checks the publication `number`
     ACCEPT = 12  # the detector records the publication `number`
@@ -40,18 +40,11 @@ string[] states
 uint64[] numbers
 mavfi_msgs/Alarm[] alarms
 """,
-    "Recall": """# Asks a node for a value that it has published or consumed, as it was on its topic.
-string state
-uint64 number
----
-bool held
-uint8[] value
-""",
 }
 """Definition of each service of the package, by name."""
 _ACTIONS = "\n".join(f"uint8 {action.name} = {action.value}" for action in Action)
 _OTHERS = {
-    "Operation": f"""# One operation of a kernel or of the detector; state: of the number, where that matters;
+    "Operation": f"""# One operation of a kernel or of the detector; state, value: of the number, where that matters;
 # publish_us: stamp of what is published at once, -1 = it is held.
 {_ACTIONS}
 uint8 action
@@ -60,6 +53,7 @@ uint64 number
 int64 time_us
 int64 publish_us
 string state
+uint8[] value
 """,
     "Alarm": """# A detector's alarm on one publication.
 std_msgs/Header header

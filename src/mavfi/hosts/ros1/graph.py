@@ -9,16 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mavfi.pipeline.kernel import Kernel
-from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage
+from mavfi.states import KERNELS, PERIODIC, STATES, Stage
 
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
 PREFIX = "/mavfi"
 ALARM = f"{PREFIX}/alarm"
-JUDGED_BY_WORLD = (
-    "control.command", "planning.waypoint", "planning.path", "planning.trajectory", "perception.collision_status",
-    ODOMETRY["estimator"],
-)  # fmt: skip
-"""States that the world subscribes to: it executes commands, adds the estimated pose to images, and records events."""
 
 
 @dataclass(frozen=True, slots=True)

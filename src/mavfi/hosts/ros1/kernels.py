@@ -8,13 +8,15 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import INLINE, Recovery
+from mavfi.hosts.ros1.convert import from_msg
 from mavfi.hosts.ros1.definitions import Action
+from mavfi.hosts.ros1.generate import state_types
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox, Ports
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.ppc import build_pipeline
-from mavfi.states import State
+from mavfi.states import STATES, State
 
 _LOADING_FLIGHT_US = 3_000_000
 """Simulated time within which every kernel has been executed (us)."""
@@ -30,7 +32,7 @@ class KernelNode:
         self._taken: dict[int, tuple[State, int]] = {}
         self._due: dict[str, tuple[int, State]] = {}
         self._results: dict[int, State] = {}
-        self._recalled: dict[int, State | None] = {}
+        self._given: dict[int, State] = {}
         self._at_once = plan.published_at_once()
         written = [state for kernel in self._kernels.values() for state in kernel.writes]
         self._outlets = {state: self._ports.outlet(state, self._ports.ways[state].first) for state in written}
@@ -43,7 +45,7 @@ class KernelNode:
             Action.AGAIN: lambda kernel, order: repeat(kernel),
             Action.RECEIVE: self._receive,
             Action.PUBLISH: self._publish,
-            Action.RECALL: self._recall,
+            Action.GIVE: self._note_given,
             Action.RESUME: self._resume,
             Action.RESET: self._reset,
         }
@@ -92,8 +94,6 @@ class KernelNode:
 
     def _receive(self, kernel: Kernel, order: Any) -> bool:
         number = order.number
-        if self._recalled.get(number, self) is None:
-            return False  # no peer holds it
         waiting, state = self._due.get(kernel.name, (-1, None))
         if waiting != number or state is None:
             state = self._take(number)
@@ -104,12 +104,10 @@ class KernelNode:
 
     def _take(self, number: int) -> State:
         """A value received over a topic, for one of the kernels that read it."""
-        recalled = self._recalled.get(number)
-        if recalled is not None:
-            return recalled
+        if number in self._given:
+            return self._given[number]
         if number not in self._taken:
             state = self._inbox.take(number, self._ports.plan.patience_s)
-            self._ports.stored.put(state, number)
             self._taken[number] = state, len(self._reading(state.spec.name))
         state, left = self._taken.pop(number)
         if left > 1:
@@ -121,22 +119,21 @@ class KernelNode:
         self._outlets[state.spec.name].publish(state, order.number, order.time_us)
 
     # ---- after a restart --------------------------------------------------------------------------------------------
-    def _recall(self, kernel: Kernel, order: Any) -> None:
-        """Request a value from the peers."""
-        state = self._ports.recall(order.state, order.number)
-        self._recalled[order.number] = state
-        if state is not None:
-            self._ports.stored.put_late(state, order.number)
+    def _note_given(self, kernel: Kernel, order: Any) -> None:
+        """Keep a value of before the restart."""
+        message = state_types()[order.state]()
+        message.deserialize(order.value)
+        self._given[order.number] = from_msg(message, STATES[order.state])
 
     def _resume(self, kernel: Kernel, order: Any) -> tuple[str, ...]:
-        recalled = sorted((number, state) for number, state in self._recalled.items() if state is not None)
-        return kernel.resume({state.spec.name: state for _, state in recalled}, order.time_us)
+        latest = {self._given[number].spec.name: self._given[number] for number in sorted(self._given)}
+        return kernel.resume(latest, order.time_us)
 
     def _reset(self, kernel: Kernel, order: Any) -> None:
         """Initialize the memory; results already computed remain scheduled for publication."""
         self._build()
         self._due.clear()
-        self._recalled.clear()
+        self._given.clear()
 
 
 def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Recovery = INLINE) -> None:

@@ -10,7 +10,7 @@ from mavfi.faults.fault import RegisterFault, StateFault
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.ros1.folder import flight_folder
-from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, JUDGED_BY_WORLD, WORLD, Graph
+from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
@@ -45,7 +45,7 @@ class Plan:
         restart_us: Down time of a lost node, in simulated time (us).
         patience_s: Timeout for a node's response (s, wall clock).
         register_faults: Bit flips in registers of nodes.
-        profile: Whether to record publication times; the world then subscribes to all states.
+        profile: Whether to record publication times.
         pace: Flight time per wall time; 0 = as fast as possible.
         nodes: All nodes except the world.
 
@@ -98,26 +98,13 @@ class Plan:
         return frozenset(name for name, way in self.graph.ways.items() if not way.injected)
 
     def world_listens(self, state: str) -> bool:
-        """Whether the world subscribes to the values of a state.
-
-        It does to those that it acts on; to all that others compute or change if a detector's alarms make it compare
-        them, or if a profile is requested.
-        """
-        if state in JUDGED_BY_WORLD:
-            return True
-        way = self.graph.ways[state]
-        is_own = way.sender == WORLD
-        return not is_own and (self.detector is not None or self.profile)
+        """Whether the world subscribes to the values of a state: to all but its own."""
+        return self.graph.ways[state].sender != WORLD
 
     def listeners(self, state: str) -> int:
         """Number of the flight's nodes that subscribe to the final topic of a state."""
-        watched = self.detector is not None
-        return len(self.graph.ways[state].readers) + self.world_listens(state) + watched
-
-    def peers(self, state: str, node: str) -> tuple[str, ...]:
-        """Other nodes that store the last values of a state: its subscribers, and the node that publishes to them."""
-        way = self.graph.ways[state]
-        return tuple(peer for peer in dict.fromkeys((*way.readers, way.sender)) if peer != node)
+        is_checked = self.detector is not None
+        return len(self.graph.ways[state].readers) + self.world_listens(state) + is_checked
 
     def save(self, folder: Path) -> None:
         """Save the plan to the flight's folder, which only this user can access."""

@@ -1,4 +1,4 @@
-"""Publishers and subscribers of the loop's topics, and the services by which nodes report and recall values."""
+"""Publishers and subscribers of the loop's topics, and the services of a node."""
 
 import os
 import sys
@@ -7,13 +7,10 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from io import BytesIO
 from typing import Any, NoReturn, TypeVar
 from xmlrpc.client import ServerProxy
 
 from mavfi.errors import MavfiError
-from mavfi.faults.state import ActedOn
-from mavfi.hosts.loop.restarts import CHANGES
 from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg
 from mavfi.hosts.ros1.generate import state_types
 from mavfi.hosts.ros1.plan import Plan
@@ -22,7 +19,6 @@ from mavfi.states import STATES, State
 _BUFFER = 1 << 22
 _POLL_S = 0.005
 _REPEAT_S = 1.0
-_STORED = 4
 _Given = TypeVar("_Given")
 _Answer = TypeVar("_Answer")
 Arrived = Callable[[State, int, int], None]
@@ -75,55 +71,18 @@ class Inbox:
             return self._values.pop(number)
 
 
-class Stored:
-    """The latest values that a node has published or consumed, for restarted nodes.
-
-    For each state the values of highest sequence number: several, as the latest may precede its publication instant, or
-    may have been withheld from its consumers.  Also the last one that consumers act upon, and all changes of a map.
-    """
-
-    def __init__(self) -> None:
-        self._values: dict[str, dict[int, State]] = {}
-        self._acted_on = {name: ActedOn(spec) for name, spec in STATES.items() if spec.acted_on}
-        self._alarms: dict[str, tuple[int, State]] = {}
-
-    def put(self, state: State, number: int) -> None:
-        """Store a value; values of one state arrive in order."""
-        name = state.spec.name
-        self.put_late(state, number)
-        if name in self._acted_on and self._acted_on[name](state):
-            self._alarms[name] = number, state
-
-    def put_late(self, state: State, number: int) -> None:
-        """Store a value that arrives out of order."""
-        values = self._values.setdefault(state.spec.name, {})
-        values[number] = state
-        if state.spec.name != CHANGES and len(values) > _STORED:
-            del values[min(values)]
-
-    def find(self, name: str, number: int) -> State | None:
-        """A stored value; None = not stored."""
-        alarm_number, alarm = self._alarms.get(name, (number, None))
-        if alarm_number == number and alarm is not None:
-            return alarm
-        return self._values.get(name, {}).get(number)
-
-
 class Outlet:
-    """Publishes the values of one state to `listeners` nodes of the flight; `stored` keeps them."""
+    """Publishes the values of one state to `listeners` nodes of the flight."""
 
-    def __init__(self, state: str, topic: str, listeners: int, stored: Stored | None) -> None:
+    def __init__(self, state: str, topic: str, listeners: int) -> None:
         import rospy
 
         self._kind = state_types()[state]
         self._publisher = rospy.Publisher(topic, self._kind, queue_size=None, tcp_nodelay=True)
         self._listeners = listeners
-        self._stored = stored
 
     def publish(self, state: State, number: int, time_us: int) -> None:
         """Publish one value."""
-        if self._stored is not None:
-            self._stored.put(state, number)
         self._publisher.publish(to_msg(state, number, time_us, self._kind))
 
     def connected(self) -> bool:
@@ -138,17 +97,13 @@ class Ports:
         self.node = node
         self.plan = plan
         self.ways = plan.graph.ways
-        self.stored = Stored()
         self._outlets: list[Outlet] = []
         self._subscribers: list[Any] = []
-        self._peers: dict[str, Any] = {}
 
     def outlet(self, state: str, topic: str) -> Outlet:
         """Advertise one of the topics on the route of a state."""
-        if topic == self.ways[state].final:
-            outlet = Outlet(state, topic, self.plan.listeners(state), self.stored)
-        else:
-            outlet = Outlet(state, topic, 1, None)  # the injector listens
+        is_final = topic == self.ways[state].final
+        outlet = Outlet(state, topic, self.plan.listeners(state) if is_final else 1)  # one: the injector
         self._outlets.append(outlet)
         return outlet
 
@@ -206,8 +161,8 @@ class Ports:
     def serve(self, drive: Callable[[Any], Any] | None = None) -> None:
         """Offer the services of a node, and run until shutdown.
 
-        These are `/<node>/ready`, which returns the process id once all connections are established; `/<node>/recall`;
-        and `/<node>/drive`, by which the world drives the node (None = it does not).
+        These are `/<node>/ready`, which returns the process id once all connections are established, and
+        `/<node>/drive`, by which the world drives the node (None = it does not).
         """
         import rospy
         from mavfi_msgs.srv import Drive
@@ -219,44 +174,5 @@ class Ports:
 
         if drive is not None:
             rospy.Service(f"/{self.node}/drive", Drive, fatal(drive), buff_size=1 << 16)
-        self.offer_recall()
         rospy.Service(f"/{self.node}/ready", Trigger, answer)
         rospy.spin()
-
-    # ---- recall of earlier values ------------------------------------------------------------------------------------
-    def offer_recall(self) -> None:
-        """Offer the service `/<node>/recall`, which returns a stored value."""
-        import rospy
-        from mavfi_msgs.srv import Recall, RecallResponse
-
-        def answer(request: Any) -> Any:
-            state = self.stored.find(request.state, request.number)
-            if state is None:
-                return RecallResponse(False, b"")
-            content = BytesIO()
-            to_msg(state, request.number, 0, state_types()[request.state]).serialize(content)
-            return RecallResponse(True, content.getvalue())
-
-        rospy.Service(f"/{self.node}/recall", Recall, answer)
-
-    def recall(self, name: str, number: int) -> State | None:
-        """Request from live peers a value that was published before this node started; None = no peer stores it."""
-        import rospy
-
-        for peer in self.plan.peers(name, self.node):
-            with suppress(rospy.ServiceException, rospy.ROSException, OSError):
-                answer = self._recall_service(peer)(name, number)
-                if answer.held:
-                    message = state_types()[name]()
-                    message.deserialize(answer.value)
-                    return from_msg(message, STATES[name])
-        return None
-
-    def _recall_service(self, peer: str) -> Any:
-        """The persistent connection to a peer's recall service."""
-        import rospy
-        from mavfi_msgs.srv import Recall
-
-        if peer not in self._peers:
-            self._peers[peer] = rospy.ServiceProxy(f"/{peer}/recall", Recall, persistent=True)
-        return self._peers[peer]

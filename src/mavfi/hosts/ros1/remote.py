@@ -10,13 +10,15 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 
 from mavfi.detectors.detector import Alarm
+from mavfi.hosts.ros1.convert import to_msg
 from mavfi.hosts.ros1.definitions import Action
-from mavfi.hosts.ros1.generate import message_type
+from mavfi.hosts.ros1.generate import message_type, state_types
 from mavfi.hosts.ros1.graph import Face
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.taps import alarm_of
@@ -95,7 +97,7 @@ class Link:
         lost: Whether the node is down.
         life: Number of losses so far.
         since: Sequence number of the first publication that the current process can have received; the node must
-            recall earlier ones.
+            be given earlier ones.
     """
 
     node: str
@@ -105,7 +107,7 @@ class Link:
     lost: bool = True
     life: int = 0
     since: int = 0
-    _recalled: set[int] = field(default_factory=set)
+    _given: set[int] = field(default_factory=set)
     _pending: list[Any] = field(default_factory=list)
     _proxy: Any = None
 
@@ -128,24 +130,27 @@ class Link:
         """Initialize the memory of a kernel's node without restarting its process."""
         self.note(Action.RESET, kernel)
         self.since = since
-        self._recalled.clear()
+        self._given.clear()
 
     def _restart(self) -> None:
         self._pending.clear()
-        self._recalled.clear()
+        self._given.clear()
 
     def note(
-        self, action: Action, kernel: str, number: int = 0, time_us: int = 0, publish_us: int = HELD, state: str = ""
+        self, action: Action, kernel: str, number: int = 0, time_us: int = 0, publish_us: int = HELD, state: str = "",
+        value: bytes = b"",
     ) -> None:  # fmt: skip
         """Append an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
         if not self.lost:
-            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state))
+            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state, value))
 
     def note_input(self, kernel: str, state: Publication) -> None:
-        """Have the node recall a value from its peers if it was published before the current process started."""
-        if state.number < self.since and state.number not in self._recalled:
-            self._recalled.add(state.number)
-            self.note(Action.RECALL, kernel, state.number, state=state.spec.name)
+        """Give the node a value that was published before the current process started."""
+        if state.number < self.since and state.number not in self._given:
+            self._given.add(state.number)
+            name, content = state.spec.name, BytesIO()
+            to_msg(state, state.number, 0, state_types()[name]).serialize(content)
+            self.note(Action.GIVE, kernel, state.number, state=name, value=content.getvalue())
 
     def flush(self) -> None:
         """Send all pending operations."""
@@ -243,7 +248,7 @@ class RemoteKernel:
         self._link.note(Action.AGAIN, self.name)
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """See `Kernel.resume`: the node recalls the values from its live peers."""
+        """See `Kernel.resume`: the node is given the values."""
         for name in (*self.reads, *self.writes):
             state = last.get(name)
             if isinstance(state, Publication):

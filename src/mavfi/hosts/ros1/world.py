@@ -72,7 +72,6 @@ class Conductor:
         self.loop = self._compose()
         self.restarts = Restarts(self.loop, plan.scenario.dead_node)
         self.loop.renew = self._renew
-        self.ports.offer_recall()
         pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
         self.ports.wait_until_connected()
         for node, link in self.links.items():
