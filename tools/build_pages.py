@@ -17,8 +17,7 @@ from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.hosts.ros1.definitions import type_name
-from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, WORLD, Graph
-from mavfi.hosts.ros1.mirrors import STANDARDS
+from mavfi.hosts.ros1.graph import WORLD, Graph
 from mavfi.hosts.ros1.session import configure
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
@@ -87,27 +86,11 @@ def ros_topics() -> str:
     return "\n".join(lines)
 
 
-def ros_mirrors() -> str:
-    """The table of topics in standard types."""
-    lines = ["| topic | type | frame | what |", "|---|---|---|---|"]
-    for standard in STANDARDS:
-        spec = STATES[standard.state]
-        what = f"`{standard.state}`" + (f", with localization `{spec.only_with}`" if spec.only_with else "")
-        lines.append(f"| `{standard.topic}` | `{standard.kind}` | `{standard.frame}` | {what} |")
-    lines += [
-        "| `/imu/data` | `sensor_msgs/Imu` | `base_link` | specific force and rates, with localization `truth` |",
-        "| `/clock` | `rosgraph_msgs/Clock` | | simulated time; always published |",
-        "| `/tf_static` | `tf2_msgs/TFMessage` | `base_link` | where the camera is |",
-    ]
-    return "\n".join(lines)
-
-
 def ros_graph() -> str:
     """Nodes and topics of a flight as a diagram."""
     arrows: dict[tuple[str, str], list[str]] = {}
     for state, way in _graph().ways.items():
-        readers = [*way.readers, *([WORLD] if state in JUDGED_BY_WORLD else [])]
-        for reader in readers:
+        for reader in way.readers or (WORLD,):
             if reader != way.writer:
                 arrows.setdefault((way.writer, reader), []).append(state.split(".")[1])
     lines = [f"    {writer} -- {', '.join(names)} --> {reader}" for (writer, reader), names in arrows.items()]
@@ -162,7 +145,7 @@ def sensor_table() -> str:
 def ros_page() -> str:
     """The ROS page with its generated parts."""
     page = (DOCS / "ros.md").read_text(encoding="utf-8")
-    for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("mirrors", ros_mirrors())):
+    for name, block in (("graph", ros_graph()), ("topics", ros_topics())):
         page = between(page, name, block)
     return page
 

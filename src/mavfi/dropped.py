@@ -23,7 +23,12 @@ NAMES: Mapping[tuple[str, str], str] = {
 }
 """Shipped names, by kind and name, with what to do instead."""
 
-OPTIONS: Mapping[str, str] = {"--copies": KEYS["copies"]}
+OPTIONS: Mapping[str, str] = {
+    "--copies": KEYS["copies"],
+    "--free-running": "use --pace 1: the flight in lock-step, paced by the wall clock",
+    "--new-interpreters": "no replacement: nodes are processes forked from their supervisor",
+    "--point-cloud-node": "no replacement: attach with mavfi ros corrupt or mavfi inject --ros-node",
+}
 """Options of the command line, with what to do instead."""
 
 COMMANDS: Mapping[str, str] = {}
