@@ -7,7 +7,7 @@ import numpy as np
 
 from mavfi.campaign.hardening.kernel import certify_function, harden
 from mavfi.numerics.jit import kernel_jit
-from mavfi.reports.hardening.plain import interval_of
+from mavfi.reports.hardening.plain import interval
 
 
 @kernel_jit
@@ -29,10 +29,10 @@ def main(faults: int = 400, budget: float = 0.5) -> None:
     calls = [(random.normal(size=(30, 3)), random.normal(size=3), 0.8, np.zeros(3)) for _ in range(24)]
     found = harden(follow, calls[:12], budget, faults=2 * faults)
     for step in found.steps:
-        print(f"time x{step.time:.2f}: {interval_of(step.coverage)} of the silent corruptions removed, predicted")
+        print(f"time x{step.time:.2f}: {interval(step.coverage)} of the silent corruptions removed, predicted")
     print(f"chosen: {len(found.planned.sites)} instructions, time x{found.planned.time:.2f}")
     certificate = certify_function(follow, calls[12:], found.planned, faults)
-    print(f"fresh faults: {interval_of(certificate.coverage)}, prediction {certificate.verdict}")
+    print(f"fresh faults: {interval(certificate.coverage)}, prediction {certificate.verdict}")
     print("a protected call:", found.code(calls[0])(*calls[0]))
 
 

@@ -32,15 +32,14 @@ from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.study import Study, advise, plan_of, planned_of
-from mavfi.campaign.hardening.summary import growth_of, summary
+from mavfi.campaign.hardening.summary import AdviceSummary, growth_of, summary
 from mavfi.campaign.hardening.target import Target
-from mavfi.campaign.hardening.ways import CUT
 from mavfi.campaign.overheads import processor
 from mavfi.hardening.plan import Plan, save_plan
 from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, interval_of, rerun_line
+from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval
 from mavfi.reports.text import markdown_grid, percent, shown
 from tools.hardening_measured import measure, rows
 from tools.hardening_requirements import HEADINGS, REQUIRED, all_but_map, of_functions, requirements
@@ -50,8 +49,6 @@ from tools.processors import with_others
 PAGE = GENERATED / "hardening.md"
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
-COMPARED_SHARE = 0.25
-"""Share of the cost of full duplication at which ways to choose are compared."""
 ENOUGH = 300
 """Silent corruptions from which a choice for a function with a bar is made: fewer leave open which of its last
 instructions matter."""
@@ -148,17 +145,6 @@ def certificates(
                 yield curve, step, row
 
 
-def alternatives(curve: Curve) -> Row | None:
-    """Silent corruptions that choices at equal cost remove, judged by other calls; None if few."""
-    compared = next((one for one in curve.compared if one.share == COMPARED_SHARE), None)
-    if compared is None:
-        return None
-    return {
-        "function": curve.target.seen.entry, "kernel": curve.target.kernels[0], "n": len(compared.judged[CUT]),
-        "hits": compared.hits, "tests": compared.tests,
-    }  # fmt: skip
-
-
 def golden(study: Study, plan: Plan, flights: int, records: Records) -> GoldenCheck:
     """Fly golden missions plain and protected, in four environments; sum over these and earlier plans.
 
@@ -177,11 +163,6 @@ def golden(study: Study, plan: Plan, flights: int, records: Records) -> GoldenCh
     return total
 
 
-def found(row: Row) -> str:
-    """Measured coverage of a certificate."""
-    return interval(row["coverage"])
-
-
 def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, str, float], Row]) -> list[list[str]]:
     """A row for each step of each function; of the fine ones, only for those that are certified."""
     rows = []
@@ -190,33 +171,21 @@ def curve_rows(curves: Sequence[Curve], certified: dict[tuple[str, str, float], 
             row = certified.get((*curve.target.key, step.fraction))
             if row is None and step.fraction not in FRACTIONS:
                 continue
-            measured = ["", "", "", "", ""] if row is None else [
-                str(row["sdc_after"]["n"]), interval(row["sdc_before"]), interval(row["sdc_after"]), found(row),
-                row["verdict"],
-            ]  # fmt: skip
+            measured = ["", "", "", "", ""]
+            if row is not None:
+                before, after, removed = (Rate(**row[key]) for key in ("sdc_before", "sdc_after", "coverage"))
+                measured = [str(after.n), interval(before), interval(after), interval(removed), row["verdict"]]
             rows.append([
                 f"`{curve.target.seen.entry}` ({', '.join(curve.target.kernels)})", f"{step.fraction:g}",
                 f"{growth_of(curve, step):.2f}", f"{step.time:.2f}",
-                interval_of(step.coverage), *measured,
+                interval(step.coverage), *measured,
             ])  # fmt: skip
     return rows
 
 
-def alternative_rows(compared: Sequence[Row]) -> list[list[str]]:
-    """Coverage of each way to choose, with McNemar's p against the minimum cut."""
-    rows = []
-    for row in compared:
-        shares = {name: sum(hits) / row["n"] for name, hits in row["hits"].items()}
-        rows.append([
-            f"`{row['function']}`", str(row["n"]), percent(shares["cut"]),
-            *(f"{percent(shares[name])} (p = {test.p_value:.2g})" for name, test in row["tests"].items()),
-        ])  # fmt: skip
-    return rows
-
-
 def page(
-    study: Study, advice: Row, required: list[list[str]], curves: Sequence[Curve],
-    certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], measured: Row,
+    study: Study, advice: AdviceSummary, required: list[list[str]], curves: Sequence[Curve],
+    certified: Sequence[tuple[Curve, Step, Row]], measured: Row,
 ) -> str:  # fmt: skip
     """The complete page; `required` are the rows of `requirements`."""
     c, earlier = study.campaign, PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
@@ -234,9 +203,8 @@ def page(
         + "Golden digests are compared without charged time: with it the longer latency changes the flight.\n\n"
         + by_processor(required, earlier)
         + at_machine_level(earlier)
-        + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
+        + f"## The plan for {percent(advice.budget, 0)} of a flight's kernel time\n\n"
         + markdown_grid([column.heading for column in columns], plan)
-        + f"\n\n{rerun_line(advice)}"
         + "\n\n## Certificate of the shipped plan\n\n<!-- certificate:begin -->\n<!-- certificate:end -->"
         + "\n\n## Curves and certificates\n\n"
         + "Step: share of the cost of full duplication. Certified with n faults in plain and n in "
@@ -245,12 +213,6 @@ def page(
             ("function", "step", "instr. ×", "time ×", "SDCs removed, predicted", "n", "SDC before",
              "SDC after", "SDCs removed", "prediction"),
             curve_rows(curves, by_step),
-        )
-        + "\n\n## Ways to choose, at equal cost\n\n"
-        + f"Silent corruptions that are removed at step {COMPARED_SHARE:g}; calls judge choices made "
-        + "without them; p: McNemar's test against the minimum cut.\n\n"
-        + markdown_grid(
-            ("function", "SDCs", "minimum cut", "by line", "by opcode", "random"), alternative_rows(compared)
         )
         + "\n\nTime: measured by the time stamp counter on baseline x86-64 code. "
         + "Crash rates are IR level, not quoted.\n"
@@ -280,7 +242,7 @@ def at_machine_level(earlier: str) -> str:
     )
 
 
-def sentence(advice: Row) -> str:
+def sentence(advice: AdviceSummary) -> str:
     """What the budget buys and what it does not, in one sentence for the README."""
     buys, lost = headline(advice).rstrip("."), caveats(advice)[0].partition(": ")[2]
     return f"{buys} ([curves, plans, certificates](docs/generated/hardening.md)), but buys no missions: {lost}"
@@ -313,14 +275,13 @@ def main() -> None:
     PLAN.parent.mkdir(exist_ok=True)
     save_plan(plan, PLAN)
     curves = [curve for advice in advices for curve in advice.curves if len(curve.steps) > 1]
-    compared = [row for curve in curves if (row := alternatives(curve)) is not None]
     check = golden(study, plan, given.flights, records)
     key = f"measured {code()}"
     measured = records.get(key) or records.put(key, measure(study, plan))
     fractions = [float(text) for text in given.fractions.split(",") if text]
     certified = list(certificates(study, advices, fractions, given.faults, records))
-    required = requirements(curves, certified, compared, advice, all_but_map(advices[0]), check)
-    PAGE.write_text(page(study, advice, required, curves, certified, compared, measured), encoding="utf-8")
+    required = requirements(curves, certified, advice, all_but_map(advices[0]), check)
+    PAGE.write_text(page(study, advice, required, curves, certified, measured), encoding="utf-8")
     fill(ROOT / "README.md", {"hardening": sentence(advice)})
     print(f"wrote {PAGE}")
 

@@ -1,14 +1,15 @@
 """The table of requirements of docs/generated/hardening.md: required, measured, whether met, and what limits."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from typing import Any
 
-from mavfi.campaign.analysis.pairs import Paired
+from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.hardening.advise import Advice, Curve, Step, coverage_of_steps
 from mavfi.campaign.hardening.certify import CONFIRMED, UNDECIDED, UNKNOWN
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.reports.hardening.plain import interval, interval_of
+from mavfi.campaign.hardening.summary import AdviceSummary
+from mavfi.reports.hardening.plain import interval
 from mavfi.reports.text import percent
 
 MAP = "octomap"
@@ -27,7 +28,8 @@ REQUIRED: dict[str, tuple[float, float | None, float, str]] = {
 
 
 def requirements(
-    curves: Sequence[Curve], certified: Certified, compared: Sequence[Row], advice: Row, rest: Row, check: GoldenCheck
+    curves: Sequence[Curve], certified: Certified, advice: AdviceSummary, rest: "Bought",
+    check: GoldenCheck,
 ) -> list[list[str]]:  # fmt: skip
     """Required and measured values, in the columns of `HEADINGS`; `rest` is that of `all_but_map`."""
     whole = check.passed and check.flights >= 40 and check.calls >= 10_000
@@ -36,7 +38,7 @@ def requirements(
          f"{check.same} of {check.flights} equal; {check.alarms} in {check.calls:,} calls", _met(whole), ""],
     ]  # fmt: skip
     rows += [_function(entry, curves, certified) for entry in REQUIRED]
-    return [*rows, _budget(advice, rest), _prediction(certified), _choice(compared)]
+    return [*rows, _budget(advice, rest), _prediction(certified)]
 
 
 def of_functions(required: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -62,7 +64,7 @@ def _function(entry: str, curves: Sequence[Curve], certified: Certified) -> list
     found = row["coverage"]
     met = least is not None and found["rate"] >= least and found["low"] >= bound
     limits = "" if met or entry not in _LIMITS else _LIMITS[entry](curve, row, most)
-    measured = f"{interval(found)} at ×{step.time:.2f}"
+    measured = f"{interval(Rate(**found))} at ×{step.time:.2f}"
     return [f"`{entry}`", wanted, measured, "best found" if least is None else _met(met), limits]
 
 
@@ -87,7 +89,7 @@ def _gap(curve: Curve, most: float) -> str:
 def _next(curve: Curve, most: float) -> str:
     """The cheapest step that takes longer than is allowed."""
     step = min((step for step in curve.steps if step.time > most), key=lambda step: step.time)
-    return f"the next step takes ×{step.time:.2f}, predicted: {interval_of(step.coverage)}; {_full(curve)}"
+    return f"the next step takes ×{step.time:.2f}, predicted: {interval(step.coverage)}; {_full(curve)}"
 
 
 _LIMITS: dict[str, Callable[[Curve, Row, float], str]] = {
@@ -108,23 +110,31 @@ _LIMITS: dict[str, Callable[[Curve, Row, float], str]] = {
 """What limits a function: what was tried, and what would help, from its curve, certificate and largest time."""
 
 
-def all_but_map(advice: Advice) -> Row:
+@dataclass(frozen=True, slots=True)
+class Bought:
+    """Time that some protection adds to a flight, and the coverage that it is predicted to give."""
+
+    spent: float
+    coverage: Rate
+
+
+def all_but_map(advice: Advice) -> Bought:
     """What it costs and removes to protect every function but those of the map in full."""
     steps = [
         (curve, curve.steps[0 if MAP in curve.target.kernels else -1])
         for curve in advice.curves
         if len(curve.steps) > 1
     ]
-    return {"spent": sum(curve.extra(step) for curve, step in steps), "coverage": asdict(coverage_of_steps(steps))}
+    return Bought(sum(curve.extra(step) for curve, step in steps), coverage_of_steps(steps))
 
 
-def _budget(advice: Row, rest: Row) -> list[str]:
+def _budget(advice: AdviceSummary, rest: Bought) -> list[str]:
     """What the budget buys, against every kernel but the map in full, whatever that costs."""
-    better = advice["spent"] <= advice["budget"] and advice["coverage"]["low"] >= rest["coverage"]["rate"]
+    better = advice.spent <= advice.budget and (advice.coverage.low or 0.0) >= (rest.coverage.rate or 0.0)
     return [
-        f"`--budget {advice['budget']:.2f}` of a flight's kernel time", "every kernel but the map in full, or better",
-        f"{interval(advice['coverage'])} of all SDCs removed for {percent(advice['spent'])}, predicted; every kernel "
-        f"but the map in full: {interval(rest['coverage'])} for {percent(rest['spent'])}",
+        f"`--budget {advice.budget:.2f}` of a flight's kernel time", "every kernel but the map in full, or better",
+        f"{interval(advice.coverage)} of all SDCs removed for {percent(advice.spent)}, predicted; every kernel "
+        f"but the map in full: {interval(rest.coverage)} for {percent(rest.spent)}",
         _met(better), "" if better else "most SDCs and most of the kernel time are those of the map",
     ]  # fmt: skip
 
@@ -153,19 +163,3 @@ def _inside(step: Step, row: Row) -> bool:
 
 def _most(count: int, whole: int) -> bool:
     return whole >= 20 and count >= 0.9 * whole
-
-
-def _choice(compared: Sequence[Row]) -> list[str]:
-    """Functions and kernels in which the minimum cut beats simpler ways to choose."""
-    beaten = [row for row in compared if all(_wins(row["tests"][name]) for name in ("opcode", "random"))]
-    kernels = {row["kernel"] for row in beaten}
-    return [
-        "choice", "beats random and by-opcode at equal cost, paired p < .01, on ≥ 5 kernels",
-        f"{len(beaten)} of {len(compared)} functions, of {len(kernels)} kernels: "
-        + (", ".join(row["function"] for row in beaten) or "none"),
-        _met(len(kernels) >= 5), "" if len(kernels) >= 5 else "few SDCs in the others: more faults would help",
-    ]  # fmt: skip
-
-
-def _wins(test: Paired) -> bool:
-    return test.first_only > test.second_only and test.p_value < 0.01

@@ -11,6 +11,7 @@ KEYS: Mapping[str, str] = {
 VALUES: Mapping[tuple[str, str], str] = {
     **{("dead_node", policy): "readback" for policy in ("latched", "recompute", "checkpoint", "standby")},
     **{("degraded", mode): "hold" for mode in ("hover", "back")},
+    **{("kind", repetition): "duplicate" for repetition in ("rerun", "vote")},
 }
 """Values of keys, by key and value, with the value to use instead."""
 
@@ -22,7 +23,10 @@ NAMES: Mapping[tuple[str, str], str] = {
 }
 """Shipped names, by kind and name, with what to do instead."""
 
-OPTIONS: Mapping[str, str] = {"--copies": KEYS["copies"]}
+OPTIONS: Mapping[str, str] = {
+    "--copies": KEYS["copies"],
+    "--machine": "use make machine-level, which flips bits of registers in plain and in protected code",
+}
 """Options of the command line, with what to do instead."""
 
 COMMANDS: Mapping[str, str] = {}

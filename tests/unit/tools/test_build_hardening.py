@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mavfi.campaign.analysis.pairs import mcnemar
+from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.hardening.advise import Curve, Step
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.learned import Injected
@@ -13,7 +13,7 @@ from mavfi.hardening.choose import NOTHING
 from mavfi.hardening.plan import Plan
 from tools import build_hardening
 from tools.hardening_measured import rows
-from tools.hardening_requirements import HEADINGS, requirements
+from tools.hardening_requirements import HEADINGS, Bought, requirements
 from tools.markers import GENERATED, ROOT
 
 
@@ -44,12 +44,12 @@ def certified(entry, time, rate, low, predicted=0.95):
 FLOWN = GoldenCheck(92, 92, 20_000, 0)
 
 
-REST = {"spent": 0.15, "coverage": {"rate": 0.15, "low": 0.1, "high": 0.2}}
+REST = Bought(0.15, Rate(60, 0.15, 0.1, 0.2))
 
 
-def table(*rows, compared=(), check=FLOWN, rest=REST):
-    advice = {"budget": 0.1, "spent": 0.09, "coverage": {"rate": 0.3, "low": 0.2, "high": 0.4}}
-    found = requirements([curve for curve, *_ in rows], rows, compared, advice, rest, check)
+def table(*rows, check=FLOWN, rest=REST):
+    advice = SimpleNamespace(budget=0.1, spent=0.09, coverage=Rate(60, 0.3, 0.2, 0.4))
+    found = requirements([curve for curve, *_ in rows], rows, advice, rest, check)
     assert all(len(row) == len(HEADINGS) for row in found)
     return {row[0].strip("`"): dict(zip(HEADINGS, row, strict=True)) for row in found}
 
@@ -84,20 +84,11 @@ def test_undecided_plans_count_in_no_agreement():
     assert table(*rows)["prediction"]["met"].startswith("no"), "fewer than 20"
 
 
-def test_ways_to_choose_are_counted_by_kernel():
-    won = mcnemar([True] * 50, [False] * 50)
-    kernels = ("pid", "octomap", "rrt", "rrt_connect", "rrt_connect")
-    rows = [{"function": f"f{i}", "kernel": name, "tests": {"opcode": won, "random": won}}
-            for i, name in enumerate(kernels)]  # fmt: skip
-    found = table(compared=rows)["choice"]
-    assert found["met"] == "no" and found["measured"].startswith("5 of 5 functions, of 4 kernels: f0, f1")
-
-
 def test_the_budget_and_the_golden_flights_are_judged():
     found = table()
     budget = found["--budget 0.10` of a flight's kernel time"]
     assert budget["met"] == "yes" and "15.0 % [10.0, 20.0] for 15.0 %" in budget["measured"]
-    better = {"spent": 0.15, "coverage": {"rate": 0.25, "low": 0.2, "high": 0.3}}
+    better = Bought(0.15, Rate(60, 0.25, 0.2, 0.3))
     assert table(rest=better)["--budget 0.10` of a flight's kernel time"]["met"] == "no", "within its interval"
     assert found["golden digests with any plan; false alarms"]["met"] == "yes"
     assert table(check=GoldenCheck(92, 91, 20_000, 0))["golden digests with any plan; false alarms"]["met"] == "no"

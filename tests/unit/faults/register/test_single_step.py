@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.machine_level import entry_of, protected
+from benchmarks.machine_level import entry_of, inject_all, protected
 from mavfi.campaign.hardening.battery import DETECTED
-from mavfi.campaign.hardening.machine import inject_all
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.register.destinations import destinations, is_out_of_reach
