@@ -25,6 +25,8 @@ NAMES: Mapping[tuple[str, str], str] = {
 
 OPTIONS: Mapping[str, str] = {
     "--copies": KEYS["copies"],
+    "--watch": "use watch -n 2 mavfi campaign status DIR",
+    "--every": "use watch -n 2 mavfi campaign status DIR",
     "--machine": "use make machine-level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, with what to do instead."""

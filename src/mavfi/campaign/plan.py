@@ -150,16 +150,6 @@ def _with_arm(setting: str, arm: str) -> str:
     return f"{setting}_{arm}" if arm else setting
 
 
-def is_golden(setting: str) -> bool:
-    """Whether the runs of a setting are golden."""
-    return setting == GOLDEN or setting.startswith(f"{GOLDEN}_")
-
-
-def golden_done(counts: Mapping[str, tuple[int, int, int]]) -> int:
-    """Golden runs that are done, of the counts by setting."""
-    return sum(done for setting, (_, done, _) in counts.items() if is_golden(setting))
-
-
 @dataclass(frozen=True, slots=True)
 class Plan:
     """The runs of a campaign, before any is flown."""

@@ -13,12 +13,11 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import host_of, model_hashes, plan_of, scenarios_of
-from mavfi.campaign.outside import held
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.sequential import Precision
 from mavfi.campaign.session import Flying, Progress, Session, Status
 from mavfi.campaign.shard import WHOLE, Shard
-from mavfi.campaign.store import Store
+from mavfi.campaign.store import Store, held
 from mavfi.campaign.warm_up import is_compiled, warm_up
 from mavfi.config import STORED, parse
 from mavfi.detectors.registry import detector_options, mission_keys

@@ -6,7 +6,6 @@ worker dies, its missions are repeated with each injected run in a separate chil
 """
 
 import itertools
-import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,8 +17,7 @@ from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import Job, MissionPlan, flights_of, fly_missions, share
-from mavfi.campaign.pace import Pace
-from mavfi.campaign.plan import Flown, Plan, Planned, golden_done, is_golden
+from mavfi.campaign.plan import Flown, Plan, Planned
 from mavfi.campaign.sequential import Precision
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
@@ -54,8 +52,6 @@ class Progress(Status):
     """Progress of a running campaign."""
 
     flown: int = 0  # runs done in this session
-    rate: float = 0.0  # runs per second over the latest runs; 0 = unknown yet
-    remaining_s: float = math.inf  # remaining wall time (s); infinite = unknown yet
     compiling: bool = False  # kernels are being compiled; no run has been flown yet
 
 
@@ -72,7 +68,6 @@ class Session:
     log: Log
     total: int  # runs of the shard
     precision: Precision | None = None  # what decides that an environment has enough missions
-    pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
     flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
@@ -103,11 +98,6 @@ class Session:
             self.store.done(world),
         )  # fmt: skip
 
-    def begin(self) -> None:
-        """Start to measure the speed."""
-        self.pace = Pace(time.perf_counter())
-        self.tell()
-
     def take(self, mission: MissionPlan, items: Sequence[Planned | Flown], last: Done | Lost | None) -> None:
         """Store and log new items of a mission, and its end."""
         self.flying.add(mission.world)
@@ -115,8 +105,6 @@ class Session:
         self.write(mission, items)
         if last is not None:
             self.flying.discard(mission.world)
-        if isinstance(last, Done):
-            self.pace.over(mission.world)
 
     def write(self, mission: MissionPlan, items: Sequence[Planned | Flown]) -> None:
         """Store plans and results of a mission, in one transaction."""
@@ -130,7 +118,6 @@ class Session:
             self._count(row.setting, 1, 0, 0)
         for setting, item in done:
             self._count(setting, 0, 1, item.success)
-            self.pace.note(time.perf_counter(), mission.world, is_golden(setting), item.wall_s)
             self.flown += 1
             self.tell()
 
@@ -179,13 +166,7 @@ class Session:
         done, total = self._done, self.total
         if self.precision is not None and self.flying:
             total = max(done + 1, round(total * self.precision.expected() / self.plan.campaign.total_missions))
-        golden_left = self.plan.golden_count(self.shard) - golden_done(self.counts)
-        left = {True: golden_left, False: total - done - golden_left}
-        remaining_s = self.pace.remaining_s(left, len(self.flying))
-        self.report(Progress(
-            done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
-            compiling=compiling,
-        ))  # fmt: skip
+        self.report(Progress(done, total, dict(self.counts), flown=self.flown, compiling=compiling))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +178,7 @@ class Flying:
     def fly(self, executor: Executor) -> None:
         """Fly the incomplete missions; items are stored in their ledgers before the next ones are fetched."""
         for session in self.sessions:
-            session.begin()
+            session.tell()
         jobs: Iterable[Job] = self.jobs()
         failed = ""
         for attempt in range(1 + ATTEMPTS):

@@ -12,7 +12,7 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -343,11 +343,6 @@ class Store:
                 found.append((planned[3], item))
         return found
 
-    def wall_times(self) -> dict[bool, tuple[int, float]]:
-        """Number and total wall time (s) of completed runs; key: whether golden."""
-        query = "SELECT kind = 'golden', COUNT(*), TOTAL(wall_s) FROM runs WHERE record IS NOT NULL GROUP BY 1"
-        return {bool(golden): (number, wall_s) for golden, number, wall_s in self._connection.execute(query)}
-
     @property
     def models_dir(self) -> Path | None:
         """Folder of the campaign's trained models; None = the shipped ones."""
@@ -397,3 +392,12 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
+
+
+def held(directory: Path, key: str) -> Any:
+    """`Store.meta` of a ledger that is not open; None if it is absent, empty or damaged."""
+    if not is_file(directory / FILE):
+        return None
+    with suppress(sqlite3.DatabaseError, ValueError), closing(connect(directory / FILE, "ro")) as connection:
+        return Store(directory, connection).meta(key)
+    return None
