@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 KEYS: Mapping[str, str] = {
     "copies": "no replacement: one copy of a detector brings back as many missions as two or three",
+    "until_halfwidth": "no replacement: a campaign flies the number of missions that it states; set missions",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
@@ -25,6 +26,7 @@ NAMES: Mapping[tuple[str, str], str] = {
 
 OPTIONS: Mapping[str, str] = {
     "--copies": KEYS["copies"],
+    "--until-halfwidth": "use --scale, or set missions in the campaign: their number does not depend on results",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",
     "--machine": "use make machine-level, which flips bits of registers in plain and in protected code",

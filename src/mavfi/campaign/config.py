@@ -177,10 +177,6 @@ class Campaign(Config):
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: Sampling = Field(default_factory=StateSampling)
     monitored_set: str = Field("paper-13", description="fields that count as monitored, in tables and sampling")
-    until_halfwidth: float | None = Field(
-        None, ge=0.01, le=0.5,
-        description="of success rates: an environment is done when its confidence sequences are that narrow",
-    )  # fmt: skip
     null_runs: int | None = Field(
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
@@ -193,6 +189,8 @@ class Campaign(Config):
     @classmethod
     def _renamed(cls, data: Any) -> Any:
         if isinstance(data, dict):
+            if data.get("until_halfwidth", "") is None:  # the default of earlier versions, in their ledgers
+                data = {key: value for key, value in data.items() if key != "until_halfwidth"}
             data = _node_keys(data) if data.get("kind") == "ros_node" else data
             data = _program_keys(data) if data.get("kind") == "airsim_program" else data
             if data.get("host") == "node" and isinstance(data.get("node"), dict):
@@ -290,8 +288,6 @@ class Campaign(Config):
         data = self.model_dump(mode="json")
         if not self.parts:
             del data["parts"]
-        if self.until_halfwidth is None:
-            del data["until_halfwidth"]
         if self.program is None:
             del data["program"]
         sampling = data["sampling"]

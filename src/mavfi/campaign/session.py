@@ -18,7 +18,6 @@ from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import Job, MissionPlan, flights_of, fly_missions, share
 from mavfi.campaign.plan import Flown, Plan, Planned
-from mavfi.campaign.sequential import Precision
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_missions_anywhere
@@ -67,22 +66,18 @@ class Session:
     report: Callable[[Progress], None]
     log: Log
     total: int  # runs of the shard
-    precision: Precision | None = None  # what decides that an environment has enough missions
-    flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     _flights: dict[str, Mapping[str, str]] = field(default_factory=dict)
 
     def worlds(self) -> Iterable[tuple[str, int]]:
-        """All missions, environment by environment; alternating if a half-width ends the campaign."""
+        """All missions, environment by environment."""
         worlds: Iterable[tuple[str, int]] = self.shard.worlds(self.plan.campaign)
-        return worlds if self.precision is None else sorted(worlds, key=lambda world: world[1])
+        return worlds
 
     def left(self, world: tuple[str, int]) -> MissionPlan | None:
-        """A mission, if runs of it are missing and the environment has not enough missions."""
-        if self.store.is_complete(world) or (self.precision and self.precision.met(world[0])):
-            return None
-        return self.mission(world)
+        """A mission, if runs of it are missing."""
+        return None if self.store.is_complete(world) else self.mission(world)
 
     def flights(self, environment: str) -> Mapping[str, str]:
         """What determines the golden flights of the missions in an environment, see `flights_of`."""
@@ -100,11 +95,8 @@ class Session:
 
     def take(self, mission: MissionPlan, items: Sequence[Planned | Flown], last: Done | Lost | None) -> None:
         """Store and log new items of a mission, and its end."""
-        self.flying.add(mission.world)
         self.log.follow(mission, items, last)
         self.write(mission, items)
-        if last is not None:
-            self.flying.discard(mission.world)
 
     def write(self, mission: MissionPlan, items: Sequence[Planned | Flown]) -> None:
         """Store plans and results of a mission, in one transaction."""
@@ -163,10 +155,7 @@ class Session:
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report the progress."""
-        done, total = self._done, self.total
-        if self.precision is not None and self.flying:
-            total = max(done + 1, round(total * self.precision.expected() / self.plan.campaign.total_missions))
-        self.report(Progress(done, total, dict(self.counts), flown=self.flown, compiling=compiling))
+        self.report(Progress(self._done, self.total, dict(self.counts), flown=self.flown, compiling=compiling))
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +232,6 @@ class Flying:
     def _fly_once(self, executor: Executor, jobs: Iterable[Job]) -> Iterator[tuple[int, MissionPlan, Lost]]:
         """Fly jobs; yields number and mission of those that a worker has not completed before it was lost."""
         for session in self.sessions:
-            session.flying.clear()
             session.log.forget()
         function = fly_missions if executor.forks else fly_missions_anywhere
         with closing(executor.map(function, jobs)) as batches:

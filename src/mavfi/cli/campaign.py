@@ -39,7 +39,6 @@ def run(  # noqa: PLR0913 - options
     scheduler: options.Scheduler = "",
     shard: options.Shard = "1/1",
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
-    until_halfwidth: options.UntilHalfwidth = None,
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     fast_forward: Annotated[
         bool,
@@ -63,7 +62,7 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.shard import WHOLE, Shard
     from mavfi.cli.progress import Bar, success_counts
 
-    campaign = options.until(load_campaign(config).at_scale(scale), until_halfwidth)
+    campaign = load_campaign(config).at_scale(scale)
     check_names(campaign, config)
     ledger = out or Path("out") / campaign.name
     flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")

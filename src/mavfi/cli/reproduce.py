@@ -40,7 +40,6 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: options.Workers = 2,
-    until_halfwidth: options.UntilHalfwidth = None,
     show_all: options.AllTables = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -67,8 +66,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
     chosen = load_study(study)
     check_names(chosen, study)
-    found = chosen.campaigns_at(scale)
-    campaigns = {folder: options.until(campaign, until_halfwidth) for folder, campaign in found.items()}
+    campaigns = chosen.campaigns_at(scale)
     executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
         _check_campaign(campaign, chosen.campaigns[folder], out / folder)
