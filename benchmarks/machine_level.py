@@ -26,6 +26,7 @@ import llvmlite
 import numba
 import numpy as np
 
+from benchmarks.single_step import SteppedCall
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.hardening.battery import DETECTED
 from mavfi.campaign.hardening.ratio import coverage
@@ -34,7 +35,6 @@ from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.faults.register.single_step import SteppedCall
 from mavfi.hardening.compiled import Compiled, compiled
 from mavfi.hardening.full import full_plan
 from mavfi.hardening.protection import Protection
