@@ -26,6 +26,13 @@ NAMES: Mapping[tuple[str, str], str] = {
 
 OPTIONS: Mapping[str, str] = {
     "--copies": KEYS["copies"],
+    "--stack": "use --autopilot",
+    "--strike": "use --register-fault",
+    "--strike-seed": "use --register-seed",
+    "--strike-registers": "use --registers",
+    "--forking": "use --fast-forward",
+    "--no-forking": "use --no-fast-forward",
+    "--instants": "no replacement: the smallest fault is searched for at the instant of the given one",
     "--until-halfwidth": "use --scale, or set missions in the campaign: their number does not depend on results",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",

@@ -191,8 +191,6 @@ class Campaign(Config):
         if isinstance(data, dict):
             if data.get("until_halfwidth", "") is None:  # the default of earlier versions, in their ledgers
                 data = {key: value for key, value in data.items() if key != "until_halfwidth"}
-            data = _node_keys(data) if data.get("kind") == "ros_node" else data
-            data = _program_keys(data) if data.get("kind") == "airsim_program" else data
             if data.get("host") == "node" and isinstance(data.get("node"), dict):
                 data = {"environments": [str(data["node"].get("name", "")).strip("/")], "missions": 1, **data}
             for key in data:
@@ -299,28 +297,6 @@ class Campaign(Config):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)
         return data
-
-
-def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the older spelling `kind: ros_node` to keys of `host: node`."""
-    warn_of_older("campaign", "key 'kind': 'ros_node'", "host: node, with its keys under node")
-    given = {key: value for key, value in data.items() if key != "kind"}
-    node = {"name": given.pop("node", "")}
-    node |= {key: given.pop(key) for key in NodeConfig.model_fields if key != "name" and key in given}
-    sampling = {key: given.pop(key) for key in RegisterSampling.model_fields if key in given}
-    scales = {
-        name: {("faults" if key == "trials" else key): value for key, value in scale.items()}
-        for name, scale in given.pop("scales", {}).items()
-    }
-    faults = given.pop("trials", 40)
-    return {**given, "host": "node", "node": node, "sampling": {**sampling, "level": "register"}, "faults": faults,
-            "scales": scales}  # fmt: skip
-
-
-def _program_keys(data: dict[str, Any]) -> dict[str, Any]:
-    """Replace the kind airsim_program by its host and by faults in messages."""
-    given = {key: value for key, value in data.items() if key != "kind"}
-    return {"host": "airsim_program", "sampling": {"level": "message"}, **given}
 
 
 def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:

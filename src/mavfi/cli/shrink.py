@@ -1,12 +1,10 @@
 """`mavfi shrink`: search for the smallest fault that still loses the mission."""
 
 import shlex
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from mavfi.cli import options
-from mavfi.cli.console import check_number, console, write_json
+from mavfi.cli.console import console, write_json
 
 if TYPE_CHECKING:
     from mavfi.campaign.shrink import Shrunk
@@ -15,27 +13,21 @@ if TYPE_CHECKING:
 def shrink(
     directory: options.Ledger,
     run_id: options.RunId,
-    instants: Annotated[
-        int, typer.Option(help="Other instants of the same site to try, with the smallest fault.")
-    ] = 12,
     as_json: options.AsJson = False,
 ) -> None:
-    """Reduce the fault of a lost mission (shorter, fewer bits, a less significant bit), then try other instants.
+    """Reduce the fault of a lost mission: shorter, fewer bits, a less significant bit.
 
     Prints the command that flies the smallest fault found that still loses the mission.
 
     Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
     """
-    check_number("--instants", instants, 0, 1000)
     from mavfi.campaign.shrink import shrink as make_smaller
     from mavfi.cli.flight_text import story_table
     from mavfi.reports.shrink import lines, to_json
 
     progress = console(error=True)
     with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
-        found = make_smaller(
-            directory, run_id, instants=instants, report=lambda count: shown.update(f"{count} candidates flown")
-        )
+        found = make_smaller(directory, run_id, lambda count: shown.update(f"{count} candidates flown"))
     if as_json:
         write_json({**to_json(found), "command": command(found)})
         return
