@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from markupsafe import Markup
-
 from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.summary import PROTECTED, AdviceSummary, FunctionSummary, LineSummary
 from mavfi.reports.hardening.drawing import curve
 from mavfi.reports.hardening.plain import caveats, certificate_table, headline, interval, verdict_line
 from mavfi.reports.html.page import render, write
 from mavfi.reports.text import percent
-from mavfi.reports.vulnerability.listing import highlighted, read_source
+from mavfi.reports.vulnerability.source import read_source
 
 _SPACE = "\u00a0"
 """Between a number and its unit in headings, where a line must not break."""
@@ -22,10 +20,10 @@ _SPACE = "\u00a0"
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A source line: its numbers, its highlighted text, and whether lines just before it were not executed."""
+    """A source line: its numbers, its text, and whether lines just before it were not executed."""
 
     summary: LineSummary
-    code: Markup
+    code: str
     gap: bool
 
     @property
@@ -91,7 +89,7 @@ def source(function: FunctionSummary) -> Source:
     """The executed source lines of a function, with what the plan protects."""
     files = {}
     for file, lines in groupby(function.lines, key=lambda line: line.file):
-        files[file or "instructions without a source line"] = _lines(list(lines), highlighted(read_source(file) or []))
+        files[file or "instructions without a source line"] = _lines(list(lines), read_source(file) or [])
     escapes = {reason: share for reason, share in function.escapes.items() if reason != PROTECTED and share > 0}
     return Source(function, files, escapes)
 
@@ -101,7 +99,7 @@ def _lines(summaries: Sequence[LineSummary], text: Sequence[str]) -> list[Line]:
     for summary in summaries:
         code = text[summary.line - 1] if 1 <= summary.line <= len(text) else ""
         gap = bool(lines) and summary.line > lines[-1].summary.line + 1
-        lines.append(Line(summary, Markup(code), gap))  # noqa: S704 - escaped by `highlighted`
+        lines.append(Line(summary, code, gap))
     return lines
 
 
