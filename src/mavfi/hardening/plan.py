@@ -70,7 +70,7 @@ class FunctionPlan(Config):
     ir_sha256: str = Field(pattern="^[0-9a-f]{64}$", description="digest of the plain IR")
     kind: Kind = Field("duplicate", description="duplicate: of sites; none")
     addresses: bool = Field(False, description="addresses are compared before loads, too")
-    libm: bool = Field(False, description="calls of libm are duplicated, too")
+    libm: Literal[False] = Field(False, description="calls of libm are not duplicated")
     sites: tuple[Site, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
     lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")

@@ -201,7 +201,7 @@ def unprotected(target: Target) -> Prepared:
 def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
     """Machine code of a function to be timed: plain, then with each set of sites duplicated."""
     source, plain = target.source, target.module
-    variants = (protect(plain, sites, addresses=target.addresses, libm=target.libm) for sites in duplicated)
+    variants = (protect(plain, sites, addresses=target.addresses) for sites in duplicated)
     return [Timed.code_of(source, module) for module in (plain, *variants)]
 
 

@@ -11,7 +11,6 @@ from mavfi.campaign.hardening.battery import Battery
 from mavfi.campaign.hardening.certification import Certification, certified_plan, with_certified
 from mavfi.campaign.hardening.certify import Pair, certify
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.campaign.hardening.kernel import see
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import Harm
 from mavfi.campaign.hardening.study import plan_of, planned_of
@@ -20,7 +19,7 @@ from mavfi.campaign.hardening.target import targets_of
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.full import full_plan
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
-from tests.unit.campaign.hardening.kernels import calls, smooth
+from tests.unit.campaign.hardening.kernels import calls, see, smooth
 
 
 @pytest.fixture(scope="module")
