@@ -7,10 +7,18 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from mavfi.bridges.airsim.config import ProgramConfig
-from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata, label_of
-from mavfi.campaign.message_sampling import MessageSampling
-from mavfi.campaign.sensor_sampling import SensorSampling
-from mavfi.campaign.state_sampling import Lifetime, SiteGroup, StateSampling
+from mavfi.campaign.sampling import (
+    NULL_RUNS,
+    Lifetime,
+    MessageSampling,
+    SensorSampling,
+    SiteGroup,
+    StateSampling,
+    check_distinct,
+    check_known,
+    check_strata,
+    label_of,
+)
 from mavfi.config import Config, Name, config_root, load, parse
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model

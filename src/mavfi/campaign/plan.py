@@ -12,11 +12,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
-from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.copies import lead_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
+from mavfi.campaign.sampling import label_of
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
 from mavfi.detectors.registry import mission_keys

@@ -17,11 +17,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
-from mavfi.campaign.connection import connect
 from mavfi.campaign.fingerprint import differences
+from mavfi.campaign.integrity import (
+    BOUND,
+    IDENTITY,
+    INDEX,
+    PLANNED,
+    TABLES,
+    checksum_of,
+    connect,
+    damage,
+    meta_checksum,
+    mission_checksum,
+    salt_of,
+)
 from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
-from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, damage
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
 from mavfi.flight_record import FlightRecord, canonical

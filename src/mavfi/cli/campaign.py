@@ -164,7 +164,7 @@ def verify(
 
     Example: [bold]mavfi campaign verify out/states --share 0.05[/bold]
     """
-    from mavfi.campaign.verification import verify as verify_runs
+    from mavfi.campaign.replay import verify as verify_runs
     from mavfi.cli.console import check_seed
     from mavfi.cli.progress import Bar
 

@@ -5,7 +5,6 @@ from typing import Any
 from mavfi.campaign import overheads
 from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
-from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import (
     ArmConfig,
     Campaign,
@@ -14,10 +13,8 @@ from mavfi.campaign.config import (
     RegisterSampling,
     Sampling,
 )
-from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.run import status, stored_campaign
-from mavfi.campaign.sensor_sampling import SensorSampling
-from mavfi.campaign.state_sampling import StateSampling
+from mavfi.campaign.sampling import MessageSampling, SensorSampling, StateSampling, label_of
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
