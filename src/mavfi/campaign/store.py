@@ -116,12 +116,8 @@ class Store:
         return store
 
     @staticmethod
-    def open(directory: Path, *, check: bool = True) -> "Store":
-        """Open a ledger for reading.
-
-        Args:
-            directory: Folder of the ledger.
-            check: Whether to verify every checksum; False for repeated reads of a verified ledger.
+    def open(directory: Path) -> "Store":
+        """Open a ledger for reading, and verify every checksum.
 
         Raises:
             BadInputError: The ledger is absent, damaged or of another version.
@@ -131,8 +127,7 @@ class Store:
         store = Store(directory, connect(directory / FILE, "ro"))
         try:
             store._check_schema()
-            if check:
-                store._check_content()
+            store._check_content()
         except BaseException:
             store.close()
             raise

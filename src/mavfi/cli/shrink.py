@@ -1,7 +1,6 @@
 """`mavfi shrink`: search for the smallest fault that still loses the mission."""
 
-import shlex
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mavfi.cli import options
 from mavfi.cli.console import console, write_json
@@ -41,26 +40,13 @@ def command(found: "Shrunk") -> str:
     from mavfi.campaign.run import stored_campaign
     from mavfi.campaign.samplers.request import seed_of, text_of
     from mavfi.campaign.store import Store
-    from mavfi.mission import MissionSpec
+    from mavfi.cli.flight_pages import fly_command
 
     spec = found.spec
     with Store.open(found.directory) as store:
         campaign = stored_campaign(store)
-    arm = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
-    asked = campaign.spec(spec.environment, spec.seed, arm)
-    chosen: dict[str, Any] = {
-        name: value
-        for name in MissionSpec.model_fields
-        if (value := getattr(asked, name)) != MissionSpec.model_fields[name].default
-    }
+    overrides = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
+    mission = campaign.spec(spec.environment, spec.seed, overrides)
     fault = found.smallest.fault
-    text = text_of(fault)
-    assert text is not None  # faults that can be reduced have one
-    words = ["mavfi", "fly"]
-    for name, value in chosen.items():
-        words += [options.option_name(name), *map(str, value if isinstance(value, (tuple, list)) else [value])]
-    if spec.detector:
-        words += ["--detector", spec.detector, *(["--profile", spec.detector_profile] if spec.model else [])]
-    if (seed := seed_of(fault)) is not None:
-        words += ["--fault-seed", str(seed)]
-    return shlex.join([*words, "--fault", text])
+    profile = spec.detector_profile if spec.model else None
+    return fly_command(mission, text_of(fault), seed_of(fault), spec.detector or "none", profile, None)

@@ -80,8 +80,8 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
 def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
     spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
     printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), None)))
-    assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == [*words, "--fault", text_of(fault)]
-    parse(printed[-1])
+    assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == ["--fault", text_of(fault), *words]
+    parse(text_of(fault))
 
 
 def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):
