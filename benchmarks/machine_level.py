@@ -26,19 +26,20 @@ import llvmlite
 import numba
 import numpy as np
 
+from benchmarks.single_step import SteppedCall
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.hardening.battery import DETECTED
-from mavfi.campaign.hardening.machine import POINTS, RAYS, inject_all, reduced
 from mavfi.campaign.hardening.ratio import coverage
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.faults.register.single_step import SteppedCall
 from mavfi.hardening.compiled import Compiled, compiled
 from mavfi.hardening.full import full_plan
 from mavfi.hardening.protection import Protection
+from mavfi.hardening.recorded import copied
+from mavfi.hardening.wrapper import MESSAGE
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
@@ -54,6 +55,8 @@ ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
 KERNELS = {"pid": "track", "point_cloud": "back_project", "collision_check": "time_to_collision"}
 MORE = {"pid": 3}
 """Times more faults: of 400, 2 % may be 4 %, and its call is the shortest."""
+RAYS, POINTS = 24, 3
+"""Rays of a point cloud and way-points of a collision check to which long calls are reduced."""
 OUTCOMES = ("masked", "sdc", "crash", "hang", "exception", DETECTED)
 PROTECTED = "machine, protected"
 LEVELS = ("machine", "IR", PROTECTED)
@@ -99,6 +102,30 @@ class Study:
     injectable: int
     out_of_reach: int
     protected: int
+
+
+def reduced(entry: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A copy of a call's arguments with fewer rays of the point cloud, or fewer points of the path."""
+    fewer = args
+    if entry == "back_project":
+        ranges, directions, rotation, origin, max_range, points = args
+        fewer = (ranges[:RAYS], directions[:RAYS], rotation, origin, max_range, points[:RAYS])
+    elif entry == "time_to_collision":
+        counter, grid, position, points, first, *rest = args
+        fewer = (counter, grid, position, points[first : first + POINTS], 0, *rest)
+    same: tuple[Any, ...] = copied(fewer)
+    return same
+
+
+def inject_all(call: SteppedCall, random: np.random.Generator, n: int, tell: Callable[[str], None]) -> Counter[str]:
+    """Outcomes of n faults at machine level."""
+    outcomes: Counter[str] = Counter()
+    for fault in call.draw(random, n):
+        outcome = call.inject(fault)
+        assert outcome.activated  # a missed injection must not count as masked
+        outcomes[DETECTED if MESSAGE in outcome.detail else outcome.how] += 1
+        tell(f"{outcomes.total()} of {n}")
+    return outcomes
 
 
 def recorded() -> dict[str, tuple[Any, ...]]:

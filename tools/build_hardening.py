@@ -32,16 +32,15 @@ from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import Seen, observe
 from mavfi.campaign.hardening.study import Study, advise, plan_of, planned_of
-from mavfi.campaign.hardening.summary import growth_of, summary
+from mavfi.campaign.hardening.summary import AdviceSummary, growth_of, summary
 from mavfi.campaign.hardening.target import Target
-from mavfi.campaign.hardening.ways import CUT
 from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.hardening.plan import Plan, load_plan, save_plan
 from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.reports.hardening.plain import advice_table, caveats, certificate_table, headline, rerun_line, verdict_line
+from mavfi.reports.hardening.plain import advice_table, caveats, certificate_table, headline, verdict_line
 from tools import results
 from tools.markers import ROOT, fill
 
@@ -50,8 +49,6 @@ LEDGER = Path("out/hardening")
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
 CERTIFICATE = PLAN.with_suffix(".certificate.json")
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
-COMPARED_SHARE = 0.25
-"""Share of the cost of full duplication at which ways to choose are compared."""
 MOST_TIME = {
     "plan_rrt_connect": 1.2, "time_to_collision": 1.2, "track": 1.3, "apply_updates": 1.3, "back_project": 1.5,
     "insert_scan": 1.5,
@@ -152,17 +149,6 @@ def certificates(
                 yield curve, step, row
 
 
-def alternatives(curve: Curve) -> Row | None:
-    """Silent corruptions that choices at equal cost remove, judged by other calls; None if few."""
-    compared = next((one for one in curve.compared if one.share == COMPARED_SHARE), None)
-    if compared is None:
-        return None
-    return {
-        "function": curve.target.seen.entry, "kernel": curve.target.kernels[0], "n": len(compared.judged[CUT]),
-        "hits": compared.hits, "tests": compared.tests,
-    }  # fmt: skip
-
-
 def golden(study: Study, plan: Plan, flights: int, records: Records) -> GoldenCheck:
     """Fly golden missions plain and protected, in four environments; sum over these and earlier plans.
 
@@ -211,23 +197,6 @@ def curve_table(curves: Sequence[Curve], certified: Mapping[tuple[str, str, floa
     return Table("curves", "Curves and certificates of all functions", columns, rows, keys=3)
 
 
-def ways_table(compared: Sequence[Row]) -> Table:
-    """Coverage of each way to choose, with McNemar's p against the minimum cut."""
-    rows = []
-    for row in compared:
-        shares = {name: sum(hits) / row["n"] for name, hits in row["hits"].items()}
-        others = [cell for name, test in row["tests"].items() for cell in (shares[name], test.p_value)]
-        rows.append((row["function"], row["n"], shares[CUT], *others))
-    names = ("by line", "by opcode", "random")
-    others = [
-        column for name in names
-        for column in (Column(name, name, "percent"), Column(f"{name} p", f"p, {name}", "number .2g"))
-    ]  # fmt: skip
-    columns = (Column("function", "function"), Column("n", "SDCs", NUMBER), Column("cut", "minimum cut", "percent"))
-    title = f"Ways to choose, at equal cost (step {COMPARED_SHARE:g}); p: McNemar's test against the minimum cut"
-    return Table("ways", title, (*columns, *others), rows)
-
-
 # ---- the page -------------------------------------------------------------------------------------------------------
 def certificate(path: Path = CERTIFICATE) -> Certification:
     """The shipped certificate.
@@ -249,13 +218,13 @@ def certificate_sentence(found: Certification, page: str) -> str:
     return f"The shipped plan{verdict_line(found).removeprefix('The plan')}{chosen}"
 
 
-def sentence(advice: Row) -> str:
+def sentence(advice: AdviceSummary) -> str:
     """What the budget buys and what it does not, in one sentence for the README."""
     buys, lost = headline(advice).rstrip("."), caveats(advice)[0].partition(": ")[2]
     return f"{buys} ([curves, plans, certificates](docs/results/{PAGE}.md)), but buys no missions: {lost}"
 
 
-def write_page(study: Study, advice: Row, curves: Table, ways: Table, check: GoldenCheck) -> Path:
+def write_page(study: Study, advice: AdviceSummary, curves: Table, check: GoldenCheck) -> Path:
     """Write the page, and the sentences in README.md."""
     campaign = study.campaign
     shipped = certificate()
@@ -265,11 +234,10 @@ def write_page(study: Study, advice: Row, curves: Table, ways: Table, check: Gol
         "[hardening](../hardening.md)",
         f"golden digests of protected flights: {check.same} of {check.flights} equal; {check.alarms} false alarms in "
         f"{check.calls:,} calls (without charged time: with it the longer latency changes the flight)",
-        rerun_line(advice),
     ]
     verdict = certificate_sentence(shipped, processor())
     text = f"{headline(advice)} {' '.join(caveats(advice))} {verdict}"
-    tables = {"plan": advice_table(advice), "certificate": certificate_table(shipped), "curves": curves, "ways": ways}
+    tables = {"plan": advice_table(advice), "certificate": certificate_table(shipped), "curves": curves}
     page = results.write(PAGE, "Hardening of the kernels", text, tables, [results.Excerpt("plan")], about)
     fill(ROOT / "README.md", {"hardening": sentence(advice), "certificate": verdict})
     return page
@@ -298,7 +266,6 @@ def main() -> None:
     plan = plan_of(study, advices)
     save_plan(plan, PLAN)
     curves = [curve for advice_of_planner in advices for curve in advice_of_planner.curves if len(curve.steps) > 1]
-    compared = [row for curve in curves if (row := alternatives(curve)) is not None]
     check = golden(study, plan, options.flights, records)
     fractions = [float(text) for text in options.fractions.split(",") if text]
     certified = {
@@ -310,7 +277,7 @@ def main() -> None:
     code = subprocess.run(certifying, cwd=ROOT, check=False).returncode
     if code not in (0, 3):
         sys.exit(code)
-    page = write_page(study, advice, curve_table(curves, certified), ways_table(compared), check)
+    page = write_page(study, advice, curve_table(curves, certified), check)
     print(f"wrote {page.relative_to(ROOT)}")
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.mission import scenarios_of
-from mavfi.campaign.outside import held
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import identity_of
+from mavfi.campaign.store import held
 from mavfi.campaign.study import load_study
 from mavfi.flight_record import canonical
 from mavfi.reports.text import markdown_grid, short

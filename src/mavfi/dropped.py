@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 KEYS: Mapping[str, str] = {
     "copies": "no replacement: one copy of a detector brings back as many missions as two or three",
+    "until_halfwidth": "no replacement: a campaign flies the number of missions that it states; set missions",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
@@ -11,6 +12,7 @@ KEYS: Mapping[str, str] = {
 VALUES: Mapping[tuple[str, str], str] = {
     **{("dead_node", policy): "readback" for policy in ("latched", "recompute", "checkpoint", "standby")},
     **{("degraded", mode): "hold" for mode in ("hover", "back")},
+    **{("kind", repetition): "duplicate" for repetition in ("rerun", "vote")},
 }
 """Values of keys, by key and value, with the value to use instead."""
 
@@ -28,6 +30,17 @@ OPTIONS: Mapping[str, str] = {
     "--free-running": "use --pace 1: the flight in lock-step, paced by the wall clock",
     "--new-interpreters": "no replacement: nodes are processes forked from their supervisor",
     "--point-cloud-node": "no replacement: attach with mavfi ros corrupt or mavfi inject --ros-node",
+    "--stack": "use --autopilot",
+    "--strike": "use --register-fault",
+    "--strike-seed": "use --register-seed",
+    "--strike-registers": "use --registers",
+    "--forking": "use --fast-forward",
+    "--no-forking": "use --no-fast-forward",
+    "--instants": "no replacement: the smallest fault is searched for at the instant of the given one",
+    "--until-halfwidth": "use --scale, or set missions in the campaign: their number does not depend on results",
+    "--watch": "use watch -n 2 mavfi campaign status DIR",
+    "--every": "use watch -n 2 mavfi campaign status DIR",
+    "--machine": "use make machine-level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, with what to do instead."""
 

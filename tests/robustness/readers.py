@@ -25,14 +25,22 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mavfi.campaign.analysis import VIEWS, Runs, table
-from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.integrity import (
+    BOUND,
+    IDENTITY,
+    PLANNED,
+    TABLES,
+    checksum_of,
+    meta_checksum,
+    mission_checksum,
+    salt_of,
+)
 from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.shard import WHOLE
-from mavfi.campaign.soundness import PLANNED, TABLES
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.study import load_study
 from mavfi.campaign.training import KeptRecordings

@@ -7,10 +7,18 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from mavfi.bridges.airsim.config import ProgramConfig
-from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata, label_of
-from mavfi.campaign.message_sampling import MessageSampling
-from mavfi.campaign.sensor_sampling import SensorSampling
-from mavfi.campaign.state_sampling import Lifetime, SiteGroup, StateSampling
+from mavfi.campaign.sampling import (
+    NULL_RUNS,
+    Lifetime,
+    MessageSampling,
+    SensorSampling,
+    SiteGroup,
+    StateSampling,
+    check_distinct,
+    check_known,
+    check_strata,
+    label_of,
+)
 from mavfi.config import Config, Name, config_root, load, parse
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
@@ -177,10 +185,6 @@ class Campaign(Config):
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: Sampling = Field(default_factory=StateSampling)
     monitored_set: str = Field("paper-13", description="fields that count as monitored, in tables and sampling")
-    until_halfwidth: float | None = Field(
-        None, ge=0.01, le=0.5,
-        description="of success rates: an environment is done when its confidence sequences are that narrow",
-    )  # fmt: skip
     null_runs: int | None = Field(
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
@@ -193,8 +197,8 @@ class Campaign(Config):
     @classmethod
     def _renamed(cls, data: Any) -> Any:
         if isinstance(data, dict):
-            data = _node_keys(data) if data.get("kind") == "ros_node" else data
-            data = _program_keys(data) if data.get("kind") == "airsim_program" else data
+            if data.get("until_halfwidth", "") is None:  # the default of earlier versions, in their ledgers
+                data = {key: value for key, value in data.items() if key != "until_halfwidth"}
             if data.get("host") == "node" and isinstance(data.get("node"), dict):
                 data = {"environments": [str(data["node"].get("name", "")).strip("/")], "missions": 1, **data}
             for key in data:
@@ -290,8 +294,6 @@ class Campaign(Config):
         data = self.model_dump(mode="json")
         if not self.parts:
             del data["parts"]
-        if self.until_halfwidth is None:
-            del data["until_halfwidth"]
         if self.program is None:
             del data["program"]
         sampling = data["sampling"]
@@ -303,28 +305,6 @@ class Campaign(Config):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)
         return data
-
-
-def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the older spelling `kind: ros_node` to keys of `host: node`."""
-    warn_of_older("campaign", "key 'kind': 'ros_node'", "host: node, with its keys under node")
-    given = {key: value for key, value in data.items() if key != "kind"}
-    node = {"name": given.pop("node", "")}
-    node |= {key: given.pop(key) for key in NodeConfig.model_fields if key != "name" and key in given}
-    sampling = {key: given.pop(key) for key in RegisterSampling.model_fields if key in given}
-    scales = {
-        name: {("faults" if key == "trials" else key): value for key, value in scale.items()}
-        for name, scale in given.pop("scales", {}).items()
-    }
-    faults = given.pop("trials", 40)
-    return {**given, "host": "node", "node": node, "sampling": {**sampling, "level": "register"}, "faults": faults,
-            "scales": scales}  # fmt: skip
-
-
-def _program_keys(data: dict[str, Any]) -> dict[str, Any]:
-    """Replace the kind airsim_program by its host and by faults in messages."""
-    given = {key: value for key, value in data.items() if key != "kind"}
-    return {"host": "airsim_program", "sampling": {"level": "message"}, **given}
 
 
 def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:

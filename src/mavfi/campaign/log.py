@@ -24,7 +24,6 @@ FILE = "log.jsonl"
 MOST_UNKNOWN = 100
 """Runs with status unknown logged individually per session; the others are only counted at its end."""
 _LONGEST_TEXT = 500
-_TAIL = 2**22
 
 
 class Log:
@@ -89,22 +88,3 @@ class Log:
         why = "complete" if error is None else "failed" if isinstance(error, Exception) else "stopped"
         reason = "" if error is None else str(error) if isinstance(error, MavfiError) else repr(error)
         self.note("end", why=why, reason=reason, unknown=self._unknown, **fields)
-
-
-def entries(directory: Path) -> list[dict[str, Any]]:
-    """The last entries of a log, without unreadable lines."""
-    try:
-        with (directory / FILE).open("rb") as file:
-            file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
-            lines = file.read().splitlines()
-    except OSError:
-        return []
-    return [entry for line in lines if (entry := _parsed(line))]
-
-
-def _parsed(line: bytes) -> dict[str, Any]:
-    with suppress(ValueError):
-        entry = json.loads(line)
-        if isinstance(entry, dict) and {"time", "event"} <= set(entry):
-            return entry
-    return {}

@@ -22,8 +22,8 @@ from typing import IO
 import yaml
 from pydantic import Field, ValidationError
 
+from mavfi.campaign.integrity import TABLES
 from mavfi.campaign.run import status_of, stored_campaign
-from mavfi.campaign.soundness import TABLES
 from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.config import Config
 from mavfi.detectors.model import Model

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
-from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
+from mavfi.campaign.sampling import label_of
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
 from mavfi.detectors.registry import mission_keys
@@ -147,16 +147,6 @@ def reason_of(note: str) -> str:
 
 def _with_arm(setting: str, arm: str) -> str:
     return f"{setting}_{arm}" if arm else setting
-
-
-def is_golden(setting: str) -> bool:
-    """Whether the runs of a setting are golden."""
-    return setting == GOLDEN or setting.startswith(f"{GOLDEN}_")
-
-
-def golden_done(counts: Mapping[str, tuple[int, int, int]]) -> int:
-    """Golden runs that are done, of the counts by setting."""
-    return sum(done for setting, (_, done, _) in counts.items() if is_golden(setting))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum
-from mavfi.campaign.connection import connect
-from mavfi.campaign.soundness import PLANNED, TABLES, strange_schema
+from mavfi.campaign.integrity import (
+    BOUND,
+    IDENTITY,
+    PLANNED,
+    TABLES,
+    checksum_of,
+    connect,
+    meta_checksum,
+    mission_checksum,
+    strange_schema,
+)
 from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.errors import BadInputError, writing
 from mavfi.files import is_file

@@ -13,12 +13,10 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import host_of, model_hashes, plan_of, scenarios_of
-from mavfi.campaign.outside import held
 from mavfi.campaign.plan import arms_of
-from mavfi.campaign.sequential import Precision
 from mavfi.campaign.session import Flying, Progress, Session, Status
 from mavfi.campaign.shard import WHOLE, Shard
-from mavfi.campaign.store import Store
+from mavfi.campaign.store import Store, held
 from mavfi.campaign.warm_up import is_compiled, warm_up
 from mavfi.config import STORED, parse
 from mavfi.detectors.registry import detector_options, mission_keys
@@ -75,9 +73,6 @@ def run_campaigns(
         for session in sessions:
             _prepare(session, executor)
         Flying(sessions).fly(executor)
-        for session in sessions:
-            if session.precision is not None:
-                session.store.write_meta({"missions": len(session.store.planned())})
         return {directory: status(directory) for directory in campaigns}
 
 
@@ -105,7 +100,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     })  # fmt: skip
     return Session(
         plan, store, models_dir, fast_forward, shard, tell, Log(directory), plan.count(shard),
-        Precision.of(campaign, store, shard), counts=store.counts(),
+        counts=store.counts(),
     )  # fmt: skip
 
 

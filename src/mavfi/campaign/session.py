@@ -6,7 +6,6 @@ worker dies, its missions are repeated with each injected run in a separate chil
 """
 
 import itertools
-import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,9 +17,7 @@ from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import Job, MissionPlan, flights_of, fly_missions, share
-from mavfi.campaign.pace import Pace
-from mavfi.campaign.plan import Flown, Plan, Planned, golden_done, is_golden
-from mavfi.campaign.sequential import Precision
+from mavfi.campaign.plan import Flown, Plan, Planned
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_missions_anywhere
@@ -54,8 +51,6 @@ class Progress(Status):
     """Progress of a running campaign."""
 
     flown: int = 0  # runs done in this session
-    rate: float = 0.0  # runs per second over the latest runs; 0 = unknown yet
-    remaining_s: float = math.inf  # remaining wall time (s); infinite = unknown yet
     compiling: bool = False  # kernels are being compiled; no run has been flown yet
 
 
@@ -71,23 +66,18 @@ class Session:
     report: Callable[[Progress], None]
     log: Log
     total: int  # runs of the shard
-    precision: Precision | None = None  # what decides that an environment has enough missions
-    pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
-    flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     _flights: dict[str, Mapping[str, str]] = field(default_factory=dict)
 
     def worlds(self) -> Iterable[tuple[str, int]]:
-        """All missions, environment by environment; alternating if a half-width ends the campaign."""
+        """All missions, environment by environment."""
         worlds: Iterable[tuple[str, int]] = self.shard.worlds(self.plan.campaign)
-        return worlds if self.precision is None else sorted(worlds, key=lambda world: world[1])
+        return worlds
 
     def left(self, world: tuple[str, int]) -> MissionPlan | None:
-        """A mission, if runs of it are missing and the environment has not enough missions."""
-        if self.store.is_complete(world) or (self.precision and self.precision.met(world[0])):
-            return None
-        return self.mission(world)
+        """A mission, if runs of it are missing."""
+        return None if self.store.is_complete(world) else self.mission(world)
 
     def flights(self, environment: str) -> Mapping[str, str]:
         """What determines the golden flights of the missions in an environment, see `flights_of`."""
@@ -103,20 +93,10 @@ class Session:
             self.store.done(world),
         )  # fmt: skip
 
-    def begin(self) -> None:
-        """Start to measure the speed."""
-        self.pace = Pace(time.perf_counter())
-        self.tell()
-
     def take(self, mission: MissionPlan, items: Sequence[Planned | Flown], last: Done | Lost | None) -> None:
         """Store and log new items of a mission, and its end."""
-        self.flying.add(mission.world)
         self.log.follow(mission, items, last)
         self.write(mission, items)
-        if last is not None:
-            self.flying.discard(mission.world)
-        if isinstance(last, Done):
-            self.pace.over(mission.world)
 
     def write(self, mission: MissionPlan, items: Sequence[Planned | Flown]) -> None:
         """Store plans and results of a mission, in one transaction."""
@@ -130,7 +110,6 @@ class Session:
             self._count(row.setting, 1, 0, 0)
         for setting, item in done:
             self._count(setting, 0, 1, item.success)
-            self.pace.note(time.perf_counter(), mission.world, is_golden(setting), item.wall_s)
             self.flown += 1
             self.tell()
 
@@ -176,16 +155,7 @@ class Session:
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report the progress."""
-        done, total = self._done, self.total
-        if self.precision is not None and self.flying:
-            total = max(done + 1, round(total * self.precision.expected() / self.plan.campaign.total_missions))
-        golden_left = self.plan.golden_count(self.shard) - golden_done(self.counts)
-        left = {True: golden_left, False: total - done - golden_left}
-        remaining_s = self.pace.remaining_s(left, len(self.flying))
-        self.report(Progress(
-            done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
-            compiling=compiling,
-        ))  # fmt: skip
+        self.report(Progress(self._done, self.total, dict(self.counts), flown=self.flown, compiling=compiling))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +167,7 @@ class Flying:
     def fly(self, executor: Executor) -> None:
         """Fly the incomplete missions; items are stored in their ledgers before the next ones are fetched."""
         for session in self.sessions:
-            session.begin()
+            session.tell()
         jobs: Iterable[Job] = self.jobs()
         failed = ""
         for attempt in range(1 + ATTEMPTS):
@@ -262,7 +232,6 @@ class Flying:
     def _fly_once(self, executor: Executor, jobs: Iterable[Job]) -> Iterator[tuple[int, MissionPlan, Lost]]:
         """Fly jobs; yields number and mission of those that a worker has not completed before it was lost."""
         for session in self.sessions:
-            session.flying.clear()
             session.log.forget()
         function = fly_missions if executor.forks else fly_missions_anywhere
         with closing(executor.map(function, jobs)) as batches:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.samplers.smaller import can_be_smaller, elsewhere, fewer, lower, narrower
+from mavfi.campaign.samplers.smaller import can_be_smaller, fewer, lower, narrower
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
@@ -18,8 +18,6 @@ from mavfi.flight_log import Injection
 from mavfi.hosts.host import Flight, MissionFlights
 from mavfi.mission import MissionStatus
 
-INSTANTS = 12
-"""Default number of other instants of the same site to try."""
 _BATCH = 8
 """Candidates per batch: instruction faults share a flight up to their calls."""
 
@@ -57,20 +55,15 @@ class Shrunk:
     original: Trial
     smallest: Trial
     steps: tuple[Step, ...]
-    instants: tuple[Trial, ...]  # the smallest fault at other instants or calls of its site, in order of time
     golden: Flight
-    asked: int = INSTANTS  # other instants asked for
 
 
-def shrink(
-    directory: Path, run_id: str, *, instants: int = INSTANTS, report: Callable[[int], None] | None = None
-) -> Shrunk:
+def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = None) -> Shrunk:
     """Reduce the fault of a run to the smallest one found that loses the mission.
 
     Args:
         directory: Folder of the ledger.
         run_id: Id of the run, or an unambiguous prefix of it.
-        instants: Number of other instants of the site to try at the end.
         report: Called with the number of flights so far.
 
     Raises:
@@ -87,7 +80,7 @@ def shrink(
             "memory or an instruction"
         )
     trials = _Trials(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
-    golden = trials.flights.golden(spec.arm, profile=True)
+    golden = trials.flights.golden(spec.arm)
     assert isinstance(golden, Flight)  # as hosts of faults that can be smaller do
     original = next(trials.of([fault]))
     if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
@@ -103,8 +96,7 @@ def shrink(
             found = next((trial for trial in trials.of(smaller) if trial.lost), None)
             steps.append(Step(what, trials.count, found))
             smallest = found or smallest
-    others = tuple(trials.of(elsewhere(smallest.fault, golden, instants, setup)))
-    return Shrunk(directory, spec, original, smallest, tuple(steps), others, golden, instants)
+    return Shrunk(directory, spec, original, smallest, tuple(steps), golden)
 
 
 @dataclass(slots=True)

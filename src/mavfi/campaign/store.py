@@ -12,16 +12,26 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
-from mavfi.campaign.connection import connect
 from mavfi.campaign.fingerprint import differences
+from mavfi.campaign.integrity import (
+    BOUND,
+    IDENTITY,
+    INDEX,
+    PLANNED,
+    TABLES,
+    checksum_of,
+    connect,
+    damage,
+    meta_checksum,
+    mission_checksum,
+    salt_of,
+)
 from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
-from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, damage
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
 from mavfi.flight_record import FlightRecord, canonical, without_source
@@ -106,12 +116,8 @@ class Store:
         return store
 
     @staticmethod
-    def open(directory: Path, *, check: bool = True) -> "Store":
-        """Open a ledger for reading.
-
-        Args:
-            directory: Folder of the ledger.
-            check: Whether to verify every checksum; False for repeated reads of a verified ledger.
+    def open(directory: Path) -> "Store":
+        """Open a ledger for reading, and verify every checksum.
 
         Raises:
             BadInputError: The ledger is absent, damaged or of another version.
@@ -121,8 +127,7 @@ class Store:
         store = Store(directory, connect(directory / FILE, "ro"))
         try:
             store._check_schema()
-            if check:
-                store._check_content()
+            store._check_content()
         except BaseException:
             store.close()
             raise
@@ -343,11 +348,6 @@ class Store:
                 found.append((planned[3], item))
         return found
 
-    def wall_times(self) -> dict[bool, tuple[int, float]]:
-        """Number and total wall time (s) of completed runs; key: whether golden."""
-        query = "SELECT kind = 'golden', COUNT(*), TOTAL(wall_s) FROM runs WHERE record IS NOT NULL GROUP BY 1"
-        return {bool(golden): (number, wall_s) for golden, number, wall_s in self._connection.execute(query)}
-
     @property
     def models_dir(self) -> Path | None:
         """Folder of the campaign's trained models; None = the shipped ones."""
@@ -398,3 +398,12 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{None if record is None else without_source(record)}\n".encode())
         return content.hexdigest()
+
+
+def held(directory: Path, key: str) -> Any:
+    """`Store.meta` of a ledger that is not open; None if it is absent, empty or damaged."""
+    if not is_file(directory / FILE):
+        return None
+    with suppress(sqlite3.DatabaseError, ValueError), closing(connect(directory / FILE, "ro")) as connection:
+        return Store(directory, connection).meta(key)
+    return None

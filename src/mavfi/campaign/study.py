@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from mavfi.campaign.checks import check_distinct
 from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
+from mavfi.campaign.sampling import check_distinct
 from mavfi.config import Config, Name, load
 from mavfi.errors import BadInputError
 

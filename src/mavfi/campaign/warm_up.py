@@ -112,11 +112,6 @@ def compile_ahead(
             _done(campaign).touch()
 
 
-def tasks_ahead(campaigns: Iterable[Campaign]) -> int:
-    """Number of tasks of `compile_ahead`; raises a BadInputError if a campaign cannot be flown."""
-    return sum(map(len, _rounds(_not_compiled(campaigns))))
-
-
 def compile_flight(scenario: Scenario, executor: Executor) -> None:
     """Compile the stages of one flight in an executor's processes.
 

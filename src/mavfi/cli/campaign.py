@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import check_number, console, counted, write_json
+from mavfi.cli.console import console, counted, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import MavfiError
+from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
@@ -38,7 +39,6 @@ def run(  # noqa: PLR0913 - options
     scheduler: options.Scheduler = "",
     shard: options.Shard = "1/1",
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
-    until_halfwidth: options.UntilHalfwidth = None,
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     fast_forward: Annotated[
         bool,
@@ -62,12 +62,12 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.shard import WHOLE, Shard
     from mavfi.cli.progress import Bar, success_counts
 
-    campaign = options.until(load_campaign(config).at_scale(scale), until_halfwidth)
+    campaign = load_campaign(config).at_scale(scale)
     check_names(campaign, config)
     ledger = out or Path("out") / campaign.name
     flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")
     if dry_run:
-        for line in _what(campaign, ledger, workers, models, part):
+        for line in _what(campaign, ledger, models, part):
             typer.echo(line)
         return
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
@@ -98,12 +98,12 @@ def _most_frequent_reason(ledger: Path) -> str:
     return f" ({number} of them: {reason})"
 
 
-def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None, shard: "Shard") -> list[str]:
+def _what(campaign: "Campaign", ledger: Path, models: Path | None, shard: "Shard") -> list[str]:
     """Description of a campaign for --dry-run, as lines; names are checked, no file is written."""
     from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.samplers.sampler import draws_of
-    from mavfi.cli.forecast import forecast_lines
+    from mavfi.campaign.store import FILE, Store
 
     arms = arms_of(campaign)
     scenarios = scenarios_of(campaign, arms)
@@ -111,36 +111,30 @@ def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None,
     blocks = plan.sampler.blocks(campaign.environments[0])
     draws = draws_of(blocks, range(campaign.missions), campaign.missions)
     targets = list(dict.fromkeys(draw.target for _, draw in draws))
-    runs, *forecast = forecast_lines(plan, ledger, workers, shard)
+    golden, total, done = plan.golden_count(shard), plan.count(shard), 0
+    if is_file(ledger / FILE):
+        with Store.open(ledger) as store:
+            done = sum(flown for _, flown, _ in store.counts().values())
     return [
-        runs,
+        f"{counted(total, 'run')} at most, {done} of them done in {ledger}",
         f"host {campaign.host} · {counted(campaign.missions, 'mission')} in each of: {', '.join(campaign.environments)}"
         f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
         f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
         f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
-        *forecast,
+        f"{counted(shard.missions(campaign), 'mission')} · {counted(golden, 'golden run')}, "
+        f"{total - golden} with a fault or null",
     ]
 
 
 @app.command("status")
 def status(
     directory: options.Ledger,
-    watch: Annotated[bool, typer.Option("--watch", help="Redraw until the campaign is complete, or Ctrl-C.")] = False,
-    every: Annotated[float, typer.Option(help="Seconds between two looks of --watch.")] = 2.0,
     as_json: options.AsJson = False,
 ) -> None:
     """Print the progress of a campaign, and the number of successful missions in each setting.
 
-    Example: [bold]mavfi campaign status out/states --watch[/bold]
+    Example: [bold]mavfi campaign status out/states[/bold]
     """
-    check_number("--every", every, 0.1, 3600.0)
-    if watch:
-        from mavfi.cli.watch import watch as watch_campaign
-
-        if as_json:
-            raise BadInputError("--watch: cannot be given with --json")
-        watch_campaign(directory, every)
-        return
     from mavfi.campaign.run import status as status_of
     from mavfi.campaign.shard import WHOLE
     from mavfi.cli.progress import success_counts
@@ -170,7 +164,7 @@ def verify(
 
     Example: [bold]mavfi campaign verify out/states --share 0.05[/bold]
     """
-    from mavfi.campaign.verification import verify as verify_runs
+    from mavfi.campaign.replay import verify as verify_runs
     from mavfi.cli.console import check_seed
     from mavfi.cli.progress import Bar
 

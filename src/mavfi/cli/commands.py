@@ -89,13 +89,6 @@ def _mavfi(
     pass
 
 
-_RENAMED = {
-    "--stack": "--autopilot", "--strike": "--register-fault", "--strike-seed": "--register-seed",
-    "--strike-registers": "--registers", "--forking": "--fast-forward", "--no-forking": "--no-fast-forward",
-}  # fmt: skip
-"""Older names of options, still accepted."""
-
-
 def run(arguments: Sequence[str]) -> int:
     """Run a command, given as the words after `mavfi` (none = help); returns its exit code.
 
@@ -105,7 +98,6 @@ def run(arguments: Sequence[str]) -> int:
         allow_plugins()
         arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
     allow_typed(word.rpartition("=")[2] for word in arguments)
-    arguments = _with_new_names(arguments)
     try:
         code = _command().main(args=arguments or ["--help"], prog_name="mavfi", standalone_mode=False)
     except MavfiError as error:
@@ -153,19 +145,6 @@ def _refused(text: str, code: int) -> int:
     if os.environ.get(_TRACEBACK):
         typer.echo(traceback.format_exc(), err=True, nl=False)
     return complain(text, code)
-
-
-def _with_new_names(arguments: Sequence[str]) -> list[str]:
-    """The words with older names of options replaced, each with a warning; those of a program are its own."""
-    if list(arguments[:2]) == ["airsim", "run"]:
-        return list(arguments)
-    words: list[str] = []
-    for word in arguments:
-        name, separator, value = word.partition("=")
-        if name in _RENAMED:
-            typer.echo(f"mavfi: {name}: deprecated, is now {_RENAMED[name]}", err=True)
-        words.append(_RENAMED.get(name, name) + separator + value)
-    return words
 
 
 @functools.cache

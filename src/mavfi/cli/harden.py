@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -42,10 +43,6 @@ def harden(  # noqa: PLR0913 - one parameter per option
         bool, typer.Option("--certify", help="Test a plan with missions and faults that its choice has not seen.")
     ] = False,
     faults: Annotated[int | None, typer.Option(metavar="N", help="Per function; 400 by default.")] = None,
-    machine: Annotated[
-        str | None,
-        typer.Option(metavar="KERNEL", help="With --certify: also flip bits of registers in calls of this kernel."),
-    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Advise which instructions of the kernels to duplicate within a budget of time, or certify such a plan.
@@ -54,7 +51,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml --html harden.html[/bold]
 
-    Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify --machine pid[/bold]
+    Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
     """
     from mavfi.campaign.hardening.study import Study
 
@@ -64,11 +61,10 @@ def harden(  # noqa: PLR0913 - one parameter per option
     if certify:
         _check_certify(plan, {"--budget": budget, "--addresses": addresses or None})
         check_file("--html", html, PAGES)
-        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, html, machine, as_json=as_json)
+        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, html, as_json=as_json)
         return
-    for option, value in {"--faults": faults, "--machine": machine}.items():
-        if value is not None:
-            raise BadInputError(f"{option}: {value}: allowed: with --certify")
+    if faults is not None:
+        raise BadInputError(f"--faults: {faults}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
     check_file("--html", html, PAGES)
     study, share = Study.open(directory, names), 0.10 if budget is None else budget
@@ -112,7 +108,7 @@ def _advise(
     if html is not None:
         write_page(html, found, study.directory, plan)
     if as_json:
-        write_json(found)
+        write_json(asdict(found))
         return
     out = console()
     out.print(Text(headline(found), style="bold"))
@@ -125,7 +121,7 @@ def _advise(
             out.print(Text.assemble(("wrote ", "dim"), str(path)))
 
 
-def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine: str | None, *, as_json: bool) -> None:
+def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
     from rich.text import Text
 
     from mavfi.campaign.hardening.certification import (
@@ -136,12 +132,12 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine
     )
     from mavfi.hardening.plan import load_plan, save_plan
     from mavfi.reports.hardening.page import write_certificate
-    from mavfi.reports.hardening.plain import certificate_tables, verdict_line
+    from mavfi.reports.hardening.plain import certificate_table, verdict_line
     from mavfi.reports.terminal import show_table
 
     plan = load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))
-    found = certify_plan(study, plan, faults, _tell, machine)
+    found = certify_plan(study, plan, faults, _tell)
     written = [save_certification(found, path)]
     if is_file(path):  # not a shipped plan, given by name
         save_plan(certified_plan(plan, found), path)
@@ -155,8 +151,7 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, machine
         out = console()
         out.print(Text(verdict_line(found), style="bold"))
         out.print()
-        for table in certificate_tables(found):
-            show_table(table, out)
+        show_table(certificate_table(found), out)
         for file in written:
             out.print(Text.assemble(("wrote ", "dim"), str(file)))
     if found.refuted:

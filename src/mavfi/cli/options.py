@@ -12,14 +12,12 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from mavfi.cli.console import check_number
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 from mavfi.plugins import known
 
 if TYPE_CHECKING:
-    from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor as AnyExecutor
 
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
@@ -52,15 +50,6 @@ Ledger = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledge
 RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")]
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
 Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
-
-UntilHalfwidth = Annotated[
-    float | None,
-    typer.Option(
-        metavar="H",
-        help="Fly until each success rate of the table is known to this half-width, e.g. 0.02, by a 95 % confidence "
-        "sequence: bounds that hold whenever one looks.",
-    ),
-]
 
 Executor = Annotated[
     str, typer.Option(help="local: processes of this machine, or dask: the workers of a Dask scheduler.")
@@ -153,14 +142,6 @@ def _allowed(name: str) -> str:
         return ", ".join(words)
     bounds = [getattr(bound, side) for bound in field.metadata for side in ("ge", "le") if hasattr(bound, side)]
     return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
-
-
-def until(campaign: "Campaign", half_width: float | None) -> "Campaign":
-    """The campaign, or one that flies until its success rates are known to a half-width."""
-    from mavfi.campaign import sequential
-
-    check_number("--until-halfwidth", half_width, 0.01, 0.5)
-    return campaign if half_width is None else sequential.until(campaign, half_width)
 
 
 def executor_of(name: str, scheduler: str, workers: int) -> "AnyExecutor":

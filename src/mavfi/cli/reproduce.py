@@ -40,7 +40,6 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: options.Workers = 2,
-    until_halfwidth: options.UntilHalfwidth = None,
     show_all: options.AllTables = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -62,14 +61,12 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.training import record
     from mavfi.campaign.warm_up import compile_ahead
     from mavfi.cli.progress import StudyBar
-    from mavfi.cli.study_parts import COMPILATION, flying, study_parts, timing
     from mavfi.cli.study_report import show_study_report, write_study_report
     from mavfi.reports.study_report import check_names
 
     chosen = load_study(study)
     check_names(chosen, study)
-    found = chosen.campaigns_at(scale)
-    campaigns = {folder: options.until(campaign, until_halfwidth) for folder, campaign in found.items()}
+    campaigns = chosen.campaigns_at(scale)
     executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
         _check_campaign(campaign, chosen.campaigns[folder], out / folder)
@@ -77,24 +74,19 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
     wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
     timed = _to_be_timed(chosen, campaigns, out)
-    parts = study_parts(
-        campaigns, out, workers, trainings=len(lacking), training_flights=chosen.training_flights, timed=timed,
-        shown=FLIGHTS,
-    )  # fmt: skip
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
-    with stoppable(stopped), StudyBar(f"study {chosen.name}", parts, Steps.begin(out, workers)) as bar:
-        with bar.timed("compilation", COMPILATION):
+    with stoppable(stopped), StudyBar(f"study {chosen.name}", Steps.begin(out, workers)) as bar:
+        with bar.timed("compilation", "tasks"):
             compile_ahead(campaigns.values(), executor, bar.show)
         fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
         _train(lacking, fly, executor, bar)
-        ledgers = {out / folder: folder for folder in campaigns}
-        with bar.timed(FLIGHTS_STEP, *map(flying, campaigns)):
+        with bar.timed(FLIGHTS_STEP):
             run_campaigns(
-                {path: campaigns[folder] for path, folder in ledgers.items()}, executor=executor,
-                models_dir=out / MODELS, progress=lambda path, now: bar.show_part(flying(ledgers[path]), now),
+                {out / folder: campaign for folder, campaign in campaigns.items()}, executor=executor,
+                models_dir=out / MODELS, progress=bar.show_campaigns,
             )  # fmt: skip
         for folder in timed:  # in one process, with no other work at the same time
-            with bar.timed("timed flights", timing(folder)):
+            with bar.timed("timed flights"):
                 save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
         written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
     if as_json:
@@ -110,14 +102,13 @@ def _train(
     """Fly and fit the models that are lacking."""
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.training import Training
-    from mavfi.cli.study_parts import FITTING, training
 
     trainings = []
-    for place, mission in enumerate(lacking, 1):
-        with bar.timed("training flights", training(place)):
+    for mission in lacking:
+        with bar.timed("training flights"):
             trainings.append(fly(mission))
     if trainings:
-        with bar.timed("fitting of detectors", FITTING):
+        with bar.timed("fitting of detectors", "trainings"):
             for done, _ in enumerate(map_each(executor, Training.fit, trainings), 1):
                 bar.show(done, len(trainings))
 
@@ -150,16 +141,12 @@ def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> l
     return list(found.values())
 
 
-def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> dict[str, int]:
-    """Campaigns whose overheads the study shows and nobody has measured yet, by folder: number of flights to time."""
+def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
+    """Folders of the campaigns whose overheads the study shows and nobody has measured yet."""
     from mavfi.campaign.overheads import load
 
-    found = {}
-    for folder in {section.campaign: None for section in study.sections if TIMED in section.views}:
-        arms = sum(bool(arm.detector) for arm in campaigns[folder].arms.values())
-        if arms and not load(out / folder):
-            found[folder] = TIMED_FLIGHTS * arms * len(campaigns[folder].environments)
-    return found
+    shown = dict.fromkeys(section.campaign for section in study.sections if TIMED in section.views)
+    return [folder for folder in shown if _detectors(campaigns[folder]) and not load(out / folder)]
 
 
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:

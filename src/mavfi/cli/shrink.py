@@ -1,12 +1,9 @@
 """`mavfi shrink`: search for the smallest fault that still loses the mission."""
 
-import shlex
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING
 
 from mavfi.cli import options
-from mavfi.cli.console import check_number, console, write_json
+from mavfi.cli.console import console, write_json
 
 if TYPE_CHECKING:
     from mavfi.campaign.shrink import Shrunk
@@ -15,27 +12,21 @@ if TYPE_CHECKING:
 def shrink(
     directory: options.Ledger,
     run_id: options.RunId,
-    instants: Annotated[
-        int, typer.Option(help="Other instants of the same site to try, with the smallest fault.")
-    ] = 12,
     as_json: options.AsJson = False,
 ) -> None:
-    """Reduce the fault of a lost mission (shorter, fewer bits, a less significant bit), then try other instants.
+    """Reduce the fault of a lost mission: shorter, fewer bits, a less significant bit.
 
     Prints the command that flies the smallest fault found that still loses the mission.
 
     Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
     """
-    check_number("--instants", instants, 0, 1000)
     from mavfi.campaign.shrink import shrink as make_smaller
     from mavfi.cli.flight_text import story_table
     from mavfi.reports.shrink import lines, to_json
 
     progress = console(error=True)
     with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
-        found = make_smaller(
-            directory, run_id, instants=instants, report=lambda count: shown.update(f"{count} candidates flown")
-        )
+        found = make_smaller(directory, run_id, lambda count: shown.update(f"{count} candidates flown"))
     if as_json:
         write_json({**to_json(found), "command": command(found)})
         return
@@ -49,26 +40,13 @@ def command(found: "Shrunk") -> str:
     from mavfi.campaign.run import stored_campaign
     from mavfi.campaign.samplers.request import seed_of, text_of
     from mavfi.campaign.store import Store
-    from mavfi.mission import MissionSpec
+    from mavfi.cli.flight_pages import fly_command
 
     spec = found.spec
     with Store.open(found.directory) as store:
         campaign = stored_campaign(store)
-    arm = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
-    asked = campaign.spec(spec.environment, spec.seed, arm)
-    chosen: dict[str, Any] = {
-        name: value
-        for name in MissionSpec.model_fields
-        if (value := getattr(asked, name)) != MissionSpec.model_fields[name].default
-    }
+    overrides = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
+    mission = campaign.spec(spec.environment, spec.seed, overrides)
     fault = found.smallest.fault
-    text = text_of(fault)
-    assert text is not None  # faults that can be reduced have one
-    words = ["mavfi", "fly"]
-    for name, value in chosen.items():
-        words += [options.option_name(name), *map(str, value if isinstance(value, (tuple, list)) else [value])]
-    if spec.detector:
-        words += ["--detector", spec.detector, *(["--profile", spec.detector_profile] if spec.model else [])]
-    if (seed := seed_of(fault)) is not None:
-        words += ["--fault-seed", str(seed)]
-    return shlex.join([*words, "--fault", text])
+    profile = spec.detector_profile if spec.model else None
+    return fly_command(mission, text_of(fault), seed_of(fault), spec.detector or "none", profile, None)

@@ -20,9 +20,6 @@ from mavfi.reports.campaign_report import write_report
 from mavfi.reports.study_report import StudyReport, write_study, write_texts
 from mavfi.reports.terminal import show_table
 
-TABLES, PAGE = "tables", "page"
-"""Parts of the progress bar."""
-
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
     study: Study, scale: str, folder: Path, page: Path | None, flights: int | None, workers: int, *,
@@ -38,7 +35,7 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         flights: Maximum number of flights in the page; None = as many as fit.
         workers: Number of processes.
         draw_run: Whether to fly a run of each campaign again and draw it.
-        bar: Shows the progress in its parts `TABLES` and `PAGE`, and records their times; None = the page has its own.
+        bar: Shows the progress, and records the time of tables and page; None = the page has a bar of its own.
 
     Returns:
         The report of the study, and the number of flights in the page.
@@ -52,22 +49,16 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         *(partial(write_report, directory, draw_run=draw_run) for directory in campaigns),
     ]
     show = None if bar is None else bar.show
-    with nullcontext() if bar is None else bar.timed("tables and figures", TABLES):
+    with nullcontext() if bar is None else bar.timed("tables and figures", "reports"):
         written, *found = _written(tasks, 1 if _polars_has_threads() else workers, show)
     if bar is not None:
         written = replace(written, steps=bar.steps)
     reports = dict(zip(campaigns, found, strict=True))
-    told = None if bar is None else partial(_show_before_writing, bar)
-    with nullcontext() if bar is None else bar.timed("report.html and its flights", PAGE):
-        count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers, told)
+    with nullcontext() if bar is None else bar.timed("report.html and its flights"):
+        count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers, show)
     if bar is not None:
         write_texts(written, scale, folder)
     return written, count
-
-
-def _show_before_writing(bar: StudyBar, done: int, total: int) -> None:
-    """Show the flights of the page, after the last of which it is still to be written."""
-    bar.show(done, total + 1)
 
 
 def _polars_has_threads() -> bool:

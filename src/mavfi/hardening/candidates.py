@@ -10,17 +10,13 @@ _PURE = re.compile(
     r"min(?:num|imum)|max(?:num|imum)|fshl|fshr|ctpop|ctlz|cttz|bswap|bitreverse|is\.fpclass|masked\.(?:load|gather)|"
     r"[us](?:add|sub)\.sat|vector\.reduce\.\w+)(?:\.|$)|@(?:sqrt|fabs|floor|ceil|trunc|rint)f?$"
 )
-_LIBM = re.compile(
-    r"@(?:llvm\.(?:sin|cos|tan|pow|powi|exp|exp2|log|log2|log10)\.|"
-    r"(?:sin|cos|tan|asin|acos|atan|atan2|sinh|cosh|tanh|pow|exp|exp2|expm1|log|log2|log10|log1p|hypot|cbrt)f?$)"
-)
 _MEMORY = re.compile(r"@llvm\.masked\.(?:load|gather)\.")
 _WORD = re.compile(r"i(?:8|16|32|64)|ptr")
 _SMALL = re.compile(r"i[1-7]")
 _VECTOR = re.compile(r"<\d+ x (?:double|float|i64|i32|i16|i8|ptr)>")
 
 
-def candidates(module: Module, *, libm: bool = False) -> list[Site]:
+def candidates(module: Module) -> list[Site]:
     """All sites that can be duplicated, in text order."""
     able = reporting(module)
     return [
@@ -30,7 +26,7 @@ def candidates(module: Module, *, libm: bool = False) -> list[Site]:
         for kinds in [kinds_of(function)]
         for j, block in enumerate(function.blocks)
         for k, instruction in enumerate(block.sites)
-        if can_repeat(instruction, libm=libm) and _can_differ(instruction, kinds)
+        if can_repeat(instruction) and _can_differ(instruction, kinds)
     ]
 
 
@@ -52,13 +48,12 @@ def callees(function: Function) -> set[str]:
     }
 
 
-def can_repeat(instruction: Instruction, *, libm: bool = False) -> bool:
+def can_repeat(instruction: Instruction) -> bool:
     """Whether an instruction may be executed twice: it has a result, and no effect but that."""
     if instruction.result is None or instruction.kind[0] in "{[" or instruction.opcode == "alloca":
         return False
     if instruction.opcode == "call":
-        callee = str(instruction.callee)
-        return bool(_PURE.match(callee) or (libm and _LIBM.match(callee)))
+        return bool(_PURE.match(str(instruction.callee)))
     return instruction.opcode not in ("extractvalue", "insertvalue")
 
 

@@ -1,11 +1,11 @@
-"""Which values to duplicate within a number of added instructions: by minimum cuts, and by simpler rules to compare.
+"""Which values to duplicate within a number of added instructions: by minimum cuts.
 
 `Chooser.within` takes the best minimum cut that the budget allows, and fills the rest greedily: a minimum cut exists
 only at the corners of the convex hull of cost and benefit.
 """
 
 import heapq
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,7 +102,7 @@ class Chooser:
 
         def push(index: int) -> None:
             if index not in chosen and self.benefit[index] > 0 and self.values[index].executions:
-                price = self._added([index], chosen)
+                price = self._added(index, chosen)
                 heapq.heappush(heap, (-self.benefit[index] / max(price, 1e-9), index, price))
 
         for index in range(len(self.values)):
@@ -111,7 +111,7 @@ class Chooser:
             _, index, price = heapq.heappop(heap)
             if index in chosen:
                 continue
-            if price != self._added([index], chosen):  # a relative has been chosen meanwhile
+            if price != self._added(index, chosen):  # a relative has been chosen meanwhile
                 push(index)
                 continue
             chosen.add(index)
@@ -123,43 +123,14 @@ class Chooser:
         """Values whose cost depends on whether this one is chosen, or vice versa."""
         return self._users[index].union(self.values[index].operands)
 
-    def _added(self, group: Sequence[int], chosen: set[int]) -> float:
-        """Instructions that a group adds to a chosen set; those of its neighbours change, too."""
-        new = [index for index in group if index not in chosen]
-        near = set().union(*map(self._near, new)) & chosen
-        before = sum(cost(self.values, index, chosen) for index in near)
-        chosen.update(new)
-        after = sum(cost(self.values, index, chosen) for index in (*near, *new))
-        chosen.difference_update(new)
+    def _added(self, index: int, chosen: set[int]) -> float:
+        """Instructions that a value adds to a chosen set without it; those of its neighbours change, too."""
+        near = self._near(index) & chosen
+        before = sum(cost(self.values, other, chosen) for other in near)
+        chosen.add(index)
+        after = sum(cost(self.values, other, chosen) for other in (*near, index))
+        chosen.discard(index)
         return after - before
-
-    def fill(self, groups: Iterable[Sequence[int]], budget: float, start: Iterable[int] = ()) -> Choice:
-        """Add groups in order, as long as each stays within the budget; one that does not is passed over."""
-        chosen = set(start)
-        spent = total_cost(self.values, chosen)
-        for group in groups:
-            added = self._added(group, chosen)
-            if spent + added <= budget:
-                chosen.update(group)
-                spent += added
-        return self.choice(chosen)
-
-    def by_group(self, names: Sequence[Hashable], budget: float) -> Choice:
-        """Whole groups, e.g. source lines or opcodes, by benefit per execution."""
-        groups: dict[Hashable, list[int]] = {}
-        for index, name in enumerate(names):
-            if self.values[index].executions:
-                groups.setdefault(name, []).append(index)
-
-        def density(group: Sequence[int]) -> float:
-            return -float(self.benefit[list(group)].sum()) / sum(self.values[index].executions for index in group)
-
-        return self.fill(sorted(groups.values(), key=density), budget)
-
-    def at_random(self, random: np.random.Generator, budget: float) -> Choice:
-        """Single values in random order."""
-        live = [index for index, value in enumerate(self.values) if value.executions]
-        return self.fill(([live[place]] for place in random.permutation(len(live))), budget)
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ _ARBITRARY = re.compile(r"\b(?:undef|poison)\b")
 _WEIGHTS = ['!1 = !{!"branch_weights", i32 1, i32 100000}', '!2 = !{!"branch_weights", i32 100000, i32 1}']
 
 
-def protect(module: Module, sites: Collection[Site], *, addresses: bool, libm: bool = False) -> Module:
+def protect(module: Module, sites: Collection[Site], *, addresses: bool) -> Module:
     """A module in which the values at the given sites are duplicated and compared.
 
     Fault-free results are bit-identical.  Results of the original instructions keep their names, so that the sites of
@@ -45,12 +45,11 @@ def protect(module: Module, sites: Collection[Site], *, addresses: bool, libm: b
         module: The parsed module; it is not modified.
         sites: What to duplicate; sites that `candidates` does not name are ignored.
         addresses: Whether the addresses of loads are compared before the loads, too.
-        libm: Whether calls of mathematical functions can be duplicated.
 
     Returns:
         The protected module; an equal one for no sites.
     """
-    allowed = set(candidates(module, libm=libm)) & set(sites)
+    allowed = set(candidates(module)) & set(sites)
     if not allowed:
         return module
     chosen: dict[int, set[str]] = defaultdict(set)

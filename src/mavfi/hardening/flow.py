@@ -86,19 +86,16 @@ class Value:
         return any(entry.closes_loop for entry in self.entries)
 
 
-def values_of(
-    module: Module, executions: Mapping[tuple[int, int], float], *, addresses: bool = False, libm: bool = False
-) -> list[Value]:
+def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, addresses: bool = False) -> list[Value]:
     """Values that can be duplicated, in text order.
 
     Args:
         module: The kernel.
         executions: Executions by function and block; blocks that are absent were not counted.
         addresses: Whether addresses are compared before loads, too.
-        libm: Whether calls of mathematical functions can be duplicated, too.
     """
     values: list[Value] = []
-    allowed = set(candidates(module, libm=libm))
+    allowed = set(candidates(module))
     for number, function in enumerate(module.functions):
         counts = {block.label: executions.get((number, place)) for place, block in enumerate(function.blocks)}
         values += _Reader(number, function, counts, addresses).values(len(values), allowed)

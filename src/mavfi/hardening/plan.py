@@ -29,7 +29,7 @@ from mavfi.config import Config, load, shipped
 from mavfi.errors import BadInputError, writing
 from mavfi.version import __version__
 
-Kind = Literal["duplicate", "none", "rerun", "vote"]
+Kind = Literal["duplicate", "none"]
 _RANGES = re.compile(r"(\d+):(\d+(?:-\d+)?(?:,\d+(?:-\d+)?)*)")
 _LINE = 100
 _MOST = 1_000_000
@@ -68,9 +68,9 @@ class FunctionPlan(Config):
     function: str = Field(description="module and name")
     signature: str = Field(description="Numba types of the arguments, see `signature_text`")
     ir_sha256: str = Field(pattern="^[0-9a-f]{64}$", description="digest of the plain IR")
-    kind: Kind = Field("duplicate", description="duplicate: of sites; rerun, vote: whole calls; none")
+    kind: Kind = Field("duplicate", description="duplicate: of sites; none")
     addresses: bool = Field(False, description="addresses are compared before loads, too")
-    libm: bool = Field(False, description="calls of libm are duplicated, too")
+    libm: Literal[False] = Field(False, description="calls of libm are not duplicated")
     sites: tuple[Site, ...] = Field((), description="by function: blocks with offsets, e.g. {0: '0:0-3,5 2:1'}")
     lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")
@@ -84,11 +84,6 @@ class FunctionPlan(Config):
     def executions(self) -> int:
         """How often each call is executed as a whole."""
         return {"rerun": 2, "vote": 3}.get(self.kind, 1)
-
-    @property
-    def protects(self) -> bool:
-        """Whether the function is not left as it is."""
-        return bool(self.sites) or self.executions > 1
 
     @field_validator("sites", mode="before")
     @classmethod

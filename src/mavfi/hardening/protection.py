@@ -29,4 +29,4 @@ class Protection:
     def __call__(self, module: Module) -> Module:
         """The protected module; a BadInputError if the plan was made for other code."""
         check_code(self.plan, *shape_of(module))
-        return protect(module, self.plan.sites, addresses=self.plan.addresses, libm=self.plan.libm)
+        return protect(module, self.plan.sites, addresses=self.plan.addresses)

@@ -1,6 +1,5 @@
 """Results of `campaign.shrink` as text and as plain data."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from mavfi.campaign.samplers.request import text_of
@@ -13,29 +12,15 @@ _WHAT = {"publications": "fewer wrong publications", "width": "one bit instead o
 
 
 def lines(found: Shrunk) -> Lines:
-    """Headings and sentences: the smallest fault, the original, steps, other instants, golden run."""
+    """Headings and sentences: the smallest fault, the original, steps, golden run."""
     rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
     for place, step in enumerate(found.steps):
         heading = "steps" if place == 0 else ""
         end = "none loses the mission" if step.found is None else _trial(step.found)
         rows.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
-    if found.instants:
-        lost = [trial for trial in found.instants if trial.lost]
-        when = ", ".join(f"{_when(trial)} ({trial.status.replace('_', ' ')})" for trial in lost)
-        rows.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
-                     + (f", with {when}" if when else "")))  # fmt: skip
-    else:
-        rows.append(("instants", "none was tried: the golden run has no other one of this site" if found.asked
-                     else "none was tried: --instants 0"))  # fmt: skip
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows
-
-
-def _when(trial: Trial) -> str:
-    """The instant of a fault, or its call, as in the text of a fault."""
-    fault: Any = trial.fault
-    return f"@{fault.time_us / 1e6}" if hasattr(fault, "time_us") else f"call={fault.call}"
 
 
 def _trial(trial: Trial) -> str:
@@ -48,19 +33,14 @@ def _trial(trial: Trial) -> str:
 
 
 def to_json(found: Shrunk) -> dict[str, Any]:
-    """Plain data: run, faults, steps, instants."""
+    """Plain data: run, faults, steps."""
     return {
         "run_id": found.spec.run_id, "smallest": _plain(found.smallest), "original": _plain(found.original),
         "steps": [
             {"what": step.what, "tried": step.tried, "found": None if step.found is None else _plain(step.found)}
             for step in found.steps
         ],
-        "instants": _all(found.instants),
     }  # fmt: skip
-
-
-def _all(trials: Sequence[Trial]) -> list[dict[str, Any]]:
-    return [_plain(trial) for trial in trials]
 
 
 def _plain(trial: Trial) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
@@ -27,8 +27,6 @@ from mavfi.reports.text import checks, header, versions
 
 FIGURES_FOLDER, TABLES_FOLDER = "figures", "tables"
 MARKDOWN, JSON = "study.md", "study.json"
-SEQUENCE = "sequence"
-"""View with the bounds that are valid at any stopping time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,21 +175,8 @@ def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport
         for name, runs in campaigns.items()
         if (found := views_for(runs))
     )
-    shown = _with_sequences(sections, campaigns)
-    reports = tuple(_section(section, campaigns, folder, fly=fly) for section in shown)
+    reports = tuple(_section(section, campaigns, folder, fly=fly) for section in sections)
     return StudyReport(study, campaigns, reports, Steps.load(folder))
-
-
-def _with_sequences(sections: Iterable[Section], campaigns: Mapping[str, Runs]) -> Iterator[Section]:
-    """The sections; the first one of a campaign that was stopped by its results also has the bounds that allow it."""
-    lacking = {folder for folder, runs in campaigns.items() if runs.campaign.get("sequence")}
-    for section in sections:
-        if section.campaign in lacking:
-            lacking.remove(section.campaign)
-            others = [name for name in section.views if name != SEQUENCE]
-            yield section.model_copy(update={"views": (*others, SEQUENCE)})
-        else:
-            yield section
 
 
 def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, fly: bool) -> SectionReport:

@@ -162,21 +162,6 @@ def test_the_measured_time_is_charged(plan, folder):
     assert mission(folder / "slow.yaml").key() != mission(folder / "plan.yaml").key()
 
 
-@pytest.mark.parametrize(("kind", "again"), [("rerun", True), ("vote", False)])
-def test_whole_calls_can_be_repeated(plan, folder, golden, plain_faults, plain_logs, kind, again):
-    """The differing execution is found without a change of the code; a majority is published in time."""
-    repeated = tuple(one.model_copy(update={"kind": kind, "sites": ()}) for one in plan.functions)
-    save_plan(plan.model_copy(update={"functions": repeated}), folder / f"{kind}.yaml")
-    places = [place for place, log in enumerate(plain_logs) if log.kernel.effect == "sdc"][:1]
-    (flight,) = fly_instruction_faults(mission(folder / f"{kind}.yaml"), [plain_faults[i] for i in places]).flights
-    log = flight.log
-    assert (log.kernel.effect, [alarm.source for alarm in log.alarms]) == ("detected", [SOURCE])
-    assert (log.meta["recompute_us"]["control"] > 0) == again
-    told = dict(injection_lines(log.injections[0], None, log))["kernel"], verdict(Effect.MASKED, log, golden[0].log)
-    assert ["computed again" in text for text in told] == [again, again]
-    assert ["published" in text for text in told] == [not again, not again]
-
-
 def test_lines_and_predictions_are_not_part_of_the_mission(plan, folder, protected):
     more = {"lines": ("pid.py:1",), "predicted": Coverage(estimate=0.9, low=0.8, high=1.0)}
     extended = plan.model_copy(update={"functions": tuple(one.model_copy(update=more) for one in plan.functions)})

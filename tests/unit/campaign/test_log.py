@@ -11,7 +11,7 @@ import pytest
 from mavfi.campaign import log as log_module
 from mavfi.campaign import session as session_module
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.log import FILE, Log, entries
+from mavfi.campaign.log import FILE, Log
 from mavfi.campaign.run import run_campaign, versions
 from mavfi.campaign.store import Store
 from mavfi.errors import MachineError
@@ -25,7 +25,8 @@ def flown_into(directory, campaign=None, workers=1, **options):
 
 
 def events(directory, name=None):
-    return [entry for entry in entries(directory) if name in (None, entry["event"])]
+    entries = map(json.loads, (directory / FILE).read_bytes().splitlines())
+    return [entry for entry in entries if name in (None, entry["event"])]
 
 
 def digest(directory):
@@ -126,13 +127,11 @@ def test_a_log_that_cannot_be_written_does_not_stop_a_campaign(tmp_path, trouble
         (tmp_path / "out" / FILE).symlink_to("/dev/full")
     assert flown_into(tmp_path / "out").complete
     assert digest(tmp_path / "out") == digest(tmp_path / "whole")
-    assert trouble == "a full disk" or entries(tmp_path / "out") == []
 
 
-def test_a_line_that_was_cut_off_is_left_out_and_the_next_one_is_whole(tmp_path):
+def test_the_line_after_one_that_was_cut_off_is_whole(tmp_path):
     (tmp_path / FILE).write_bytes(b'{"time": "2026-01-01", "event": "begin"}\n[1]\n{"time": "2026\xff')
     Log(tmp_path).note("end", why="x" * 10_000)
-    assert [entry["event"] for entry in entries(tmp_path)] == ["begin", "end"]
-    assert len(entries(tmp_path)[-1]["why"]) == 500
-    assert len((tmp_path / FILE).read_bytes().splitlines()) == 4
-    assert json.loads((tmp_path / FILE).read_bytes().splitlines()[-1])["event"] == "end"
+    lines = (tmp_path / FILE).read_bytes().splitlines()
+    last = json.loads(lines[-1])
+    assert len(lines) == 4 and last["event"] == "end" and len(last["why"]) == 500

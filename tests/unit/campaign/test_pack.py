@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.campaign.checksums import checksum_of
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.integrity import checksum_of
 from mavfi.campaign.pack import CONFIG, LEDGER, MANIFEST, pack, unpack
 from mavfi.campaign.run import run_campaign, stored_campaign
 from mavfi.campaign.store import FILE, Store

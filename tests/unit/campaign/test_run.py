@@ -63,8 +63,6 @@ def test_everything_is_flown_and_reported(flown):
     assert end.settings["fi"][:2] == (36, 36)
     assert sorted({report.done for report in reports}) == list(range(end.total + 1))
     assert reports[-1].flown == end.total
-    assert reports[-1].rate > 0
-    assert reports[-1].remaining_s == 0
     assert status(directory) == end
     assert set(asdict(end)) == {"done", "total", "settings", "unknown", "shard"}, (
         "the session is over: nothing to say of its speed"

@@ -1,6 +1,5 @@
 import json
 import shlex
-from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -19,10 +18,6 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import parse
 from mavfi.faults.strata import WORD_BITS
-from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.loop.compose import resolve
-from mavfi.mission import MissionSpec
-from mavfi.reports.shrink import lines
 from mavfi.states import STATES
 from tests.unit.campaign.fakes import fly, small
 
@@ -59,23 +54,19 @@ def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory,
                 assert fly(setup, None, smaller).log.status.label == "success", f"bit {bit} is smaller and loses, too"
 
 
-def test_the_steps_and_other_instants_are_printed(directory, lost):
-    found = shrink(directory, lost[0], instants=4)
+def test_the_steps_are_kept(directory, lost):
+    found = shrink(directory, lost[0])
     assert [step.what for step in found.steps][:2] == ["publications", "width"]
     assert found.steps[0].tried == 1, "once is enough here"
-    assert 1 <= len(found.instants) <= 4
-    times = [trial.fault.time_us for trial in found.instants]
-    assert times == sorted(set(times)) and found.smallest.fault.time_us not in times
-    assert all(trial.lost for trial in found.instants), "here the instant plays no part"
 
 
 def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory, lost):
-    assert run(["shrink", str(directory), lost[0], "--instants", "0", "--json"]) == 0
+    assert run(["shrink", str(directory), lost[0], "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     text = data["smallest"]["text"]
     assert data["command"].startswith("mavfi fly --environment dense --seed") and text in data["command"]
     assert parse(text).resolve(0, "published").bit == data["smallest"]["fault"]["bit"]
-    assert run(["shrink", str(directory), lost[0], "--instants", "0"]) == 0
+    assert run(["shrink", str(directory), lost[0]]) == 0
     out = capsys.readouterr().out
     assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == data["command"]
 
@@ -88,9 +79,9 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
 )  # fmt: skip
 def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
     spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
-    printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), (), None)))
-    assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == [*words, "--fault", text_of(fault)]
-    parse(printed[-1])
+    printed = shlex.split(command(Shrunk(directory, spec, trial, trial, (), None)))
+    assert printed[:2] == ["mavfi", "fly"] and printed[-len(words) - 2 :] == ["--fault", text_of(fault), *words]
+    parse(text_of(fault))
 
 
 def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):
@@ -111,17 +102,3 @@ def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):
 )  # fmt: skip
 def test_sizes_of_changes(before, dtype, bit, size):
     assert change_of(before, dtype, bit) == size
-
-
-def test_other_calls_of_an_instruction_are_tried_and_named(directory, lost):
-    fault = InstructionFault("m.f", "ab" * 32, 42, 7, (3,), budget=9, kernel="pid", entry="track")
-    spec = Store.open(directory).run(lost[0]).spec
-    trials = [
-        Trial(replace(fault, call=call), status, 9.0, None) for call, status in ((9, "success"), (12, "collision"))
-    ]
-    golden = fly(ArmSetup(resolve(MissionSpec())), None, None)
-    found = Shrunk(directory, spec, trials[1], trials[1], (), tuple(trials), golden)
-    assert ("instants", "at 1 of 2 others the mission is lost, too, with call=12 (collision)") in lines(found)
-    for asked, text in ((0, "none was tried: --instants 0"), (3, "none was tried: the golden run has no other one")):
-        [(_, found_text)] = [line for line in lines(replace(found, instants=(), asked=asked)) if line[0] == "instants"]
-        assert found_text.startswith(text)

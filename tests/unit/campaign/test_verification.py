@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from mavfi.campaign.replay import Verification, verify
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.verification import Verification, verify
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from tests.unit.campaign.fakes import TROUBLE, small

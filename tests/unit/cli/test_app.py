@@ -66,13 +66,9 @@ def test_help_is_not_cut_in_a_terminal_of_80_columns(capsys, monkeypatch, verb):
 
 
 @pytest.mark.parametrize("word", ["--stack=hardened", "--stack"])
-def test_older_names_of_options_are_accepted_with_a_warning(capsys, word):
-    value = [] if "=" in word else ["hardened"]
-    assert run(["states", "--json", word, *value]) == 0
-    found = capsys.readouterr()
-    assert found.err == "mavfi: --stack: deprecated, is now --autopilot\n"
-    assert run(["states", "--json", "--autopilot", "hardened"]) == 0
-    assert capsys.readouterr().out == found.out
+def test_an_older_name_of_an_option_is_refused_with_the_new_one(capsys, word):
+    assert run(["states", "--json", word]) == 2
+    assert capsys.readouterr().err == "mavfi: --stack: dropped; use --autopilot\n"
 
 
 def test_an_older_name_in_a_file_is_one_line_without_a_place_in_the_code(capsys, monkeypatch, tmp_path):

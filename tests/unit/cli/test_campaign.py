@@ -123,20 +123,9 @@ def test_a_dry_run_says_what_would_be_flown_and_writes_nothing(capsys, config, f
     assert "1 mission in each of: sparse · seeds 10000 to 10000" in text
     assert "faults of level state, 3 per environment: perception, planning, control" in text
     assert "1 mission · 1 golden run, 4 with a fault or null" in text
-    assert f"time and size of the ledger: no estimate until the ledger holds runs on host {HOST}" in text
     assert not (tmp_path / "out").exists()
     assert run(["campaign", "run", str(config), "--out", str(flown), "--dry-run"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("5 runs at most, 5 of them done")
-    assert "about 0 s left with 2 workers, ledger about 0.0 MB (measured in this ledger)" in text
-
-
-def test_a_dry_run_assumes_a_time_where_nothing_is_measured_and_says_so(capsys, tmp_path):
-    path = tmp_path / "tiny.yaml"
-    path.write_text(CAMPAIGN.format(missions=100).replace("faults: 1", "faults: 1000"))
-    assert run(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--dry-run", "--workers", "1"]) == 0
-    ledger = "ledger about 7.8 MB (assumed from the shipped campaigns, not measured here)"
-    assert f"about 6 min 28 s left with 1 worker, {ledger}" in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith("5 runs at most, 5 of them done")
 
 
 def test_runs_are_sorted_and_an_ambiguous_id_lists_its_candidates(capsys, flown):

@@ -25,7 +25,7 @@ from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_p
         (("--certify", "--plan", "p.yaml", "--html", "h.txt"), "--html: h.txt: allowed ending: .html"),
         (("--certify", "--plan", "p.yaml", "--addresses"), "--addresses: True: allowed: without --certify"),
         (("--faults", "9"), "--faults: 9: allowed: with --certify"),
-        (("--machine", "pid"), "--machine: pid: allowed: with --certify"),
+        (("--machine", "pid"), "--machine: dropped; use make machine-level"),
         (("--budget", "-1"), "--budget: -1.0: allowed: 0 to 10"),
         (("--plan", "plan.json"), "--plan: plan.json: allowed endings: .yaml, .yml"),
         ((), "holds no campaign"),
@@ -114,17 +114,8 @@ def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
     assert found["golden"]["same"] == found["golden"]["flights"] == 2 and found["golden"]["alarms"] == 0
     (function,) = found["functions"]
     assert function["coverage"]["rate"] > 0.6 and function["growth"] > 1.5
-    assert found["machine"] == []
     (spent,) = found["spending"]
     assert spent["planner"] == "rrt_connect" and 0 < spent["measured"] < 0.03 and spent["budget"] == 0.01
-
-    vote = planned.model_copy(update={"kind": "vote", "sites": (), "time": 3.2, "predicted": None})
-    save_plan(plan.model_copy(update={"functions": (vote,)}), Path("vote.yaml"))
-    assert run(["harden", "out", "--plan", "vote.yaml", "--certify", "--faults", "40", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    (function,) = found["functions"]
-    assert function["coverage"]["rate"] == 1.0 and function["growth"] == 3.0 and function["time"] > 1.5
-    assert found["golden"]["same"] == 2 and found["golden"]["calls"] > 100 and found["golden"]["alarms"] == 0
 
     boast = {"estimate": 1.0, "low": 1.0, "high": 1.0}
     little = planned.model_copy(update={"sites": planned.sites[:3], "predicted": Coverage(**boast)})

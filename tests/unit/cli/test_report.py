@@ -81,7 +81,7 @@ def test_several_processes_write_the_same_reports_of_a_study(flown, tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["instructions_as_in_the_paper", "by_unit", "platforms", "memory_success", "schemes_instructions", "sequence"],
+    ["instructions_as_in_the_paper", "by_unit", "platforms", "memory_success", "schemes_instructions"],
 )
 def test_a_table_of_other_faults_is_refused(capsys, flown, name):
     assert run(["report", str(flown), "--view", name]) == 2

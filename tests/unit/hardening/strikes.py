@@ -23,11 +23,11 @@ class Full:
 
     key = b"full"
 
-    def __init__(self, *, addresses=False, libm=False):
-        self.addresses, self.libm = addresses, libm
+    def __init__(self, *, addresses=False):
+        self.addresses = addresses
 
     def __call__(self, module):
-        return protect(module, candidates(module, libm=self.libm), addresses=self.addresses, libm=self.libm)
+        return protect(module, candidates(module), addresses=self.addresses)
 
 
 def module_of(kernel, args):

@@ -100,14 +100,6 @@ def test_the_slice_is_chosen_whole_where_greedy_choice_of_lines_finds_nothing():
     chooser = Chooser(values, [9, 9, 9, 5, 1])
     budget = total_cost(values, {0, 1, 2})
     assert chooser.within(budget).chosen == {0, 1, 2}
-    assert chooser.at_random(np.random.default_rng(1), budget).benefit < 27
-
-
-def test_whole_groups_are_added_in_order_of_their_rate():
-    values = graph([[], [], []], [1, 1, 1], outside=[0, 1, 2])
-    chooser = Chooser(values, [1, 5, 5])
-    assert chooser.by_group(["a", "b", "b"], budget=6).chosen == {1, 2}
-    assert chooser.by_group(["a", "b", "b"], budget=3).chosen == {0}  # the better group does not fit
 
 
 def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():

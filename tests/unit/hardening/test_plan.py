@@ -71,8 +71,9 @@ def test_a_plan_without_shares_keeps_its_digest():
         ({"sites": {0: "0:0-3 x"}}, "'x': not understood; allowed: block:offsets, e.g. 2:0-3,5"),
         ({"sites": {0: "0:3-1"}}, "'0:3-1': allowed: ascending numbers up to 1,000,000"),
         ({"sites": {"a": 1}}, "allowed: e.g. {0: '0:0-3,5 2:1'}"),
-        ({"sites": {0: "0:1"}, "kind": "rerun"}, "kind 'rerun': 1 sites; allowed: sites with kind duplicate only"),
+        ({"sites": {0: "0:1"}, "kind": "none"}, "kind 'none': 1 sites; allowed: sites with kind duplicate only"),
         ({"kind": "trap"}, "key 'functions.0.kind': 'trap': not known"),
+        ({"kind": "rerun"}, "key 'kind': 'rerun': dropped; use 'duplicate'"),
         ({"ir_sha256": "abc"}, "key 'functions.0.ir_sha256': 'abc'"),
         ({"colour": 1}, "unknown key 'functions.0.colour'"),
     ],
@@ -90,7 +91,7 @@ def test_a_bad_plan_is_refused_in_one_line(tmp_path, change, message):
 
 def test_a_function_is_planned_once_for_a_signature():
     with pytest.raises(ValueError, match="planned twice"):
-        Plan(functions=(of(), of(kind="rerun")))
+        Plan(functions=(of(), of(kind="none")))
 
 
 def test_a_plan_for_other_code_is_refused_in_one_line():

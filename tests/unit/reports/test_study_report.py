@@ -3,18 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
-from mavfi.campaign.analysis.claims import claims_table
 from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign
-from mavfi.campaign.sequential import until
 from mavfi.campaign.steps import FLIGHTS, SET_UP, Steps
 from mavfi.campaign.study import Section, Study
-from mavfi.reports.study_report import SectionReport, StudyReport, study_report
-from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
-from tests.unit.campaign.fakes import small
+from mavfi.reports.study_report import SectionReport, StudyReport
+from tests.unit.campaign.analysis.handmade import golden, runs
 
 
 def test_findings_name_the_claims_that_are_contradicted_below_the_title_of_their_section():
@@ -26,32 +19,6 @@ def test_findings_name_the_claims_that_are_contradicted_below_the_title_of_their
     assert report.findings == {
         "Tested": ["4 claims: 2 confirmed, 1 contradicted, 1 undecided.", "Contradicted: claim 1."]
     }
-
-
-FIXED_N = "intervals and p of this table are for a fixed n"
-
-
-@pytest.mark.parametrize("stopped", [True, False])
-def test_a_campaign_that_stopped_early_shows_its_sequence_once_and_warns_elsewhere(tmp_path, stopped):
-    campaign = small(missions=10, faults=10, environments=["sparse"])
-    run_campaign(until(campaign, 0.3) if stopped else campaign, tmp_path, executor=LocalExecutor(1))
-    study = Study(name="small", campaigns={".": "table1"}, sections=(
-        Section(title="Claims", claims=("fault_loses_missions_in_states",)),
-        Section(title="First", campaign=".", views=("success", "endings")),
-        Section(title="Second", campaign=".", views=("golden_against_faults",)),
-    ))  # fmt: skip
-    _, first, second = study_report(study, tmp_path, fly=False).sections
-    names = ["success", "endings", *(["sequence"] if stopped else [])]
-    assert [table.name for table in first.tables] == names
-    assert [table.name for table in second.tables] == ["golden_against_faults"]
-    warned = [table.name for table in (*first.tables, *second.tables) if any(FIXED_N in note for note in table.notes)]
-    assert warned == (["success", "golden_against_faults"] if stopped else []), "counts alone need no warning"
-
-
-def test_claims_on_a_campaign_that_stopped_early_warn_too():
-    own = runs(golden(1), injected(1, flown()), name="table1", sequence=[{"n": 1}])
-    for name, warned in (("fault_loses_missions_in_states", True), ("waypoints_harm", False)):
-        assert any(FIXED_N in note for note in claims_table([name], [own]).notes) == warned, name
 
 
 def test_no_section_no_findings():

@@ -18,7 +18,6 @@ from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views
     platform_views,
     redundancy_views,
     scheme_views,
-    sequence_views,
 )  # fmt: skip
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table

@@ -5,7 +5,6 @@ from typing import Any
 from mavfi.campaign import overheads
 from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
-from mavfi.campaign.checks import label_of
 from mavfi.campaign.config import (
     ArmConfig,
     Campaign,
@@ -14,11 +13,8 @@ from mavfi.campaign.config import (
     RegisterSampling,
     Sampling,
 )
-from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.run import status, stored_campaign
-from mavfi.campaign.sensor_sampling import SensorSampling
-from mavfi.campaign.sequential import Precision
-from mavfi.campaign.state_sampling import StateSampling
+from mavfi.campaign.sampling import MessageSampling, SensorSampling, StateSampling, label_of
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
@@ -45,9 +41,7 @@ def describe(store: Store) -> dict[str, Any]:
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
         "overheads": overheads.load(store.directory), "digest": store.digest(), "done": progress.done,
-        "total": progress.total, "until_halfwidth": campaign.until_halfwidth,
-        "sequence": list(Precision(campaign, store).rows()) if campaign.until_halfwidth else [],
-        **drawn(campaign.sampling, campaign),
+        "total": progress.total, **drawn(campaign.sampling, campaign),
     }  # fmt: skip
 
 
@@ -101,8 +95,6 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
     missions = f"{campaign.missions} mission{'s' * (campaign.missions != 1)} per environment ({seeds})"
     lines = [f"{missions}, {campaign.faults} fault{'s' * (campaign.faults != 1)} per {each}, {how}"]
-    if campaign.until_halfwidth:
-        lines[0] = f"at most {lines[0]}; until success is known to ±{100 * campaign.until_halfwidth:g} points"
     if campaign.arms:
         arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
         lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import TEXT, Column, Table
-from mavfi.campaign.analysis.views import fixed_n_note
 from mavfi.errors import BadInputError
 
 
@@ -75,7 +74,6 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
             "[95 % interval]: of rates Wilson's, n reduced by the design effect of worlds; of other means a bootstrap "
             "of worlds",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
-            *fixed_n_note(*(runs[name] for name in dict.fromkeys(claim.campaign for claim in claims) if name in runs)),
         ),
         behind=[tuple(one.behind if key in _LINKED else () for key in _KEYS) for one in tested],
     )  # fmt: skip

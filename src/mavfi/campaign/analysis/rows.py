@@ -5,8 +5,8 @@ from typing import Any
 
 import polars as pl
 
-from mavfi.campaign.checks import label_of
 from mavfi.campaign.plan import RunSpec, reason_of
+from mavfi.campaign.sampling import label_of
 from mavfi.campaign.store import Run
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.sensor.fault import SensorFault

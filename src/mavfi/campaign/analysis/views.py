@@ -1,6 +1,6 @@
 """`View`: selection of rows, grouping and measures -> `Table`.  Every table is a view, registered by name."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -46,7 +46,6 @@ class View:
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
     by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
     of_model: bool = False  # rows are computed by a model, independent of the runs
-    any_time: bool = False  # its intervals hold at any stopping time
 
     def table(self, runs: Runs) -> Table:
         """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""
@@ -57,8 +56,6 @@ class View:
         columns, rows = (self._across if self.across else self._down)(chosen, raised)
         notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
         ordered = self._ordered(columns, rows)
-        if not (self.any_time or self.of_model) and _is_statistical(columns, rows):
-            notes += fixed_n_note(runs)
         return Table(
             self.name, self.title, tuple(columns), [row.cells for row in ordered], max(1, len(self.by)),
             (*notes, *_flown_with(chosen)), [row.behind for row in ordered],
@@ -125,23 +122,6 @@ def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
 def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
     """Ids of the runs counted in a cell; none for the paper's values, whose keys begin with "paper"."""
     return () if measure.key.startswith("paper") else measure.counted(own).ids
-
-
-def _is_statistical(columns: Sequence[Column], rows: Iterable[_Row]) -> bool:
-    """Whether a table has intervals or p values."""
-    tested = any(column.key == "p" for column in columns)
-    return tested or any(getattr(cell, "low", None) is not None for row in rows for cell in row.cells)
-
-
-def fixed_n_note(*campaigns: Runs) -> tuple[str, ...]:
-    """Warning below intervals and p values of campaigns that were stopped by their results; none of other campaigns."""
-    names = [runs.campaign["name"] for runs in campaigns if runs.campaign.get("sequence")]
-    if not names:
-        return ()
-    return (
-        f"campaign {', '.join(names)} ends once its rates are known to a half-width: intervals and p of this table are "
-        "for a fixed n; the bounds that survive stopping early are those of the table `sequence`",
-    )
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.hardening.learned import Injected, Learn, injections_in
 from mavfi.campaign.hardening.target import Judged, Target
-from mavfi.campaign.hardening.ways import Compared, compare_ways
 from mavfi.hardening.choose import NOTHING, Choice, Chooser
 from mavfi.hardening.duplicate import protect
 from mavfi.hardening.measure import Timed, compare
@@ -74,14 +73,12 @@ class Curve:
         ticks: Ticks of the time stamp counter in all calls of a golden flight.
         share: Share of the flight's kernel time.
         steps: By cost.
-        compared: Ways to choose, at a few costs; () if it has few silent corruptions.
     """
 
     target: Target
     ticks: float
     share: float
     steps: tuple[Step, ...]
-    compared: tuple[Compared, ...] = ()
 
     def extra(self, step: Step) -> float:
         """Time that a step adds, as a share of the flight's kernel time."""
@@ -176,13 +173,11 @@ class Prepared:
         injections: In its recorded calls.
         choices: Its steps.
         codes: As of `codes_of`, for all of them.
-        compared: As of `Curve`.
     """
 
     injections: list[Injected]
     choices: Ladder
     codes: list[bytes]
-    compared: tuple[Compared, ...] = ()
 
 
 Choices = Callable[[Target], Ladder]
@@ -206,7 +201,7 @@ def unprotected(target: Target) -> Prepared:
 def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
     """Machine code of a function to be timed: plain, then with each set of sites duplicated."""
     source, plain = target.source, target.module
-    variants = (protect(plain, sites, addresses=target.addresses, libm=target.libm) for sites in duplicated)
+    variants = (protect(plain, sites, addresses=target.addresses) for sites in duplicated)
     return [Timed.code_of(source, module) for module in (plain, *variants)]
 
 
@@ -257,7 +252,7 @@ def prepare_all(
         target = targets[place]
         if set(wanted).isdisjoint(target.kernels):
             return unprotected(target)
-        return replace(prepare(target, choices, learn), compared=compare_ways(target))
+        return prepare(target, choices, learn)
 
     longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
     ready: dict[int, Prepared] = {}
@@ -287,9 +282,9 @@ def curves_of(
     for target, own in zip(targets, ready, strict=True):
         tell(f"timing {target.name}")
         ticks, steps = timed_steps(target, own, seconds)
-        rows.append((target, ticks * target.seen.total, steps, own.compared))
-    whole = other_ticks + sum(ticks for _, ticks, *_ in rows)
-    return tuple(Curve(target, ticks, ticks / whole, steps, ways) for target, ticks, steps, ways in rows)
+        rows.append((target, ticks * target.seen.total, steps))
+    whole = other_ticks + sum(ticks for _, ticks, _ in rows)
+    return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
 
 
 def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:

@@ -51,12 +51,7 @@ class Battery:
         function: The plain compiled function.
         variant: Instrumented code, plain or protected.
         calls: Arguments.
-
-    Attributes:
-        times: Number of executions of each call.
     """
-
-    times = 1
 
     def __init__(self, entry: str, function: Any, variant: Variant, calls: Sequence[tuple[Any, ...]]) -> None:
         self._entry, self._function, self.variant, self.calls = entry, function, variant, calls

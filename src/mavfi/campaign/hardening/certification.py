@@ -23,7 +23,6 @@ from mavfi.campaign.hardening.certify import (
     verdict_of,
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
-from mavfi.campaign.hardening.machine import MachineLevel, check_kernel, machine_levels
 from mavfi.campaign.hardening.observed import Seen, entries_of, observe
 from mavfi.campaign.hardening.ratio import p_value_below
 from mavfi.campaign.hardening.spending import Key, Spending, key_of, spending_of, ticks_of
@@ -49,7 +48,6 @@ class Certification:
         golden: Flights in which all calls run protected code.
         others: Functions of the study's kernels that the plan leaves as they are.
         scope: Kernels whose silent corruptions are counted; () = all of the missions.
-        machine: Functions in which faults were injected at machine level, too.
         cpu: Class of the processor on which times were measured; "" = not known.
         spending: Time that the plan adds to flights, by planner; () = not measured.
     """
@@ -61,7 +59,6 @@ class Certification:
     golden: GoldenCheck
     others: tuple[Unprotected, ...] = ()
     scope: tuple[str, ...] = ()
-    machine: tuple[MachineLevel, ...] = ()
     cpu: str = ""
     spending: tuple[Spending, ...] = ()
 
@@ -96,9 +93,7 @@ class Certification:
         return not self.golden.passed or false or any(one.refuted for one in self.spending)
 
 
-def certify_plan(
-    study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None, machine: str | None = None
-) -> Certification:
+def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None) -> Certification:
     """Certify a plan with missions and faults that its choice has not seen.
 
     Args:
@@ -106,19 +101,15 @@ def certify_plan(
         plan: The plan.
         faults: Number per function, in plain and in protected code.
         tell: Called with each piece of work.
-        machine: A kernel in which as many faults are injected at machine level, too.
 
     Raises:
         BadInputError: These missions are not known to be fresh, the plan was made for other code, or it protects
             nothing here.
     """
-    if machine is not None:
-        check_kernel(plan, machine, study.kernels)
     check_plan(plan, "plan")
     check_fresh(study, plan)
     certificates: list[Certificate] = []
     others: list[Unprotected] = []
-    levels: list[MachineLevel] = []
     golden = GoldenCheck()
     missions: list[str] = []
     ticks: dict[Key, float] = {}
@@ -135,8 +126,6 @@ def certify_plan(
         known = [one for one in every if one.entry in entries_of(study.kernels)]
         fresh = [one for one in known if key_of(one) not in done]
         pairs = pairs_of(fresh, plan)
-        if machine in kernels and not levels:  # kernels that several planners have are in the first flights
-            levels += machine_levels(pairs, machine, faults, tell, plan.digest)
         for pair in pairs:
             tell(f"injecting {3 * faults} faults in {pair.planned.function}")
             certificates.append(certify(pair, faults, plan.digest))
@@ -148,11 +137,11 @@ def certify_plan(
         ticks |= {key_of(one): ticks_of(one) for one in every if key_of(one) not in ticks}
         spending.append(spending_of(planner, every, ticks, certificates, plan.budget))
     if not certificates:
-        raise BadInputError("the plan protects no function of these missions; allowed: one with sites, rerun or vote")
+        raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
     scope = () if study.complete else study.kernels
     return Certification(
-        plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, tuple(levels),
-        processor(), tuple(spending),
+        plan.digest, faults, tuple(missions), tuple(certificates), golden, tuple(others), scope, processor(),
+        tuple(spending),
     )  # fmt: skip
 
 
@@ -229,18 +218,16 @@ def certification_json(certification: Certification) -> dict[str, Any]:
         "verdict": certification.verdict, "cpu": certification.cpu, "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],
         "unprotected": [one.to_json() for one in certification.others],
-        "machine": [one.to_json() for one in certification.machine],
         "spending": [asdict(one) for one in certification.spending],
     }  # fmt: skip
 
 
 def certification_of(found: Mapping[str, Any]) -> Certification:
     """Inverse of `certification_json`; ones that were written without processor or spending have none."""
-    machine = [{one.name: row[one.name] for one in fields(MachineLevel)} for row in found["machine"]]
     others = [{one.name: row[one.name] for one in fields(Unprotected)} for row in found["unprotected"]]
     return Certification(
         found["plan"], found["faults"], tuple(found["missions"]), tuple(map(Certificate.from_json, found["functions"])),
         GoldenCheck(**found["golden"]), tuple(Unprotected(**row) for row in others),
-        () if found["kernels"] == "all" else tuple(found["kernels"]), tuple(MachineLevel(**row) for row in machine),
-        found.get("cpu", ""), tuple(Spending(**row) for row in found.get("spending", ())),
+        () if found["kernels"] == "all" else tuple(found["kernels"]), found.get("cpu", ""),
+        tuple(Spending(**row) for row in found.get("spending", ())),
     )  # fmt: skip

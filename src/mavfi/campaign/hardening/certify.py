@@ -17,18 +17,17 @@ from mavfi.campaign.hardening.battery import SDC, Battery, Place, counts_of
 from mavfi.campaign.hardening.learned import affordable
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference, ratio_bounds
-from mavfi.campaign.hardening.repeated import Repeated, repeated_time
 from mavfi.campaign.hardening.target import Target
 from mavfi.faults.instruction.build import cached_build
 from mavfi.faults.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
 from mavfi.hardening.measure import Timed
-from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, check_code
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
 from mavfi.hardening.protection import Protection
 from mavfi.ir.build import name_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
-from mavfi.ir.sources import cached_shape, cached_source
+from mavfi.ir.sources import cached_source
 
 CONFIRMED, REFUTED, BETTER, UNDECIDED, UNKNOWN = "confirmed", "refuted", "better", "undecided", "unknown"
 _TIMED_S = 4.0
@@ -194,10 +193,6 @@ class Pair:
     @staticmethod
     def of(seen: Seen, planned: FunctionPlan) -> "Pair":
         """Build the protected variant; `BadInputError` if the plan is of other code."""
-        if planned.executions > 1:
-            check_code(planned, *cached_shape(seen.function, seen.signature))
-            own = seen.entry, seen.function, seen.variant, seen.calls
-            return Pair(seen, planned, Battery(*own), Repeated(*own, planned.executions))
         guarded = variant_of(seen.function, seen.signature, Protection(planned))
         batteries = (Battery(seen.entry, seen.function, variant, seen.calls) for variant in (seen.variant, guarded))
         return Pair(seen, planned, *batteries)
@@ -205,12 +200,10 @@ class Pair:
     @property
     def growth(self) -> float:
         """Dynamic instructions of protected code / plain code, over the recorded calls."""
-        return float(self.guarded.times * self.guarded.counts.sum() / self.plain.counts.sum())
+        return float(self.guarded.counts.sum() / self.plain.counts.sum())
 
     def time(self) -> float:
         """Protected / plain execution time, measured on the recorded calls."""
-        if self.guarded.times > 1:
-            return repeated_time(self.seen, self.guarded.times)
         target = Target((self.planned.kernel,), self.seen)
         modules = target.module, Protection(self.planned)(target.module)
         _, (time,) = times_of(target, [Timed.code_of(target.source, module) for module in modules], _TIMED_S)
@@ -218,8 +211,6 @@ class Pair:
 
     def counterparts(self, places: Sequence[Place]) -> list[Place]:
         """The same instructions, executions and bits in protected code: original instructions keep their names."""
-        if self.guarded.times > 1:
-            return list(places)
         source = cached_source(self.seen.function, self.seen.signature)
         module = parse_module(source.text, source.kernel)
         names, own = _names(module), _names(Protection(self.planned)(module))
@@ -311,11 +302,9 @@ def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
 def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
     """The observed functions that the plan protects; `BadInputError` if it is of other code."""
     named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
-    found = [(one, planned) for one, planned in named if planned is not None and planned.protects]
+    found = [(one, planned) for one, planned in named if planned is not None and planned.sites]
     with ThreadPoolExecutor(2) as ahead:  # each build waits for a process of its own
         for one, planned in found:
-            if not planned.sites:
-                continue
             ahead.submit(cached_build, one.function, one.signature, Protection(planned))
     return [Pair.of(one, planned) for one, planned in found]
 
@@ -323,4 +312,4 @@ def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
 def unprotected(seen: Sequence[Seen], plan: Plan) -> list[Seen]:
     """The observed functions that are not among `pairs_of`."""
     named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
-    return [one for one, planned in named if planned is None or not planned.protects]
+    return [one for one, planned in named if planned is None or not planned.sites]

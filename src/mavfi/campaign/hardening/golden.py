@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from mavfi.campaign.hardening.observed import entries_of
-from mavfi.campaign.hardening.repeated import repeating
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.compiled import Compiled, compiled
 from mavfi.hardening.plan import Plan
@@ -67,12 +66,7 @@ class Guarded:
         """Call the function."""
         signature = signature_of(args)
         if signature not in self._compiled:
-            planned = self._plan.find(name_of(self._function), signature)
-            self._compiled[signature] = (
-                repeating(self._function, planned.executions)
-                if planned is not None and planned.executions > 1
-                else protected_code(self._function, signature, self._plan)
-            )
+            self._compiled[signature] = protected_code(self._function, signature, self._plan)
         compiled = self._compiled[signature]
         if compiled is None:
             return self._function(*args)

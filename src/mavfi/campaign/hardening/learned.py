@@ -4,7 +4,8 @@ A ledger judges what a kernel publishes and keeps, not the outputs of one functi
 omit the counters.  Choice, prediction and certificate must count the same event, so all of them use `Battery`.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +14,16 @@ from mavfi.campaign.hardening.battery import NOT_ACTIVATED, SDC, Battery
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.sampling import stream
-from mavfi.hardening.rates import Groups, Rates
 from mavfi.ir.build import name_of
 
 MOST, FEWEST = 400, 150
 """Faults per function."""
 _WORK = 4e8
 """Dynamic instructions that the faults of a function may execute (some seconds)."""
+STRENGTH = 4.0
+"""Number of imaginary injections with which the rate of a group is shrunk to that of the next larger group."""
+Groups = tuple[Hashable, ...]
+"""Groups of a site, from the largest (opcode and type) over line and class to the smallest (the site itself)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,32 @@ def injections_in(seen: Seen, faults: int | None = None, seed: int = 0, times: i
 
 Learn = Callable[[Seen], list[Injected]]
 """Injects faults in a function, as `injections_in`."""
+
+
+class Rates:
+    """Rates of sites from few injections: there is less than one per site.
+
+    The rate of a group with k successes of n injections is (k + 4 p) / (n + 4), where p is the rate of the next larger
+    group: four imaginary injections.
+
+    Args:
+        injections: Groups of each injected site, and whether the injection succeeded.
+    """
+
+    def __init__(self, injections: Iterable[tuple[Groups, bool]]) -> None:
+        self._n: Counter[Hashable] = Counter()
+        self._k: Counter[Hashable] = Counter()
+        for groups, success in injections:
+            for group in (None, *groups):
+                self._n[group] += 1
+                self._k[group] += success
+
+    def of(self, groups: Sequence[Hashable]) -> float:
+        """Rate of a site, whether injected or not; 0 without any injection."""
+        rate = self._k[None] / max(self._n[None], 1)
+        for group in groups:
+            rate = (self._k[group] + STRENGTH * rate) / (self._n[group] + STRENGTH)
+        return rate
 
 
 def groups_of(site: Site) -> Groups:

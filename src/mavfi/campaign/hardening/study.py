@@ -192,7 +192,7 @@ def planned_of(target: Target, step: Step, share: float | None = None) -> Functi
     return FunctionPlan(
         kernel=target.kernels[0], function=target.name, signature=target.seen.signature_text,
         ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none",
-        addresses=target.addresses, libm=target.libm, sites=tuple(sites),
+        addresses=target.addresses, sites=tuple(sites),
         lines=target.lines(sites), time=round(step.time, 3), share=share, predicted=predicted,
     )  # fmt: skip
 

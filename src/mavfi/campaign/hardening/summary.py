@@ -1,83 +1,180 @@
-"""An advice as plain data, for the terminal, JSON and the page."""
+"""An advice in numbers, for the terminal, JSON and the page."""
 
 from collections import defaultdict
 from collections.abc import Collection, Sequence
-from dataclasses import asdict
-from typing import Any
+from dataclasses import dataclass
 
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.hardening.advise import Advice, Curve, Step, coverage_of, coverage_of_steps
+from mavfi.campaign.hardening.certify import rate_of
 from mavfi.campaign.hardening.ledger import Harm
 from mavfi.campaign.hardening.study import Study
 from mavfi.campaign.hardening.target import Target
-from mavfi.campaign.hardening.ways import Compared
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.flow import added
-from mavfi.hardening.plan import Coverage, Plan, Site
+from mavfi.hardening.plan import Plan, Site
+
+PROTECTED = "protected"
+"""Key of the removed share among the `escapes` of a function."""
 
 
-def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | None = None) -> dict[str, Any]:
-    """The advice: what to protect, what it costs, which share of the silent corruptions goes, and what remains.
+@dataclass(frozen=True, slots=True)
+class KernelSummary:
+    """What the advice says of a kernel.
 
-    The certified coverage of functions is that of the plan.
-
-    `coverage` and `spent` are of the campaign's own missions; other planners fly in their own.
+    Attributes:
+        kernel: Its name.
+        share: Share of a flight's kernel time.
+        added: Time that the plan adds, as a share of a flight's kernel time.
+        time: Protected / plain time.
+        coverage: Predicted share of its silent corruptions that is removed.
     """
+
+    kernel: str
+    share: float
+    added: float
+    time: float
+    coverage: Rate
+
+
+@dataclass(frozen=True, slots=True)
+class StepSummary:
+    """A step of a function's curve.
+
+    Attributes:
+        fraction: Of the instructions that duplicating everything adds.
+        instructions: Dynamic instructions / those of the plain function.
+        time: Measured time / that of plain code.
+        coverage: Predicted share of silent corruptions that it removes.
+        chosen: Whether the advice takes this step.
+    """
+
+    fraction: float
+    instructions: float
+    time: float
+    coverage: Rate
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LineSummary:
+    """An executed source line of a function.
+
+    Attributes:
+        file: Source file; "" = not known.
+        line: Number in the file.
+        instructions: Share of the function's dynamic instructions.
+        sdc: Share of its expected silent corruptions.
+        protected: Share of the latter that the plan removes.
+    """
+
+    file: str
+    line: int
+    instructions: float
+    sdc: float
+    protected: float
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionSummary:
+    """What the advice says of a function.
+
+    Attributes:
+        kernel: The first kernel that calls it.
+        function: Module and name.
+        entry: Its name.
+        signature: Numba types of its arguments.
+        calls: Number of calls in a golden flight.
+        instructions: Dynamic instructions of these.
+        injections: Number of injections in recorded calls.
+        sdc: Silent corruptions per injection.
+        share: Share of the flight's kernel time.
+        time: Protected / plain time of the chosen step.
+        added: Time that this adds, as a share of the flight's kernel time.
+        coverage: Predicted share of silent corruptions that it removes.
+        certified: The same, measured with fresh faults in the same protected code; None = not certified.
+        sites: Number of duplicated instructions.
+        all_sites: Number of those that can be duplicated.
+        steps: Its curve.
+        escapes: Shares of the expected silent corruptions: `PROTECTED`, and those that escape, by reason.
+        lines: Its executed source lines.
+    """
+
+    kernel: str
+    function: str
+    entry: str
+    signature: str
+    calls: int
+    instructions: int
+    injections: int
+    sdc: Rate
+    share: float
+    time: float
+    added: float
+    coverage: Rate
+    certified: Rate | None
+    sites: int
+    all_sites: int
+    steps: tuple[StepSummary, ...]
+    escapes: dict[str, float]
+    lines: tuple[LineSummary, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AdviceSummary:
+    """What to protect, what it costs, which share of the silent corruptions goes, and what remains.
+
+    Attributes:
+        campaign: Name of the campaign.
+        ledger: Digest of its ledger.
+        budget: Share of a flight's kernel time that may be added.
+        spent: What the plan adds, in the campaign's missions; other planners fly in missions of their own.
+        coverage: Predicted share of the silent corruptions that is removed, in the same missions.
+        injections: Number of injections from which the choice was made.
+        complete: Whether the studied kernels are all of the missions.
+        selected: The studied kernels, if they are not all of the ledger's.
+        addresses: Whether addresses are compared before loads, too.
+        kernels: By kernel.
+        functions: By function.
+        harm: What faults did to missions.
+    """
+
+    campaign: str
+    ledger: str
+    budget: float
+    spent: float
+    coverage: Rate
+    injections: int
+    complete: bool
+    selected: tuple[str, ...]
+    addresses: bool
+    kernels: tuple[KernelSummary, ...]
+    functions: tuple[FunctionSummary, ...]
+    harm: Harm
+
+
+def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | None = None) -> AdviceSummary:
+    """Sum up an advice; `plan` is the plan made from it, which states the certified coverage of functions."""
     first = advices[0]
-    planned = () if plan is None else plan.functions
-    certified = {(one.function, one.signature): one.certified for one in planned if one.certified is not None}
-    pairs = [pair for advice in advices for pair in advice.steps if pair[0].target.injections]
-    return {
-        "campaign": study.campaign.name, "ledger": study.digest, "budget": first.budget, "spent": first.spent,
-        "coverage": asdict(first.coverage), "injections": sum(len(curve.target.injections) for curve, _ in pairs),
-        "complete": study.complete, "selected": list(study.selected),
-        "addresses": any(curve.target.addresses for curve, _ in pairs),
-        "kernels": [_kernel(kernel, pairs) for kernel in study.kernels],
-        "functions": [
-            _function(curve, step) | {"certified": _rate(certified.get(curve.target.key))} for curve, step in pairs
-        ],
-        "harm": asdict(harm),
-    }  # fmt: skip
-
-
-def _rate(found: Coverage | None) -> dict[str, float] | None:
-    return None if found is None else {"rate": found.estimate, "low": found.low, "high": found.high}
-
-
-def _kernel(kernel: str, pairs: Sequence[tuple[Curve, Step]]) -> dict[str, Any]:
-    own = [(curve, step) for curve, step in pairs if kernel in curve.target.kernels]
-    share = sum(curve.share for curve, _ in own)
-    added = sum(curve.extra(step) for curve, step in own)
-    return {
-        "kernel": kernel, "share": share, "added": added, "time": 1 + added / share if share else 1.0,
-        "coverage": asdict(coverage_of_steps(own)),
-    }  # fmt: skip
-
-
-def _function(curve: Curve, step: Step) -> dict[str, Any]:
-    target = curve.target
-    sites = target.sites(step.choice)
-    return {
-        "kernel": target.kernels[0], "function": target.name, "entry": target.seen.entry,
-        "signature": target.seen.signature_text, "calls": target.seen.total, "instructions": target.seen.instructions,
-        "injections": len(target.injections), "sdc": asdict(_sdc(target)), "share": curve.share,
-        "time": step.time, "added": curve.extra(step), "coverage": asdict(step.coverage), "sites": len(sites),
-        "all_sites": len(target.values), "steps": [_step(curve, one, one is step) for one in curve.steps],
-        "ways": [_ways(one) for one in curve.compared],
-        "escapes": _escapes(target, sites), "lines": _lines(target, sites),
-    }  # fmt: skip
-
-
-def _sdc(target: Target) -> Rate:
-    """Silent corruptions per injection in recorded calls."""
-    return coverage_of([(one, one.sdc) for one in target.injections])
-
-
-def _step(curve: Curve, step: Step, chosen: bool) -> dict[str, Any]:
-    return {
-        "fraction": step.fraction, "instructions": growth_of(curve, step),
-        "time": step.time, "coverage": asdict(step.coverage), "chosen": chosen,
-    }  # fmt: skip
+    certified = {}
+    for planned in () if plan is None else plan.functions:
+        if planned.certified is not None:
+            certified[planned.function, planned.signature] = rate_of(planned.certified)
+    studied = [(curve, step) for advice in advices for curve, step in advice.steps if curve.target.injections]
+    return AdviceSummary(
+        campaign=study.campaign.name,
+        ledger=study.digest,
+        budget=first.budget,
+        spent=first.spent,
+        coverage=first.coverage,
+        injections=sum(len(curve.target.injections) for curve, _ in studied),
+        complete=study.complete,
+        selected=study.selected,
+        addresses=any(curve.target.addresses for curve, _ in studied),
+        kernels=tuple(_kernel(kernel, studied) for kernel in study.kernels),
+        functions=tuple(_function(curve, step, certified.get(curve.target.key)) for curve, step in studied),
+        harm=harm,
+    )
 
 
 def growth_of(curve: Curve, step: Step) -> float:
@@ -85,38 +182,76 @@ def growth_of(curve: Curve, step: Step) -> float:
     return 1 + added(curve.target.values, step.choice.chosen) / max(curve.target.seen.instructions, 1)
 
 
-def _ways(compared: Compared) -> dict[str, Any]:
-    """Coverage of each way to choose at one cost, and p of McNemar's test of the minimum cut against the others."""
-    return {
-        "share": compared.share, "p": {way: test.p_value for way, test in compared.tests.items()},
-        "coverage": {way: asdict(coverage_of(judged)) for way, judged in compared.judged.items()},
-    }  # fmt: skip
+def _kernel(kernel: str, studied: Sequence[tuple[Curve, Step]]) -> KernelSummary:
+    steps = [(curve, step) for curve, step in studied if kernel in curve.target.kernels]
+    share = sum(curve.share for curve, _ in steps)
+    extra = sum(curve.extra(step) for curve, step in steps)
+    time = 1 + extra / share if share else 1.0
+    return KernelSummary(kernel, share, extra, time, coverage_of_steps(steps))
+
+
+def _function(curve: Curve, chosen: Step, certified: Rate | None) -> FunctionSummary:
+    target = curve.target
+    sites = target.sites(chosen.choice)
+    steps = tuple(
+        StepSummary(step.fraction, growth_of(curve, step), step.time, step.coverage, step is chosen)
+        for step in curve.steps
+    )
+    return FunctionSummary(
+        kernel=target.kernels[0],
+        function=target.name,
+        entry=target.seen.entry,
+        signature=target.seen.signature_text,
+        calls=target.seen.total,
+        instructions=target.seen.instructions,
+        injections=len(target.injections),
+        sdc=coverage_of([(injected, injected.sdc) for injected in target.injections]),
+        share=curve.share,
+        time=chosen.time,
+        added=curve.extra(chosen),
+        coverage=chosen.coverage,
+        certified=certified,
+        sites=len(sites),
+        all_sites=len(target.values),
+        steps=steps,
+        escapes=_escapes(target, sites),
+        lines=_lines(target, sites),
+    )
 
 
 def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
     """Shares of the expected silent corruptions: removed, not affordable, and not duplicable, the latter by opcode."""
-    able = set(candidates(target.module))
-    found: dict[str, float] = defaultdict(float)
+    repeatable = set(candidates(target.module))
+    masses: dict[str, float] = defaultdict(float)
     for site, row, _, mass in target.masses:
-        kept = "protected" if site in sites else "beyond the budget" if site in able else f"cannot repeat: {row.opcode}"
-        found[kept] += mass
-    whole = max(sum(found.values()), 1e-300)
-    return {name: mass / whole for name, mass in sorted(found.items(), key=lambda item: -item[1]) if mass}
+        if site in sites:
+            reason = PROTECTED
+        elif site in repeatable:
+            reason = "beyond the budget"
+        else:
+            reason = f"cannot repeat: {row.opcode}"
+        masses[reason] += mass
+    whole = max(sum(masses.values()), 1e-300)
+    return {name: mass / whole for name, mass in sorted(masses.items(), key=lambda item: -item[1]) if mass}
 
 
-def _lines(target: Target, sites: Collection[Site]) -> list[dict[str, Any]]:
-    """Executed source lines: shares of instructions and silent corruptions, and how much of the latter is protected."""
-    found: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
+def _lines(target: Target, sites: Collection[Site]) -> tuple[LineSummary, ...]:
+    """Executed source lines, by file and number."""
+    executions: dict[tuple[str, int], float] = defaultdict(float)
+    masses: dict[tuple[str, int], float] = defaultdict(float)
+    removed: dict[tuple[str, int], float] = defaultdict(float)
     for site, row, times, mass in target.masses:
-        own = found[row.file, row.line]
-        own[0] += times
-        own[1] += mass
-        own[2] += mass if site in sites else 0.0
-    instructions, corruptions = (max(sum(own[place] for own in found.values()), 1e-300) for place in (0, 1))
-    return [
-        {
-            "file": file, "line": line, "instructions": times / instructions, "sdc": mass / corruptions,
-            "protected": kept / mass if mass else 0.0,
-        }
-        for (file, line), (times, mass, kept) in sorted(found.items())
-    ]  # fmt: skip
+        line = row.file, row.line
+        executions[line] += times
+        masses[line] += mass
+        if site in sites:
+            removed[line] += mass
+    all_executions = max(sum(executions.values()), 1e-300)
+    all_masses = max(sum(masses.values()), 1e-300)
+    lines = []
+    for file, number in sorted(executions):
+        mass = masses[file, number]
+        protected = removed[file, number] / mass if mass else 0.0
+        share = executions[file, number] / all_executions
+        lines.append(LineSummary(file, number, share, mass / all_masses, protected))
+    return tuple(lines)

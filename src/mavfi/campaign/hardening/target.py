@@ -32,14 +32,12 @@ class Target:
         seen: What golden flights showed.
         injections: In recorded calls.
         addresses: Whether addresses are compared before loads, too: fewer crashes, more time.
-        libm: Whether calls of mathematical functions can be duplicated, too.
     """
 
     kernels: tuple[str, ...]
     seen: Seen
     injections: list[Injected] = field(default_factory=list)
     addresses: bool = False
-    libm: bool = False
 
     @cached_property
     def name(self) -> str:
@@ -75,7 +73,7 @@ class Target:
     def values(self) -> list[Value]:
         """Values that can be duplicated, with their executions in the golden flight."""
         executions = dict(zip(self.places, map(float, self.seen.executions), strict=True))
-        return values_of(self.module, executions, addresses=self.addresses, libm=self.libm)
+        return values_of(self.module, executions, addresses=self.addresses)
 
     @cached_property
     def rows(self) -> list[TableSite]:

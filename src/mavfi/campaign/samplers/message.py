@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, alternating
+from mavfi.campaign.sampling import MessageSampling
 from mavfi.faults.fault import Fault, MessageFault
 
 _BITS = 64

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, TargetBlocks
-from mavfi.campaign.sensor_sampling import SensorSampling
+from mavfi.campaign.sampling import SensorSampling
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault
 from mavfi.faults.sampling import stream

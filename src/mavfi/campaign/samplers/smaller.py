@@ -8,11 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavfi.campaign.samplers.instruction import in_other_calls
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Injection
-from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.states import STATES
 
 _SHORTER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
@@ -69,18 +67,3 @@ def change_of(before: object, dtype: str, bit: int) -> float:
     flipped = (word.view(f"u{size}") ^ np.array(1 << bit, f"u{size}")).view(word.dtype)
     change = abs(float(flipped[0]) - float(word[0]))
     return change if np.isfinite(change) else float("inf")
-
-
-def elsewhere(fault: Fault, golden: Flight, count: int, setup: ArmSetup) -> list[Fault]:
-    """The fault at up to `count` evenly spaced instants, or calls, of its site in the golden flight of its arm."""
-    if isinstance(fault, InstructionFault):
-        return [*in_other_calls(fault, setup, count)] if count else []
-    if isinstance(fault, StateFault) and golden.profile is not None:
-        every = golden.profile.times_us.get(fault.where.state, np.zeros(0, np.int64))
-    elif isinstance(fault, MemoryFault):
-        every = np.round(1e6 * golden.log.column("time")).astype(np.int64)
-    else:
-        return []
-    chosen = every[np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).round().astype(int))]
-    assert isinstance(fault, (StateFault, MemoryFault))
-    return [replace(fault, time_us=int(time_us)) for time_us in chosen if time_us != fault.time_us]

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, TargetBlocks
-from mavfi.campaign.state_sampling import StateSampling
+from mavfi.campaign.sampling import StateSampling
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, StateFault
 from mavfi.faults.sampling import Target, draw, draw_in_message, group_target, message_target, stage_target

@@ -1,17 +1,12 @@
 """Hardening advice and certificates as sentences and tables."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
-
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.hardening.battery import DETECTED, SDC
 from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.certify import CONFIRMED, REFUTED, RESOLVED, UNDECIDED, UNKNOWN, Certificate, Unprotected
 from mavfi.campaign.hardening.spending import TOLERANCE
-from mavfi.campaign.hardening.ways import CUT
+from mavfi.campaign.hardening.summary import AdviceSummary
 from mavfi.reports.text import ABSENT, percent
 
 _ADVICE = (
@@ -25,88 +20,51 @@ _ADVICE = (
     "sites",
     "certified",
 )
-_TWICE = 2.0
-_SIGNIFICANT = 0.01
-NAMES = {CUT: "minimum cut", "line": "by source line", "opcode": "by opcode", "random": "at random"}
-"""Ways to choose, for readers."""
-_MACHINE = ("kernel", "function", "code", "n", "SDC", "crash", "hang, exception", "detected", "instr.")
 _CERTIFICATE = (
     "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "time", "SDCs removed",
     "predicted", "", "pairs",
 )  # fmt: skip
 
 
-def headline(summary: Mapping[str, Any]) -> str:
+def headline(summary: AdviceSummary) -> str:
     """The advice in one sentence."""
-    named = [row["kernel"] for row in summary["kernels"] if row["added"] > 0 or row["coverage"]["rate"]]
-    if not named:
-        return f"Nothing can be protected within {percent(summary['budget'])} of a flight's kernel time."
-    every = "all silent corruptions (SDC)"
-    some = f"the silent corruptions (SDC) in {', '.join(row['kernel'] for row in summary['kernels'])}"
+    protected = [row.kernel for row in summary.kernels if row.added > 0 or row.coverage.rate]
+    if not protected:
+        return f"Nothing can be protected within {percent(summary.budget)} of a flight's kernel time."
+    if summary.complete:
+        corruptions = "all silent corruptions (SDC)"
+    else:
+        corruptions = f"the silent corruptions (SDC) in {', '.join(row.kernel for row in summary.kernels)}"
     return (
-        f"Protect {', '.join(named)}: {percent(summary['spent'])} more kernel time per flight removes "
-        f"{interval(summary['coverage'])} of {every if summary['complete'] else some}, predicted from "
-        f"{summary['injections']:,} injections."
+        f"Protect {', '.join(protected)}: {percent(summary.spent)} more kernel time per flight removes "
+        f"{interval(summary.coverage)} of {corruptions}, predicted from {summary.injections:,} injections."
     )
 
 
-def caveats(summary: Mapping[str, Any]) -> list[str]:
+def caveats(summary: AdviceSummary) -> list[str]:
     """What the protection does not buy."""
-    harm = summary["harm"]
-    silent, dead, share = (harm[name] for name in ("silent", "dead", "dead_share"))
+    silent, dead = summary.harm.silent, summary.harm.dead
     return [
-        f"It does not buy missions: {silent['successes']} of {silent['n']} flights with an SDC were lost, "
-        f"{interval(silent)}; {dead['successes']} of {dead['n']} with a dead kernel.",
-        f"It does not buy crashes: {interval(share)} of the injections ended in a crash, hang or exception; "
-        "duplication detects some of them at IR level, which says nothing about machine level.",
+        f"It does not buy missions: {silent.successes} of {silent.n} flights with an SDC were lost, "
+        f"{interval(silent)}; {dead.successes} of {dead.n} with a dead kernel.",
+        f"It does not buy crashes: {interval(summary.harm.dead_share)} of the injections ended in a crash, hang or "
+        "exception; duplication detects some of them at IR level, which says nothing about machine level.",
     ]
 
 
-def certified(row: Mapping[str, Any]) -> str:
-    """Certified coverage of a function, as text."""
-    return ABSENT if row["certified"] is None else interval(row["certified"])
-
-
-def rerun_line(summary: Mapping[str, Any]) -> str:
-    """Why calls are not computed twice instead: twice the time, at least, for all of the silent corruptions."""
-    rows = [row for row in summary["functions"] if row["steps"][-1]["time"] > _TWICE]
-    text = "Computing a whole call twice (kind rerun) removes all SDCs, but takes at least ×2.00: "
-    if not rows:
-        return f"{text}every function here is duplicated in full for less."
-    named = [
-        f"{row['entry']} (×{row['steps'][-1]['time']:.2f} in full; a rerun adds at least {percent(row['share'])} of a "
-        f"flight's kernel time, the budget is {percent(summary['budget'])})"
-        for row in rows
-    ]
-    return f"{text}less than full duplication for {', '.join(named)} only."
-
-
-def ways_line(summary: Mapping[str, Any]) -> str:
-    """How often the minimum cut removes significantly more, or fewer, SDCs than simpler ways to choose."""
-    compared = [one for row in summary["functions"] for one in row["ways"]]
-    counts = []
-    for way, name in list(NAMES.items())[1:]:
-        clear = [one["coverage"] for one in compared if one["p"][way] < _SIGNIFICANT]
-        more = sum(found[CUT]["rate"] > found[way]["rate"] for found in clear)
-        counts.append(f"than {name} in {more}, fewer in {len(clear) - more}")
-    return (
-        f"In {len(compared)} comparisons of a function at a cost, the minimum cut removes more SDCs "
-        f"{'; '.join(counts)} (p < {_SIGNIFICANT}, McNemar's test)."
-    )
-
-
-def advice_table(summary: Mapping[str, Any]) -> Table:
-    """What to protect, by function."""
-    rows: list[tuple[str, ...]] = [
-        (
-            row["kernel"], row["entry"], percent(row["share"]), f"×{row['time']:.2f}", percent(row["added"], 2),
-            interval(row["coverage"]), str(row["coverage"]["n"]), f"{row['sites']} of {row['all_sites']}",
-            certified(row),
-        )
-        for row in summary["functions"]
-    ]  # fmt: skip
-    known = any(row["certified"] for row in summary["functions"])
-    columns, rows = (_ADVICE, rows) if known else (_ADVICE[:-1], [row[:-1] for row in rows])
+def advice_table(summary: AdviceSummary) -> Table:
+    """What to protect, by function; the last column is left out if nothing has been certified."""
+    rows: list[tuple[str, ...]] = []
+    for row in summary.functions:
+        certified = ABSENT if row.certified is None else interval(row.certified)
+        rows.append((
+            row.kernel, row.entry, percent(row.share), f"×{row.time:.2f}", percent(row.added, 2),
+            interval(row.coverage), str(row.coverage.n), f"{row.sites} of {row.all_sites}", certified,
+        ))  # fmt: skip
+    columns: tuple[str, ...] = _ADVICE
+    if all(row.certified is None for row in summary.functions):
+        columns = _ADVICE[:-1]
+        rows = [row[:-1] for row in rows]
     notes = (
         "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
         "predicted by cross-validation over recorded calls, 95 % interval; sites: instructions that are "
@@ -124,11 +82,11 @@ def verdict_line(certification: Certification) -> str:
     scope = certification.scope
     counted = f"the SDCs in {', '.join(scope)}" if scope else "all SDCs"
     foreseen = certification.predicted
-    said = "" if foreseen.rate is None else f" (predicted with the same weights: {interval_of(foreseen)})"
+    said = "" if foreseen.rate is None else f" (predicted with the same weights: {interval(foreseen)})"
     alone = verdicts.count(REFUTED)
     corrected = f" ({certification.wrong} with Holm's correction for so many)" if alone else ""
     return (
-        f"The plan is {outcome}: {interval_of(certification.coverage)} of {counted} are removed, on fresh missions and "
+        f"The plan is {outcome}: {interval(certification.coverage)} of {counted} are removed, on fresh missions and "
         f"faults{said}; {alone} of {len(verdicts)} predictions are refuted{corrected}, "
         f"{verdicts.count(UNDECIDED)} undecided; golden digests equal in {golden.same} of {golden.flights} flights; "
         f"{golden.alarms} false alarms in {golden.calls:,} calls{_spent(certification)}."
@@ -146,12 +104,6 @@ def _spent(certification: Certification) -> str:
         f"; it adds {percent(most.measured)} of a flight's kernel time (with the plan's times: {percent(most.planned)}"
         f"{known}){outcome}"
     )
-
-
-def certificate_tables(certification: Certification) -> list[Table]:
-    """All tables of a certificate."""
-    machine = [machine_table(certification)] if certification.machine else []
-    return [certificate_table(certification), *machine]
 
 
 def certificate_table(certification: Certification) -> Table:
@@ -173,30 +125,12 @@ def certificate_table(certification: Certification) -> Table:
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
 
 
-def machine_table(certification: Certification) -> Table:
-    """Register faults at machine level, in plain and in protected code of a function."""
-    rows = []
-    for one in certification.machine:
-        columns = [one.rates(SDC), one.rates("crash"), one.rates("hang", "exception"), one.rates(DETECTED)]
-        for place, (code, sites) in enumerate((("plain", one.sites), ("protected", one.protected_sites))):
-            rates = [rates[place] for rates in columns]
-            name = one.function.rpartition(".")[2]
-            rows.append((one.kernel, name, code, str(rates[0].n), *map(interval_of, rates), f"{sites:,}"))
-    notes = [
-        "one bit of a destination register in one single-stepped call of each function, a fresh one; instr.: executed "
-        "machine instructions with such a register, over which faults are uniform",
-        *(f"{one.function.rpartition('.')[2]}: {interval_of(one.coverage)} of the SDCs per call removed at machine "
-          "level: 1 - SDC protected x instr. protected / (SDC plain x instr. plain)" for one in certification.machine),
-    ]  # fmt: skip
-    return Table.of_text("Machine level", _MACHINE, rows, notes)
-
-
 def _certificate_row(one: Certificate) -> tuple[str, ...]:
     n = sum(one.after.values())
     return (
-        one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc_before), interval_of(one.sdc_after),
+        one.kernel, one.function.rpartition(".")[2], interval(one.sdc_before), interval(one.sdc_after),
         percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in KERNEL_DUE) / n),
-        f"×{one.growth:.2f}", _time(one), interval_of(one.coverage), interval_of(one.predicted_rate), one.verdict,
+        f"×{one.growth:.2f}", _time(one), interval(one.coverage), interval(one.predicted_rate), one.verdict,
         f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
     )  # fmt: skip
 
@@ -207,18 +141,13 @@ def _time(one: Certificate) -> str:
 
 
 def _unprotected_row(one: Unprotected) -> tuple[str, ...]:
-    known = (one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc))
+    known = (one.kernel, one.function.rpartition(".")[2], interval(one.sdc))
     row = dict.fromkeys(_CERTIFICATE, ABSENT) | dict(zip(_CERTIFICATE, known, strict=False)) | {"": "not duplicated"}
     return tuple(row.values())
 
 
-def interval_of(found: Rate) -> str:
-    """A rate with its interval, in per cent."""
-    return interval(asdict(found))
-
-
-def interval(found: Mapping[str, Any]) -> str:
+def interval(rate: Rate) -> str:
     """A rate with its interval, in per cent: "93.1 % [90.2, 95.4]"."""
-    if found["rate"] is None:
+    if rate.rate is None or rate.low is None or rate.high is None:
         return ABSENT
-    return f"{percent(found['rate'])} [{100 * found['low']:.1f}, {100 * found['high']:.1f}]"
+    return f"{percent(rate.rate)} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"

@@ -115,8 +115,10 @@ def test_another_text_of_the_program_is_another_mission(tmp_path):
 @pytest.mark.skipif(importlib.util.find_spec("cosysairsim") is None, reason="needs the package cosysairsim (extra dev)")
 def test_a_campaign_of_a_program_resumes_where_it_stopped():
     program = {"script": str(BOX), "golden_runs": 1}
-    own = {"kind": "airsim_program", "name": "c", "program": program, "environments": ["sparse"], "missions": 1}
-    campaign = parse(Campaign, {**own, "faults": 1, "null_runs": 1}, "campaign.yaml")
+    own = {"host": "airsim_program", "sampling": {"level": "message"}, "name": "c", "program": program}
+    campaign = parse(
+        Campaign, {**own, "environments": ["sparse"], "missions": 1, "faults": 1, "null_runs": 1}, "c.yaml"
+    )
     flown = [one for one in fly_mission(MissionPlan(campaign, "sparse", 10_000)) if isinstance(one, Flown)]
     assert len(flown) == 4  # golden, one fault on each side, null
     done = frozenset(one.run_id for one in flown[:-1])

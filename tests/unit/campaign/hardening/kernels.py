@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 
+from mavfi.campaign.hardening.observed import Seen
+from mavfi.faults.instruction.variant import signature_of, variant_for
+from mavfi.hardening.recorded import copied
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -22,3 +25,18 @@ def smooth(values, out):
 def calls(count=4):
     random = np.random.default_rng(2)
     return [(random.uniform(0.0, 4.0, 9), np.zeros(9)) for _ in range(count)]
+
+
+def see(function, calls):
+    """What calls, of equal types, show of a function, as golden flights do."""
+    variant = variant_for(function, calls[0])
+    executions = sum(variant.tally(*copied(args))[1] for args in calls)
+    return Seen(
+        function,
+        function.py_func.__name__,
+        signature_of(calls[0]),
+        variant,
+        np.asarray(executions),
+        len(calls),
+        [*calls],
+    )

@@ -20,7 +20,6 @@ from mavfi.campaign.hardening.certify import (
     unprotected,
 )
 from mavfi.campaign.hardening.golden import GoldenCheck, Guarded
-from mavfi.campaign.hardening.kernel import see
 from mavfi.campaign.hardening.study import Study
 from mavfi.errors import BadInputError
 from mavfi.hardening.candidates import candidates
@@ -28,7 +27,7 @@ from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_p
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 from mavfi.reports.hardening.plain import verdict_line
-from tests.unit.campaign.hardening.kernels import calls, smooth
+from tests.unit.campaign.hardening.kernels import calls, see, smooth
 
 
 def certificate(before, after, growth=2.0, predicted=None):

@@ -1,6 +1,6 @@
 """A function as target of the choice: rates from injections, cross-validation, and what a summary says of it."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -11,17 +11,15 @@ from mavfi.campaign.hardening.battery import Battery
 from mavfi.campaign.hardening.certification import Certification, certified_plan, with_certified
 from mavfi.campaign.hardening.certify import Pair, certify
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.campaign.hardening.kernel import see
 from mavfi.campaign.hardening.learned import Injected, injections_in
 from mavfi.campaign.hardening.ledger import Harm
 from mavfi.campaign.hardening.study import plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import targets_of
-from mavfi.campaign.hardening.ways import FEWEST, OTHERS, SHARES, WAYS, compare_ways
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.full import full_plan
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
-from tests.unit.campaign.hardening.kernels import calls, smooth
+from tests.unit.campaign.hardening.kernels import calls, see, smooth
 
 
 @pytest.fixture(scope="module")
@@ -69,28 +67,6 @@ def test_steps_that_remove_no_more_than_a_cheaper_one_are_left_out(target):
         assert (fraction in kept) == (fraction == 1.0 or all(own > other for other in cheaper))
 
 
-def test_ways_are_compared_at_equal_cost_on_the_same_corruptions(target):
-    compared = compare_ways(target)
-    assert [one.share for one in compared] == list(SHARES)
-    sdc = [one for one in target.injections if one.sdc]
-    for one in compared:
-        assert list(one.judged) == list(WAYS)
-        assert all(sorted(map(id, (i for i, _ in own))) == sorted(map(id, sdc)) for own in one.judged.values())
-    covered = {way: [np.mean(one.hits[way]) for one in compared] for way in WAYS}
-    assert np.mean(covered["cut"]) > np.mean(covered["random"]) + 0.1
-    half = compared[SHARES.index(0.5)]
-    assert half.judged["cut"] == every_choice(target, (0.5,))[1][2], "the cut is that of the curve"
-    assert half.tests["random"].n == len(sdc)
-    assert half.tests["random"].first_only > half.tests["random"].second_only
-
-
-def test_ways_are_not_compared_with_few_corruptions(target):
-    sdc = [one for one in target.injections if one.sdc]
-    few = replace(target, injections=sdc[: FEWEST - 1])
-    assert compare_ways(few) == ()
-    assert len(compare_ways(replace(target, injections=sdc[:FEWEST]))) == len(SHARES)
-
-
 def test_sites_are_those_of_the_parsed_module(target):
     sites = target.sites(target.chooser.full)
     assert all(target.site_of(one) in sites for one in target.injections if one.sdc)
@@ -116,21 +92,18 @@ class Study:
 def test_a_summary_adds_up(target):
     ladder = every_choice(target, (0.5, 1.0))
     steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in ladder)
-    curve = Curve(target, 1.0, 0.2, steps, compare_ways(target))
+    curve = Curve(target, 1.0, 0.2, steps)
     assert [step.fraction for step in steps] == [0.0, 0.5, 1.0]
     advice = Advice(0.5, (curve,), (1,))
     found = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
-    (function,), (kernel,) = found["functions"], found["kernels"]
-    assert sum(function["escapes"].values()) == pytest.approx(1.0)
-    assert sum(line["sdc"] for line in function["lines"]) == pytest.approx(1.0)
-    assert sum(line["sdc"] * line["protected"] for line in function["lines"]) == pytest.approx(
-        function["escapes"]["protected"]
-    )
-    assert (found["complete"], found["selected"], found["addresses"]) == (False, ["pid"], False)
-    assert found["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
-    assert [one["share"] for one in function["ways"]] == list(SHARES) and set(function["ways"][0]["p"]) == set(OTHERS)
-    assert function["ways"][2]["coverage"]["cut"]["rate"] == pytest.approx(np.mean(curve.compared[2].hits["cut"]))
-    assert [step["chosen"] for step in function["steps"]] == [one.fraction == 0.5 for one in steps]
+    (function,), (kernel,) = found.functions, found.kernels
+    assert sum(function.escapes.values()) == pytest.approx(1.0)
+    assert sum(line.sdc for line in function.lines) == pytest.approx(1.0)
+    removed = sum(line.sdc * line.protected for line in function.lines)
+    assert removed == pytest.approx(function.escapes["protected"])
+    assert (found.complete, found.selected, found.addresses) == (False, ("pid",), False)
+    assert found.spent == kernel.added == pytest.approx(0.2 * 0.5) and kernel.time == pytest.approx(1.5)
+    assert [step.chosen for step in function.steps] == [one.fraction == 0.5 for one in steps]
 
 
 def test_a_plan_states_the_share_of_its_kernels_time(target):
@@ -160,10 +133,9 @@ def test_a_plan_keeps_the_certificate_of_the_same_code(target):
     assert with_certified(plan, other).functions[0].certified is None
     steps = tuple(Step(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
     advice = Advice(0.5, (Curve(target, 300.0, 0.2, steps),), (len(steps) - 1,))
-    (row,) = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)), earlier)[
-        "functions"
-    ]
-    assert row["certified"] == {"rate": 0.9, "low": 0.8, "high": 0.95}
+    summed = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)), earlier)
+    (row,) = summed.functions
+    assert (row.certified.rate, row.certified.low, row.certified.high) == (0.9, 0.8, 0.95)
 
 
 def test_choice_and_certificate_count_the_same_corruptions():

@@ -14,10 +14,11 @@ from mavfi.errors import BadInputError
 from mavfi.flight_record import End, FlightRecord
 
 CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
+PROGRAM = {"host": "airsim_program", "sampling": {"level": "message"}}
 
 
 def campaign(**changes):
-    own = {"kind": "airsim_program", "name": "c", "program": {"script": "p.py"}, "environments": ["sparse"]}
+    own = {**PROGRAM, "name": "c", "program": {"script": "p.py"}, "environments": ["sparse"]}
     return parse(Campaign, {**own, "missions": 1, "faults": 300, **changes}, "campaign.yaml")
 
 
@@ -28,12 +29,9 @@ def faults(of, calls=CALLS):
     return sampler.draw(draws, "sparse", golden), sampler, golden
 
 
-def test_the_kind_of_a_campaign_is_its_host_with_faults_in_messages():
-    found = campaign()
-    assert (found.host, found.sampling.level, found.program.script) == ("airsim_program", "message", "p.py")
-    spelled = {"host": "airsim_program", "name": "c", "environments": ["sparse"], "missions": 1, "faults": 300}
-    other = {**spelled, "program": {"script": "p.py"}, "sampling": {"level": "message"}}
-    assert parse(Campaign, other, "campaign.yaml") == found
+def test_the_kind_of_earlier_versions_is_refused_with_the_new_key():
+    with pytest.raises(BadInputError, match="key 'kind': is now 'host'"):
+        campaign(kind="airsim_program")
 
 
 def test_every_call_and_number_of_its_side_is_drawn_and_no_other():
@@ -66,14 +64,14 @@ def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
     ("changes", "message"),
     [
         ({"program": None}, "the key program goes with host airsim_program"),
-        ({"kind": None, "host": "local", "sampling": {}}, "the key program goes with host airsim_program"),
+        ({"host": "local", "sampling": {}}, "the key program goes with host airsim_program"),
         ({"sampling": {"level": "message", "sides": ["both"]}}, "sides"),
         ({"sampling": {"level": "message", "sides": ["return", "return"]}}, "'return': named 2 times"),
         ({"program": {"script": "p.py", "image": "big"}}, "image"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes, message):
-    given = {key: value for key, value in {"kind": "airsim_program", **changes}.items() if value is not None}
+    given = {key: value for key, value in {**PROGRAM, **changes}.items() if value is not None}
     own = {"name": "c", "program": {"script": "p.py"}, "environments": ["sparse"], **given}
     if changes.get("program", 0) is None:
         del own["program"]

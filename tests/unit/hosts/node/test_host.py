@@ -9,7 +9,7 @@ from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.store import Store
 from mavfi.cli import run as cli
-from mavfi.errors import BadInputError, MavfiError, OlderNameWarning
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.hosts.node import host
 from mavfi.hosts.node.trial import Trial
 from mavfi.outcomes import effect_of
@@ -20,10 +20,6 @@ PLAIN = {
         "name": "/n", "command": ["/n"], "golden_runs": 2, "outputs": {"topic": "/out"},
         "inputs": {"topic": "/in", "type": "std_msgs/Float64", "messages": [{"data": 1.0}]},
     },
-}  # fmt: skip
-OLD = {
-    "kind": "ros_node", "name": "made_up", "node": "/n", "command": ["/n"], "trials": 4, "golden_runs": 2,
-    "null_runs": 2, "inputs": PLAIN["node"]["inputs"], "outputs": {"topic": "/out"}, "scales": {"paper": {"trials": 9}},
 }  # fmt: skip
 INJECTION = {
     "level": "register", "site": "rax", "time_s": 0.1, "bit": 3, "before": "0x0", "after": "0x8", "activated": True,
@@ -123,15 +119,6 @@ def test_golden_trials_that_differ_or_fail_end_the_campaign(campaign, tmp_path, 
     monkeypatch.setattr(host, "run_trial", fails)
     with pytest.raises(MavfiError, match="no node"):
         run(campaign, tmp_path / "b")
-
-
-def test_the_older_spelling_is_the_same_campaign(campaign, tmp_path):
-    path = tmp_path / "old.yaml"
-    path.write_text(yaml.safe_dump(OLD))
-    with pytest.warns(OlderNameWarning, match="'kind': 'ros_node': deprecated, is now host: node"):
-        old = load_campaign(path)
-    assert old.at_scale("paper").faults == 9
-    assert old.model_copy(update={"scales": {}}) == campaign
 
 
 @pytest.mark.parametrize(

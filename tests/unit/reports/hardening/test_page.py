@@ -1,28 +1,25 @@
 """The page of an advice: complete, offline, and safe; and its sentences."""
 
 import re
-from html import unescape
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 from mavfi.campaign.analysis.pairs import mcnemar
-from mavfi.campaign.hardening.certification import Certification, certification_json
+from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.certify import Certificate, Unprotected
 from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.campaign.hardening.machine import MachineLevel
+from mavfi.campaign.hardening.summary import StepSummary
 from mavfi.hardening.plan import Coverage
-from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, best, curve, ways
+from mavfi.reports.hardening.drawing import HEIGHT, WIDTH, best, curve
 from mavfi.reports.hardening.page import page, source, write_certificate
 from mavfi.reports.hardening.plain import (
     advice_table,
     caveats,
     certificate_table,
-    certificate_tables,
     headline,
     interval,
-    rerun_line,
     verdict_line,
-    ways_line,
 )
 from tests.unit.reports.hardening.summaries import rate, summary
 
@@ -40,7 +37,7 @@ def test_the_page_says_what_to_protect_and_what_it_does_not_buy():
 
 
 def test_the_commands_of_the_page_have_all_options():
-    text = page(summary() | {"selected": ["pid", "octomap"], "addresses": True}, DIRECTORY, PLAN)
+    text = page(replace(summary(), selected=("pid", "octomap"), addresses=True), DIRECTORY, PLAN)
     assert "--budget 0.1 --kernels pid,octomap --addresses --plan plan.yaml" in text
     assert "runs&#39; --kernels pid,octomap --plan plan.yaml --certify" in text
     assert "--kernels" not in page(summary(), DIRECTORY, PLAN)
@@ -50,7 +47,8 @@ def test_certified_coverage_is_shown_where_it_is_known():
     advice = summary()
     assert "ertified" not in page(advice, DIRECTORY, PLAN)
     assert advice_table(advice).columns[-1].heading == "sites"
-    advice["functions"][0]["certified"] = rate(0.91)
+    first, *others = advice.functions
+    advice = replace(advice, functions=(replace(first, certified=rate(0.91)), *others))
     assert f"certified {interval(rate(0.91))}" in page(advice, DIRECTORY, PLAN)
     table = advice_table(advice)
     assert table.columns[-1].heading == "certified" and table.rows[0][-1] == interval(rate(0.91))
@@ -64,47 +62,18 @@ def test_the_page_loads_nothing():
 
 
 def test_points_of_a_curve_lie_within_its_drawing_in_order_of_time():
-    drawn = curve(summary()["functions"][0])
-    assert [point["x"] for point in drawn["points"]] == sorted(point["x"] for point in drawn["points"])
-    assert all(
-        0 < point["x"] < WIDTH and 0 < point["high"] <= point["y"] <= point["low"] < HEIGHT for point in drawn["points"]
-    )
-    assert sum(point["chosen"] for point in drawn["points"]) == 1
-    assert drawn["xs"][0][1] == "×1" and 2 <= len(drawn["xs"]) <= 6
-
-
-def test_ways_to_choose_meet_at_both_ends_and_are_told_in_words():
-    row = summary()["functions"][0]
-    drawn = ways(row)
-    lines = {line["way"]: line for line in drawn["lines"]}
-    paths = {way: line["path"].split() for way, line in lines.items()}
-    assert list(paths) == ["cut", "line", "opcode", "random"]
-    assert len({(path[0], path[-1]) for path in paths.values()}) == 1 and all(len(path) == 6 for path in paths.values())
-    heights = [float(paths[way][3].split(",")[1]) for way in paths]
-    assert heights == sorted(heights), "higher coverage is drawn higher"
-    assert "10 %, 25 %, 50 %, 75 % of the instructions" in drawn["label"]
-    assert "minimum cut 10 %, 24 %, 48 %, 73 %; by source line 8 %, 19 %," in drawn["label"]
-    assert ways(row | {"ways": []}) is None
-
-
-def test_the_page_compares_ways_to_choose_where_there_are_enough_corruptions():
-    advice = summary()
-    text = page(advice, DIRECTORY, PLAN)
-    assert text.count('class="random"') == 1 + 2 * len(advice["functions"])  # legend; group and line of each drawing
-    assert "at random, 25 % of the instructions: 9.7 % [4.7, 14.7] of SDCs" in text
-    line = ways_line(advice)
-    assert line.startswith("In 12 comparisons") and "than at random in 12, fewer in 0 (p < 0.01" in line
-    assert "than by source line in 0, fewer in 0" in line, "p = 0.2 is not counted"
-    advice["functions"] = [row | {"ways": []} for row in advice["functions"]]
-    assert "No function has the 20 SDCs that are needed" in page(advice, DIRECTORY, PLAN)
+    drawn = curve(summary().functions[0])
+    assert [point.x for point in drawn.points] == sorted(point.x for point in drawn.points)
+    assert all(0 < point.x < WIDTH and 0 < point.high <= point.y <= point.low < HEIGHT for point in drawn.points)
+    assert sum(point.chosen for point in drawn.points) == 1
+    assert drawn.xs[0][1] == "×1" and 2 <= len(drawn.xs) <= 6
 
 
 def test_source_lines_have_their_text_and_gaps():
-    own = source(summary()["functions"][0])
-    (file,) = own["files"]
-    assert file["file"].endswith("pid.py") and all(line["code"] or line["number"] for line in file["lines"])
-    assert [line["gap"] for line in file["lines"]] == [False] + [True] * 9
-    assert file["lines"][9]["kept"] == "100" and file["lines"][9]["escapes"] == "0.0 %"
+    ((file, lines),) = source(summary().functions[0]).files.items()
+    assert file.endswith("pid.py") and any(line.code for line in lines)
+    assert [line.gap for line in lines] == [False] + [True] * 9
+    assert lines[9].summary.protected == 1.0 and lines[9].escapes == 0.0
 
 
 def test_sentences():
@@ -112,31 +81,15 @@ def test_sentences():
     assert headline(advice).startswith("Protect pid, octomap: 9.9 % more kernel time")
     assert "46.0 % [41.0, 51.0] of all silent corruptions (SDC), predicted" in headline(advice)
     some = "of the silent corruptions (SDC) in pid, octomap, collision_check, predicted"
-    assert some in headline(advice | {"complete": False}), "rates of other kernels are not known"
-    advice["kernels"] = [row | {"added": 0.0, "coverage": rate(0.0)} for row in advice["kernels"]]
-    assert headline(advice) == "Nothing can be protected within 10.0 % of a flight's kernel time."
+    assert some in headline(replace(advice, complete=False)), "rates of other kernels are not known"
+    nothing = tuple(replace(row, added=0.0, coverage=rate(0.0)) for row in advice.kernels)
+    assert (
+        headline(replace(advice, kernels=nothing))
+        == "Nothing can be protected within 10.0 % of a flight's kernel time."
+    )
     assert "of 60 with a dead kernel" in caveats(advice)[0]
     assert interval(rate(None)) == "—"
-    assert rerun_line(advice).endswith(
-        "less than full duplication for insert_scan (×2.40 in full; a rerun adds at least 77.0 % of a flight's kernel "
-        "time, the budget is 10.0 %) only."
-    )
-    assert rerun_line(advice) in unescape(page(advice, DIRECTORY, PLAN))
-    small = advice | {"functions": advice["functions"][:1]}
-    assert rerun_line(small).endswith("every function here is duplicated in full for less.")
     assert advice_table(advice).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
-
-
-def test_a_certificate_states_both_codes_at_machine_level(tmp_path):
-    level = MachineLevel("pid", "m.track", "f8", {"masked": 50, "sdc": 50}, {"sdc": 2, "detected": 98}, 150, 300)
-    found = Certification("ab" * 32, 100, (), (), GoldenCheck(), machine=(level,))
-    plain, protected = certificate_tables(found)[1].rows
-    assert plain[:5] == ("pid", "track", "plain", "100", "50.0 % [40.4, 59.6]") and plain[-1] == "150"
-    assert protected[4] == "2.0 % [0.6, 7.0]" and protected[-2:] == ("98.0 % [93.0, 99.4]", "300")
-    assert certification_json(found)["machine"][0]["sdc_after"]["n"] == 100
-    write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN)
-    text = (tmp_path / "c.html").read_text()
-    assert "Machine level" in text and "track: 92.0 % [" in text and "--faults 100 --machine pid" in text
 
 
 def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
@@ -149,7 +102,6 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     text = (tmp_path / "c.html").read_text()
     assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
-    assert "Machine level" not in text
     assert "<td>1 : 0, p = 1</td>" in text and "<td>×1.37 (×1.34)</td>" in text
     write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN, ("pid",))
     assert "runs&#39; --kernels pid --plan plan.yaml --certify" in (tmp_path / "c.html").read_text()
@@ -167,8 +119,7 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
 def test_the_line_of_a_curve_joins_what_the_time_buys():
     times, rates = [1.0, 1.3, 1.1, 1.1, 1.4], [0.0, 0.6, 0.7, 0.2, 0.8]
     assert best(times, rates) == [0, 2, 4]
-    coverage = [{"rate": rate, "low": rate, "high": rate, "n": 9} for rate in rates]
-    steps = [{"time": time, "coverage": own, "chosen": False} for time, own in zip(times, coverage, strict=True)]
-    drawn = curve({"kernel": "pid", "entry": "track", "steps": steps, "coverage": coverage[-1]})
-    assert len(drawn["points"]) == 5
-    assert drawn["path"].split() == [f"{own['x']},{own['y']}" for own in (drawn["points"][n] for n in (0, 2, 4))]
+    steps = [StepSummary(0.5, 1.5, time, rate(share), False) for time, share in zip(times, rates, strict=True)]
+    drawn = curve(replace(summary().functions[0], steps=tuple(steps)))
+    assert len(drawn.points) == 5
+    assert drawn.path.split() == [f"{point.x},{point.y}" for point in (drawn.points[n] for n in (0, 2, 4))]

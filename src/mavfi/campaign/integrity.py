@@ -1,16 +1,73 @@
-"""Integrity of a ledger: exactly its tables, values of the right types, matching checksums.
+"""The file of a ledger: how it is opened, its tables, the checksums of its rows, and what damages it.
 
-Checksums detect damage, but a forged ledger can have valid ones.  So types are checked as well.
+Checksums cover the row and, as a salt, the identity of the campaign, so that rows of another campaign are rejected.
+Ledgers of an older mavfi have no salt, and no `BOUND` row.  Checksums detect damage, but a forged ledger can have valid
+ones.  So types are checked as well.
 """
 
+import hashlib
 import json
+import os
 import sqlite3
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.checksums import checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.config import checked
 from mavfi.errors import BadInputError
+
+
+def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Open a ledger's file, also on read-only media.
+
+    Raises:
+        BadInputError: The file cannot be opened.
+    """
+    options = f"mode={mode}"
+    if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite cannot create its auxiliary files
+        log = path.with_name(f"{path.name}-wal")
+        if log.exists() and log.stat().st_size > 0:
+            raise BadInputError(f"{path}: was not closed; open it once on writable media")
+        options += "&immutable=1"
+    try:
+        return sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True)
+    except sqlite3.OperationalError as error:
+        raise BadInputError(f"{path}: cannot be opened ({error})") from None
+
+
+IDENTITY, BOUND = "identity", "bound"
+"""Metadata keys: the identity of the campaign; a mark that checksums are salted with it."""
+
+
+def checksum_of(*values: str | int | float | None) -> str:
+    """Checksum of the values of a row, types included."""
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
+
+
+def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...], salt: Sequence[str]) -> str:
+    """Checksum of the planned runs of a mission, given by environment and seed."""
+    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
+    return checksum_of(*world, *(part for row in connection.execute(query, world) for part in row), *salt)
+
+
+def meta_checksum(key: str, value: str, salt: Sequence[str]) -> str:
+    """Checksum of a metadata row; rows `IDENTITY` and `BOUND` have no salt."""
+    return checksum_of(key, value) if key in (IDENTITY, BOUND) else checksum_of(key, value, *salt)
+
+
+def salt_of(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Salt of the checksums, from the campaign's identity; () = a ledger of an older mavfi, or a new one."""
+    query = "SELECT value FROM meta WHERE key = ? AND EXISTS (SELECT 1 FROM meta WHERE key = ?)"
+    return tuple(_salt(identity) for (identity,) in connection.execute(query, (IDENTITY, BOUND)))
+
+
+@lru_cache(maxsize=8)
+def _salt(identity: str) -> str:
+    """Checksum of an identity, which is long, and the same for all rows."""
+    return checksum_of(identity)
+
 
 INDEX = "runs_by_mission ON runs (environment, seed, position)"
 """Without this index, finding the runs of a mission reads all runs; it is added to ledgers of earlier versions."""

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.machine_level import entry_of, protected
+from benchmarks.destinations import destinations, is_out_of_reach
+from benchmarks.machine_level import entry_of, inject_all, protected
+from benchmarks.single_step import MachineFault, SteppedCall
 from mavfi.campaign.hardening.battery import DETECTED
-from mavfi.campaign.hardening.machine import inject_all
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.instruction.api import digest
-from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.registers import decode
-from mavfi.faults.register.single_step import MachineFault, SteppedCall
 from mavfi.numerics.jit import kernel_jit
 from tests.unit.faults.instruction.kernels import LOOP, counted_down, fill, loop, raising
 from tests.unit.faults.register.tracing import require_tracing
@@ -92,7 +91,7 @@ def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
     def forbidden(thread):
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr("mavfi.faults.register.single_step.Tracee", forbidden)
+    monkeypatch.setattr("benchmarks.single_step.Tracee", forbidden)
     with pytest.raises(BadInputError, match="single steps: may not trace a child") as refused:
         stepped(loop, *LOOP)
     assert "\n" not in str(refused.value)

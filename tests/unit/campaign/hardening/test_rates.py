@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavfi.hardening.rates import Rates
+from mavfi.campaign.hardening.learned import Rates
 
 SITE = ("fmul", "line 9", (0, 3))
 

@@ -20,8 +20,8 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.destinations import destinations, is_out_of_reach
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.ptrace import TargetGoneError, Tracee, TracerTimeoutError
 from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
 from mavfi.faults.register.target import check_machine, not_permitted
