@@ -257,7 +257,7 @@ def test_time_passes_as_on_the_wall_if_wanted():
 @pytest.mark.alone
 def test_a_fault_in_a_register_of_a_node():
     scenario = short()
-    plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000, "fp", 3),))
+    plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=1.0)
     log = fly_there(plan).flight.log
     (injection,) = log.injections
     assert injection.activated and injection.details["node"] == "pid", injection
