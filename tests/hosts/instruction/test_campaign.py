@@ -12,7 +12,6 @@ import time
 from collections import Counter
 
 import pytest
-from pydantic import ValidationError
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
@@ -135,16 +134,6 @@ def test_each_arm_draws_faults_in_its_own_recovery(tmp_path):
     executed = {one.spec.arm: one.record.counts["recovery"]["instructions"] for one in golden}
     assert executed["rules"] > executed["idle"] == 0
     assert replay(tmp_path, rules[0].spec.run_id).same
-
-
-def test_stratified_faults_keep_their_weights(tmp_path):
-    config = campaign(6, kernels=["pid"], which="data", scheme="stratified")
-    assert config != campaign(6, kernels=["pid"], which="data")
-    assert flown_into(tmp_path, config).complete
-    weights = [one.spec.fault.weight for one in runs_of(tmp_path, "fi")]
-    assert len(weights) == 6 and len(set(weights)) > 2
-    with pytest.raises(ValidationError, match="scheme"):
-        campaign(kernels=["pid"], scheme="even")
 
 
 # ---- faults in addresses --------------------------------------------------------------------------------------------

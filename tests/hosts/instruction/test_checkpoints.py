@@ -12,11 +12,10 @@ from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly, forks, mission_flights
 from mavfi.hosts.local.branch import Branch
 from mavfi.hosts.local.fast_forward import FastForward
-from mavfi.hosts.local.forks import WatchedArm, fly_from_checkpoints
+from mavfi.hosts.local.forks import WatchedArm, fly_from_checkpoints, fly_instruction_faults
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
@@ -222,7 +221,7 @@ def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
 
 
 def test_an_input_that_was_changed_forbids_to_converge():
-    from mavfi.hosts.instruction.forking import _is_contained  # the rule itself, case by case
+    from mavfi.hosts.local.forks import _is_contained  # the rule itself, case by case
 
     before, golden, other = np.zeros(3), np.ones(3), np.full(3, 2.0)
     assert _is_contained("track", (before,), (before,), (before,))

@@ -8,9 +8,8 @@ import pytest
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.instruction import Counting
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.forking import ForksFromTakeOff
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import FromTakeOff, fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.mission import MissionSpec
@@ -137,7 +136,7 @@ def test_a_node_that_is_there_again_can_be_asked_to_compute_again(kernel):
 
 
 def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started_again():
-    loop = ForksFromTakeOff(scenario(), [], Scripted()).loop
+    loop = FromTakeOff(scenario(), [], Scripted()).loop
     loop.begin()
     loop.run(until=150)
     loop.actions["restart fresh"](loop.now, "collision_check")

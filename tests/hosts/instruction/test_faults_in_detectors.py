@@ -21,8 +21,8 @@ from mavfi.detectors.registry import contains
 from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.case import check_kernel
+from mavfi.hosts.local.case import check_kernel
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.policy import Recovery
@@ -163,34 +163,6 @@ class _Nervous:
         return Alarm("nervous", "control", hard=True) if self._asked % 30 in (0, 1) and self._asked > 1 else None
 
     def accept(self, state, now): ...
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("same_twice", "degraded", "entries"),
-    [
-        ("escalate", "none", {"escalate", "down_time", "left_after"}),
-        ("escalate", "hold", {"series_start", "distance", "closing_rate"}),
-        ("limit", "none", {"frequency"}),
-    ],
-)
-def test_limits_and_commands_of_recovery_are_targets_where_they_are_evaluated(same_twice, degraded, entries):
-    spec = MissionSpec(
-        environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), same_twice=same_twice,
-        grain="kernel", degraded=degraded, dead_node="readback",
-    )  # fmt: skip
-    scenario, policy = resolve(spec), Recovery.of(spec)
-    request = InstructionRequest({RECOVERY: 40}, sampling="stratified")
-    drawn = draw_instruction_faults(scenario, request, "test", seed=3, detector=_Nervous(), recovery=policy)
-    faults = drawn.faults[RECOVERY]
-    assert entries <= {fault.entry for fault in faults}
-    one_of_each = list({fault.entry: fault for fault in faults}.values())
-    hanging = [replace(fault, budget=0) for fault in one_of_each]
-    found = fly_instruction_faults(scenario, [*one_of_each, *hanging], _Nervous(), recovery=policy)
-    assert found.golden.log.digest() == drawn.golden.log.digest()
-    hangs = [flight for flight in found.flights if flight.log.kernel.effect == "hang"]
-    given_up = {MissionStatus.TIMEOUT} if degraded != "none" else set()
-    assert hangs and {flight.log.status for flight in hangs} <= {MissionStatus.SUCCESS} | given_up
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ from mavfi.campaign.samplers.smaller import elsewhere
 from mavfi.faults.instruction import Resolving
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.pipeline.functions import PLAIN
 from tests.hosts.missions import mission
 

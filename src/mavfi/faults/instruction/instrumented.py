@@ -2,7 +2,7 @@
 
 With `rewriting`, their instructions are those of the rewritten function, e.g. of the protected one.
 
-`strata.choose` draws call and index from the counts of a first flight; a second flight resolves the instructions.
+`plan.choose` draws call and index from the counts of a first flight; a second flight resolves the instructions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import check_fault, injection_of
 from mavfi.faults.instruction.table import Site, Table
-from mavfi.faults.instruction.variant import Passes, Variant, variant_for
+from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.flight_log import Injection
 from mavfi.ir.build import Rewriting
 
@@ -60,39 +60,6 @@ class Profiling(Counting):
             for site, times in table.executions(total)
             if times
         ]
-
-
-class Locating:
-    """Finds the call, and the dynamic index in it, at which each drawn block execution starts.
-
-    `wanted` has, by digest of the IR, blocks and numbers of their executions over all calls, from 0.
-    """
-
-    def __init__(
-        self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]], rewriting: Rewriting | None = None
-    ) -> None:  # fmt: skip
-        self._function, self._rewriting = function, rewriting
-        self._wanted = wanted
-        self._passes: dict[str, Passes] = {}
-        self._calls = 0
-
-    def __call__(self, *args: Any) -> Any:
-        """Call the function; bit-identical result."""
-        call, self._calls = self._calls, self._calls + 1
-        variant = variant_for(self._function, args, self._rewriting)
-        digest = variant.ir_sha256
-        if digest not in self._wanted:
-            return self._function(*args)
-        if digest not in self._passes:
-            self._passes[digest] = Passes(len(variant.table.blocks), self._wanted[digest])
-        result = variant.locate(self._passes[digest], *args)
-        self._passes[digest].close_call(call)
-        return result
-
-    def place(self, digest: str, block: int, number: int) -> tuple[int, int]:
-        """Call, and dynamic index in it, at which a wanted block execution starts."""
-        passes = self._passes[digest]
-        return passes.call(block, number), passes.start(block, number)
 
 
 class Resolving:
