@@ -304,13 +304,18 @@ class Campaign(Config):
         sampling = data["sampling"]
         if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
             del sampling["lifetime"]
-        if sampling["level"] == "instruction":
-            data["sampling"] = sampling = {"level": "instruction", "scheme": _STORED_SCHEME, **sampling}
         if not sampling.get("messages", True):
             del sampling["messages"]
         for group in sampling.get("groups", ()):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)
+        return data
+
+    def identity(self) -> dict[str, Any]:
+        """Plain data in the identity of a ledger; it keeps the key `scheme` of faults in instructions."""
+        data = self.to_json()
+        if self.sampling.level == "instruction":
+            data["sampling"]["scheme"] = _STORED_SCHEME
         return data
 
 

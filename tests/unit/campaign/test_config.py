@@ -90,7 +90,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
         (
             {"sampling": {"level": "instruction", "kernels": ["pid"], "scheme": "uniform"}},
-            "key 'sampling.scheme': dropped; no replacement: instruction faults are drawn uniformly",
+            "key 'scheme': dropped; no replacement: instruction faults are drawn uniformly",
         ),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
         (

@@ -7,8 +7,8 @@ import pytest
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.samplers import instructions, sampler_for
-from mavfi.campaign.samplers.instruction import Drawn
+from mavfi.campaign.samplers import instruction, sampler_for
+from mavfi.campaign.samplers.instruction import DrawnFaults
 from mavfi.campaign.samplers.sampler import Sampled, draws_of
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import NO_SITE, InstructionFault
@@ -42,9 +42,9 @@ def requests(monkeypatch):
             for kernel, count in request.kernels.items()
         }  # fmt: skip
         golden = fakes.fly(ArmSetup(scenario), None, None)
-        return Drawn(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
+        return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
 
-    monkeypatch.setattr(instructions, "draw_instruction_faults", draw)
+    monkeypatch.setattr(instruction, "draw_instruction_faults", draw)
     return asked
 
 
@@ -138,7 +138,7 @@ def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
     def explode(scenario, *_, seed, **__):
         raise ZeroDivisionError(seed)
 
-    monkeypatch.setattr(instructions, "draw_instruction_faults", explode)
+    monkeypatch.setattr(instruction, "draw_instruction_faults", explode)
     end = run_campaign(campaign(environments=["sparse"]), tmp_path)
     assert end.complete
     with Store.open(tmp_path) as store:
