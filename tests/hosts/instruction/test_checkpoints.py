@@ -12,8 +12,8 @@ from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.local import fly, forks, mission_flights
-from mavfi.hosts.local.fast_forward import Branch, FastForward
-from mavfi.hosts.local.forks import WatchedArm, fly_from_checkpoints, fly_instruction_faults
+from mavfi.hosts.local.fast_forward import Branch, FastForward, FlownArm
+from mavfi.hosts.local.forks import fly_from_checkpoints, fly_instruction_faults
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
@@ -50,7 +50,7 @@ def both_ways(faults, arm="", make=lambda: None, **options):
     flown, detector = scenario(**options), make()
     golden = fly(flown, None, detector)
     forward = FastForward(flown, scratch=True)
-    fast = records(fly_from_checkpoints(forward, faults, golden, detector, arm).flights)
+    fast = records(fly_from_checkpoints(forward, faults, golden, FlownArm(arm, detector)).flights)
     return fast, records(fly_instruction_faults(flown, faults, detector, golden).flights)
 
 
@@ -84,7 +84,7 @@ def test_runs_with_detectors_that_follow_from_those_without_are_the_same(which):
         FastForward(flown, scratch=True),
         {name: fly(flown, None, make()) for name, make in makers.items()},
     )
-    watched = {name: WatchedArm(make(), INLINE, golden[name]) for name, make in makers.items()}
+    watched = [FlownArm(name, make()) for name, make in makers.items()]
     found = fly_from_checkpoints(forward, faults, fly(flown), watched=watched).watched
     for name, make in makers.items():
         slow = records(fly_instruction_faults(flown, faults, make(), golden[name]).flights)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.faults.instruction import Counting
+from mavfi.faults.instruction import Profiling
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.local import fly
 from mavfi.hosts.local.forks import FromTakeOff, fly_instruction_faults
@@ -88,7 +88,7 @@ def test_an_observed_flight_with_a_fault_in_an_address():
 
 @pytest.fixture(scope="module")
 def counts():
-    counting = Counting(PLAIN.insert_scan)
+    counting = Profiling(PLAIN.insert_scan)
     fly(scenario(), functions=replace(PLAIN, insert_scan=counting))
     return counting.counts
 

@@ -2,7 +2,7 @@
 
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked
-from mavfi.faults.instruction.instrumented import Counting, Injecting, Profiling, Resolving
+from mavfi.faults.instruction.instrumented import Profiling, Resolving
 from mavfi.faults.instruction.plan import budget_for, choose, injection_of
 from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.faults.instruction.table import Site
@@ -10,7 +10,7 @@ from mavfi.ir.forked import Ended, ForkPoint, run_in_child
 from mavfi.ir.refusal import BuildError, RefusedError
 
 __all__ = [
-    "BuildError", "Counting", "Ended", "ForkPoint", "InjectedCall", "Injecting", "InstructionFault",
+    "BuildError", "Ended", "ForkPoint", "InjectedCall", "InstructionFault",
     "MismatchError", "Profiling", "RefusedError", "Resolving", "Site", "budget_for", "choose",
     "count", "draw", "histogram", "inject", "injection_of", "resolve", "run_forked",
     "run_in_child",

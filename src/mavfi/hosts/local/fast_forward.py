@@ -41,7 +41,7 @@ from mavfi.hosts.local.checkpoints import (
 )
 from mavfi.hosts.local.counted_function import CountedFunction
 from mavfi.hosts.loop.assemble import install, new_loop, restarts_for
-from mavfi.hosts.loop.golden_prefix import prefix_of
+from mavfi.hosts.loop.golden_prefix import check_prefix
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US, Loop
 from mavfi.mission import Scenario
@@ -566,4 +566,4 @@ class FastForward:
                     function.is_wanted(calls[name]) for name, function in functions.items()
                 ):
                     loop.run(len(loop.record.rows) + 1)
-                prefix_of(loop).check(golden.log)
+                check_prefix(loop, golden.log)

@@ -39,10 +39,10 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.local.case import DETECTED, WAITING, Case, ChildReport, Output, Published, case_of, flight_of
 from mavfi.hosts.local.checkpoints import fill, put
 from mavfi.hosts.local.counted_function import CountedFunction, Taken
-from mavfi.hosts.local.fast_forward import Branch, FastForward, FlownArm, Track
+from mavfi.hosts.local.fast_forward import NO_DETECTOR, Branch, FastForward, FlownArm, Track
 from mavfi.hosts.local.protected import alarm_of, is_detection, paired, repetition_of, rewriting_of
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
+from mavfi.hosts.loop.golden_prefix import check_prefix, fly_until
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.restarts import Restarts
@@ -106,7 +106,7 @@ def fly_instruction_faults(
         assert golden is not None  # a whole golden flight was requested
         check_flown(scenario.protection)
     else:
-        prefix_of(start.loop).check(golden.log)
+        check_prefix(start.loop, golden.log)
     return InjectedFlights(golden, [flight_of(case, golden) for case in cases])
 
 
@@ -129,15 +129,6 @@ def fly_with_publications(
 
 
 @dataclass(frozen=True, slots=True)
-class WatchedArm:
-    """An arm of the same mission with a detector, and its golden flight."""
-
-    detector: Detector
-    recovery: Recovery
-    golden: Flight
-
-
-@dataclass(frozen=True, slots=True)
 class InjectedRuns:
     """Injected runs of an arm, in the order of the faults, and of other arms as far as they follow from them.
 
@@ -149,28 +140,26 @@ class InjectedRuns:
 
 
 def fly_from_checkpoints(
-    forward: FastForward, faults: Sequence[InstructionFault], golden: Flight, detector: Detector | None = None,
-    arm: str = "", recovery: Recovery = INLINE, watched: Mapping[str, WatchedArm] | None = None,
+    forward: FastForward, faults: Sequence[InstructionFault], golden: Flight, arm: FlownArm = NO_DETECTOR,
+    watched: Sequence[FlownArm] = (),
 ) -> InjectedRuns:  # fmt: skip
     """Fly one mission with each of several faults in instructions of its kernels, from golden checkpoints.
 
     Args:
         forward: All flights of this mission, with scratch.
         faults: As for `fly_instruction_faults`; none in a detector.
-        golden: The golden flight with this detector.
-        detector: As for `FastForward.fly`.
-        arm: As for `FastForward.fly`.
-        recovery: As for `FastForward.fly`.
-        watched: Arms of the same mission with detectors, by name, if this one has none.
+        golden: The golden flight of the arm.
+        arm: Detector and recovery policy.
+        watched: Arms of the same mission with detectors, if this one has none.
 
     Raises:
         MismatchError: A fault was sampled for different machine code.
         BadInputError: The mission lacks the kernel.
         MavfiError: Two golden flights differ.
     """
-    cases = [case_of(fault, forward.loop.scenario, detector) for fault in faults]
+    cases = [case_of(fault, forward.loop.scenario, arm.detector) for fault in faults]
     with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
-        start = FromCheckpoints(forward, FlownArm(arm, detector, recovery), golden, watched or {})
+        start = FromCheckpoints(forward, arm, golden, watched)
         Forks(start, cases).fly()
     return InjectedRuns([flight_of(case, golden) for case in cases], start.followed(cases))
 
@@ -547,22 +536,16 @@ class FromCheckpoints(Start):
         MavfiError: The golden flight of the checkpoints differs from `golden`.
     """
 
-    def __init__(self, forward: FastForward, arm: FlownArm, golden: Flight, watched: Mapping[str, WatchedArm]) -> None:
+    def __init__(self, forward: FastForward, arm: FlownArm, golden: Flight, watched: Sequence[FlownArm]) -> None:
         self.loop, self.detector = forward.loop, arm.detector
         self._forward, self._arm = forward, arm
         self._branch: Branch | None = None
-        self._golden = self._known_golden(arm, golden)
-        self._plain_golden = forward.golden()
-        # Before the forks, so that children have them.
-        self._watched = {name: FlownArm(name, other.detector, other.recovery) for name, other in watched.items()}
-        self._watched_golden = {name: other.golden for name, other in watched.items()}
-        for name, other in self._watched.items():
-            self._known_golden(other, self._watched_golden[name])
-
-    def _known_golden(self, arm: FlownArm, golden: Flight) -> Track:
-        track = self._forward.golden(arm)
-        GoldenPrefix(track.log.rows, track.log.status).check(golden.log)
-        return track
+        self._golden, self._plain_golden = forward.golden(arm), forward.golden()
+        if self._golden.log.digest() != golden.log.digest():
+            raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+        # All golden flights are flown before the forks, so that children have them.
+        self._watched = watched
+        self._watched_golden = {other.name: forward.golden(other) for other in watched}
 
     def restarts(self) -> Restarts:
         """See `Start.restarts`; they know all publications since take-off."""
@@ -622,7 +605,7 @@ class FromCheckpoints(Start):
     def _check_prefix(self) -> None:
         """Raise a MavfiError if the flight so far differs from the golden flight."""
         if self._branch is not None:
-            prefix_of(self.loop).check(self._golden.log)
+            check_prefix(self.loop, self._golden.log)
 
     # ---- in a child: arms with detectors ----------------------------------------------------------------------------
     def _complete(self, forks: Forks, child: Child) -> NoReturn:
@@ -633,16 +616,16 @@ class FromCheckpoints(Start):
         if child.comparable and child.case.how == WAITING:  # else checkpoints do not contain all: a node has died, e.g.
             self._branch.store_checkpoints_from_now_on()
         track, logs = self._branch.fly(), {}
-        for name, arm in self._watched.items():
+        for arm in self._watched:
             with suppress(Exception, SystemExit):  # the run is then flown on its own, where the error counts
                 log = self._under_detector(track, child.case, arm)
                 if log is not None:
-                    logs[name] = log
+                    logs[arm.name] = log
         forks.report(track.log, logs)
 
     def _under_detector(self, track: Track, case: Case, arm: FlownArm) -> FlightLog | None:
         """The log of a completed flight of this child under the detector of an arm; None = it must be flown."""
-        golden, plain = self._forward.golden(arm), self._plain_golden
+        golden, plain = self._watched_golden[arm.name], self._plain_golden
         rows = self._checkpoint_before(plain, case)
         if not self._is_plain(golden, rows):
             return None
@@ -661,22 +644,22 @@ class FromCheckpoints(Start):
 
     def followed(self, cases: Sequence[Case]) -> dict[str, dict[int, Flight]]:
         """Runs of the other arms that are known, by arm and by number of the case."""
-        flights: dict[str, dict[int, Flight]] = {name: {} for name in self._watched}
+        flights: dict[str, dict[int, Flight]] = {arm.name: {} for arm in self._watched}
         for number, case in enumerate(cases):
             report = case.report
             if report is None or changed_nothing(case.value):  # with a detector, a later call may have such a bit
                 continue
-            for name, arm in self._watched.items():
-                if report.log is None and self._ends_as_golden(case, arm):
-                    flights[name][number] = flight_of(case, self._watched_golden[name])
+            for name, golden in self._watched_golden.items():
+                if report.log is None and self._ends_as_golden(case, golden):
+                    flights[name][number] = flight_of(case, Flight(golden.log))
                 elif name in report.watched:
                     watched_case = replace(case, report=replace(report, log=report.watched[name]))
-                    flights[name][number] = flight_of(watched_case, self._watched_golden[name])
+                    flights[name][number] = flight_of(watched_case, Flight(golden.log))
         return flights
 
-    def _ends_as_golden(self, case: Case, arm: FlownArm) -> bool:
-        """Whether a call without effect is the same one under the detector of an arm: the flight is golden then."""
-        golden, rows = self._forward.golden(arm), self._checkpoint_before(self._plain_golden, case)
+    def _ends_as_golden(self, case: Case, golden: Track) -> bool:
+        """Whether a call without effect is the same one in an arm with a detector: the flight is golden then."""
+        rows = self._checkpoint_before(self._plain_golden, case)
         before = [alarm for alarm in golden.log.alarms if round(1e6 * alarm.time_s) <= case.time_us]
         return self._is_plain(golden, rows) and len(before) == len(golden.checkpoints[rows].alarms)
 

@@ -18,12 +18,12 @@ from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.instruction import Resolving
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
 from mavfi.hosts.local.checkpoints import can_save_detector
-from mavfi.hosts.local.fast_forward import FastForward, takes_part
+from mavfi.hosts.local.fast_forward import FastForward, FlownArm, takes_part
 from mavfi.hosts.local.flight import LocalFault, fly
-from mavfi.hosts.local.forks import InjectedRuns, WatchedArm, fly_from_checkpoints, fly_instruction_faults
+from mavfi.hosts.local.forks import InjectedRuns, fly_from_checkpoints, fly_instruction_faults
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
+from mavfi.hosts.loop.golden_prefix import check_prefix, fly_until
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -181,7 +181,7 @@ class LocalFlights(ArmFlights):
             loop = new_loop(setup.scenario, functions=table)
             watch(loop, detector, setup.recovery)
             fly_until(loop, lambda: all(function.done for function in functions.values()))
-        prefix_of(loop).check(self._golden[arm].log)
+        check_prefix(loop, self._golden[arm].log)
 
     # ---- injected runs ----------------------------------------------------------------------------------------------
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
@@ -238,23 +238,22 @@ class LocalFlights(ArmFlights):
         if golden is not None and not in_detector and not takes_part(detector, setup.recovery):
             with self._forwarding(arm) as forward:
                 if forward is not None and forward.scratch:
-                    watched = self._watched_arms(arm, arms)
-                    name = _name_of(arm, detector)
-                    return fly_from_checkpoints(forward, faults, golden, detector, name, setup.recovery, watched)
+                    flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
+                    return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
         flights = fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery).flights
         return InjectedRuns(flights, {})
 
-    def _watched_arms(self, plain: str, arms: Collection[str]) -> dict[str, WatchedArm]:
+    def _watched_arms(self, plain: str, arms: Collection[str]) -> list[FlownArm]:
         """Arms that differ from one without a detector by a detector alone, and can be fast-forwarded."""
-        watched: dict[str, WatchedArm] = {}
+        watched: list[FlownArm] = []
         if self._detector(plain) is not None:
             return watched
         for arm in arms:
-            setup, detector, golden = self._arms[arm], self._detector(arm), self._golden.get(arm)
-            if detector is None or golden is None or takes_part(detector, setup.recovery):
+            setup, detector = self._arms[arm], self._detector(arm)
+            if detector is None or arm not in self._golden or takes_part(detector, setup.recovery):
                 continue
             if setup.scenario.key() == self._arms[plain].scenario.key() and self._saves_detector(arm):
-                watched[arm] = WatchedArm(detector, setup.recovery, golden)
+                watched.append(FlownArm(arm, detector, setup.recovery))
         return watched
 
 

@@ -19,6 +19,11 @@ FAULT, NULL = StateFault(SITE, 5, 62), StateFault(SITE, 5)
 DATA, WRONG = InstructionFault("f", "sha", 1), InstructionFault("f", "wrong", 1)
 
 
+def check(faults):
+    if WRONG in faults:
+        raise BadInputError("other machine code")
+
+
 class Scenario(SimpleNamespace):
     flight_controller, protection = "cascade", None
 
@@ -33,7 +38,7 @@ def calls(monkeypatch):
 
     class FastForward:
         def __init__(self, scenario, *, scratch):
-            found.made.append(f"{scenario.name} with scratch" if scratch else scenario.name)
+            found.made.append(scenario.name + " with scratch" * scratch)
             self.scratch = scratch and scenario.name != "octree"
             self.supported = scenario.name != "planner"
 
@@ -56,16 +61,14 @@ def calls(monkeypatch):
         return Flight(fault, Profile() if profile else None)
 
     def fly_instruction_faults(scenario, faults, detector, golden, recovery):
-        if WRONG in faults:
-            raise BadInputError("other machine code")
+        check(faults)
         found.flown.append(("instructions", tuple(faults), detector, golden, recovery))
         return SimpleNamespace(flights=[Flight(fault) for fault in faults])
 
-    def fly_from_checkpoints(forward, faults, golden, detector, arm, recovery, watched):
-        if WRONG in faults:
-            raise BadInputError("other machine code")
-        found.flown.append(("checkpoints", tuple(faults), detector, arm, recovery))
-        follow = {name: {0: Flight(f"{name} after {arm or 'plain'}")} for name in watched if found.follow}
+    def fly_from_checkpoints(forward, faults, golden, arm, watched):
+        check(faults)
+        found.flown.append(("checkpoints", tuple(faults), arm.detector, arm.name, arm.recovery))
+        follow = {other.name: {0: Flight(f"{other.name} after plain")} for other in watched if found.follow}
         return InjectedRuns([Flight(fault) for fault in faults], follow)
 
     monkeypatch.setattr(mission_flights, "FastForward", FastForward)
