@@ -15,7 +15,7 @@ from mavfi.detectors.sealed import Checksum, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.local import branch, fast_forward, fly
+from mavfi.hosts.local import fast_forward, fly
 from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
@@ -140,7 +140,7 @@ def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched)
     forward, taken = FastForward(mission()), []
     forward.watched = watched
     forward.fly()
-    monkeypatch.setattr(branch, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
+    monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
     assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
     assert bool(taken) is watched
 
@@ -155,13 +155,13 @@ def test_a_masked_fault_costs_a_second_of_flight():
 
 @pytest.mark.slow
 def test_to_stop_too_early_is_noticed(monkeypatch):
-    monkeypatch.setattr(branch, "is_at", lambda *_: True)
+    monkeypatch.setattr(fast_forward, "is_at", lambda *_: True)
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
 @pytest.mark.slow
 def test_a_start_at_the_wrong_place_is_noticed(monkeypatch):
-    monkeypatch.setattr(branch.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
+    monkeypatch.setattr(fast_forward.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
@@ -230,10 +230,10 @@ def test_detectors_share_flights_between_their_alarms():
 def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
     stored = FastForward._injected
 
-    def silent(forward, injected, detector, arm):
-        track = stored(forward, injected, detector, arm)
+    def silent(forward, injected, arm):
+        track = stored(forward, injected, arm)
         places = {rows: replace(place, alarms=()) for rows, place in track.checkpoints.items()}
-        forward._tracks(injected)[arm] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
+        forward._tracks(injected)[arm.name] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
         return track
 
     monkeypatch.setattr(FastForward, "_injected", silent)
@@ -327,16 +327,15 @@ def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not(
 @pytest.mark.parametrize(
     ("name", "mutant"),
     [
-        ("checksum", (branch, "takes_part", lambda *_: False)),
-        ("duplicate", (branch, "takes_part", lambda *_: False)),
-        ("silent", (branch, "takes_part", lambda *_: False)),
-        ("restarts", (branch.Branch, "begin_empty", lambda _: None)),
+        ("checksum", (fast_forward, "takes_part", lambda *_: False)),
+        ("duplicate", (fast_forward, "takes_part", lambda *_: False)),
+        ("silent", (fast_forward, "takes_part", lambda *_: False)),
+        ("restarts", (fast_forward.Branch, "begin_empty", lambda _: None)),
         ("hold", (History, "copy", lambda _: History())),
     ],
 )
 def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, name, mutant):
     monkeypatch.setattr(*mutant)
-    monkeypatch.setattr(fast_forward, "takes_part", branch.takes_part)
     forward = FastForward(mission())
     try:
         forward.fly()

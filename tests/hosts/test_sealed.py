@@ -8,8 +8,8 @@ from mavfi.detectors.random_alarms import RandomAlarms
 from mavfi.detectors.sealed import Checksum, Oracle
 from mavfi.faults.fault import StateFault
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import Recovery

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.campaign.sampling import (
@@ -19,7 +19,7 @@ from mavfi.campaign.sampling import (
     check_strata,
     label_of,
 )
-from mavfi.config import Config, Name, config_root, load, parse
+from mavfi.config import STORED, Config, Name, config_root, load, parse
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
@@ -41,6 +41,8 @@ _RENAMED = {
 """Keys of campaign schema 1, with their replacements."""
 _SETTINGS = ("golden", "fi", "dr", "null")
 """Settings, and the beginnings of their names."""
+_STORED_SCHEME = "uniform"
+"""Value of the key `scheme` in the identities of ledgers with faults in instructions; there was another one once."""
 _UNDER_TEST = {"node": "node", "airsim_program": "program"}
 """Hosts where something other than our pipeline is under test, with the key that names it."""
 
@@ -73,9 +75,6 @@ class InstructionSampling(Config):
 
     null_runs: ClassVar[int] = 0
     level: Literal["instruction"]
-    scheme: Literal["uniform", "stratified"] = Field(
-        "uniform", description="over dynamic instructions, or by value class and source line with weights"
-    )
     kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm")
     share: Literal["kernel", "stage"] = Field(
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
@@ -83,6 +82,14 @@ class InstructionSampling(Config):
     which: str = Field("all", description="class of instructions, e.g. floating_point")
     model: Model = Field("one_bit", description="what becomes of the value")
     restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_scheme(cls, data: Any, info: ValidationInfo) -> Any:
+        """Ledgers store `_STORED_SCHEME`, which users may no longer write."""
+        if info.context != STORED or not isinstance(data, dict) or data.get("scheme") != _STORED_SCHEME:
+            return data
+        return {key: value for key, value in data.items() if key != "scheme"}
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
@@ -304,6 +311,13 @@ class Campaign(Config):
         for group in sampling.get("groups", ()):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)
+        return data
+
+    def identity(self) -> dict[str, Any]:
+        """Plain data in the identity of a ledger; it keeps the key `scheme` of faults in instructions."""
+        data = self.to_json()
+        if self.sampling.level == "instruction":
+            data["sampling"]["scheme"] = _STORED_SCHEME
         return data
 
 

@@ -144,7 +144,7 @@ def identity_of(
     keys = {name: dict(own) for name, arm in arms if (own := mission_keys(arm.detector))}
     options = {name: dict(own) for name, arm in arms if (own := detector_options(arm.detector))}
     return {
-        "campaign": campaign.to_json(),
+        "campaign": campaign.identity(),
         "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
         "models": dict(models),
         **({"mission_keys": keys} if keys else {}),

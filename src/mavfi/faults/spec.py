@@ -4,7 +4,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -122,14 +122,12 @@ class InstructionRequest:
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
-        sampling: "uniform" over dynamic instructions, or "stratified" by value class and source line, with weights.
     """
 
     kernels: Mapping[str, int]
     which: str = "all"
     model: Model = "one_bit"
     restart_s: float = RESTART_S
-    sampling: Literal["uniform", "stratified"] = "uniform"
 
     @property
     def kernel(self) -> str:

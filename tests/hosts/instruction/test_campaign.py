@@ -12,7 +12,6 @@ import time
 from collections import Counter
 
 import pytest
-from pydantic import ValidationError
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
@@ -124,14 +123,6 @@ def test_arms_fly_the_same_faults(by_stage):
     assert replay(by_stage, runs_of(by_stage, "dr_idle")[0].spec.run_id).same
 
 
-def test_stratified_faults_keep_their_weights(tmp_path):
-    config = campaign(6, kernels=["pid"], which="data", scheme="stratified")
-    assert config != campaign(6, kernels=["pid"], which="data")
-    assert flown_into(tmp_path, config).complete
-    weights = [one.spec.fault.weight for one in runs_of(tmp_path, "fi")]
-    assert len(weights) == 6 and len(set(weights)) > 2
-    with pytest.raises(ValidationError, match="scheme"):
-        campaign(kernels=["pid"], scheme="even")
 
 
 # ---- faults in addresses --------------------------------------------------------------------------------------------

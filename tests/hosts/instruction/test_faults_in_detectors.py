@@ -20,8 +20,8 @@ from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import contains
 from mavfi.errors import BadInputError
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.case import check_kernel
+from mavfi.hosts.local.case import check_kernel
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.restarts import Restarts

@@ -8,7 +8,7 @@ from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.hardening.plan import Plan, load_plan, save_plan
-from mavfi.hosts.instruction.protected import SOURCE
+from mavfi.hosts.local.protected import SOURCE
 
 pytestmark = pytest.mark.slow  # flies a campaign
 

@@ -12,9 +12,9 @@ from mavfi.config import names, parse
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
 from mavfi.hardening.plan import load_plan, save_plan, signature_text
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.protected import SOURCE
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import fly_instruction_faults
+from mavfi.hosts.local.protected import SOURCE
 from mavfi.hosts.loop.compose import resolve
 from mavfi.ir.build import name_of
 from mavfi.ir.sources import cached_shape

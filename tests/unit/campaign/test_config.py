@@ -88,6 +88,10 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"sampling": {"level": "states"}}, "'states': not known (did you mean 'state'?); allowed: state, memory, "),
         ({"sampling": {"lifetime": {"lasts_s": "x"}}}, "key 'sampling.lifetime.lasts_s': 'x': allowed: a number"),
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
+        (
+            {"sampling": {"level": "instruction", "kernels": ["pid"], "scheme": "uniform"}},
+            "key 'scheme': dropped; no replacement: instruction faults are drawn uniformly",
+        ),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
         (
             {"sampling": {"scheme": "groups"}},

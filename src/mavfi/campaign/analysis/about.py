@@ -57,8 +57,7 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             each = "group" if sampling.groups else {"kernel": "kernel", "exposure": "environment"}[sampling.share]
             return {"each": each, **_flights(campaign, each, "uniform over remembered bits and instants")}
         case InstructionSampling():
-            stratified = ", drawn by value class and source line" if sampling.scheme == "stratified" else ""
-            how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"
+            how = f"instructions: {sampling.which}, model {sampling.model}"
             own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
             return own | _flights(campaign, sampling.share, how)
         case MessageSampling():

@@ -21,7 +21,7 @@ from mavfi.faults.sampling import stream
 from mavfi.faults.spec import MemoryRequest
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
-from mavfi.hosts.instruction.case import check_watched
+from mavfi.hosts.local.case import check_watched
 from mavfi.hosts.local.memory_faults import memory_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import INLINE, Recovery

@@ -1,7 +1,8 @@
-"""Instruction faults: choice of the changed bits, match of fault and function, and record of the injection."""
+"""Instruction faults: choice of instruction and bits, match of fault and function, and record of the injection."""
 
 import re
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,18 @@ DATA = (FLOATING, INTEGER)
 _FORMATS = {"double": "<d", "float": "<f", "half": "<e"}
 _LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
 """Sign bit and lowest exponent bit."""
+
+
+def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
+    """Draw dynamic instructions of a whole flight, uniformly; returns call and index in the call, in draw order.
+
+    `counts` has the number of instructions of each call; those of several functions may be concatenated.
+    """
+    ends = np.cumsum(counts)
+    positions = random.integers(int(ends[-1]), size=n)
+    calls = np.searchsorted(ends, positions, side="right")
+    starts = ends - np.asarray(counts)
+    return [(int(call), int(position - starts[call])) for call, position in zip(calls, positions, strict=True)]
 
 
 def plan(

@@ -7,8 +7,8 @@ import pytest
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.samplers import instructions, sampler_for
-from mavfi.campaign.samplers.instruction import Drawn
+from mavfi.campaign.samplers import instruction, sampler_for
+from mavfi.campaign.samplers.instruction import DrawnFaults
 from mavfi.campaign.samplers.sampler import draws_of
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import NO_SITE, InstructionFault
@@ -42,9 +42,9 @@ def requests(monkeypatch):
             for kernel, count in request.kernels.items()
         }  # fmt: skip
         golden = fakes.fly(ArmSetup(scenario), None, None)
-        return Drawn(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
+        return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
 
-    monkeypatch.setattr(instructions, "draw_instruction_faults", draw)
+    monkeypatch.setattr(instruction, "draw_instruction_faults", draw)
     return asked
 
 
@@ -101,13 +101,12 @@ def test_each_kernel_has_its_own_number_where_kernels_are_compared():
 
 
 def test_a_mission_asks_for_what_it_needs(requests):
-    c = campaign("kernel", sampling={"which": "data", "model": "zero", "restart_s": 2.0, "scheme": "stratified"})
+    c = campaign("kernel", sampling={"which": "data", "model": "zero", "restart_s": 2.0})
     list(fly_mission(MissionPlan(c, "sparse", 10_002)))
     [(environment, seed, planner, address, request)] = requests
     assert (environment, seed, planner, address) == ("sparse", 10_002, "rrt_connect", ("sparse",))
     assert request.kernels == dict.fromkeys((*PERCEPTION, "pid"), 3)
-    asked = (request.which, request.model, request.restart_s, request.sampling)
-    assert asked == ("data", "zero", 2.0, "stratified")
+    assert (request.which, request.model, request.restart_s) == ("data", "zero", 2.0)
 
 
 def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
@@ -139,7 +138,7 @@ def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
     def explode(scenario, *_, seed, **__):
         raise ZeroDivisionError(seed)
 
-    monkeypatch.setattr(instructions, "draw_instruction_faults", explode)
+    monkeypatch.setattr(instruction, "draw_instruction_faults", explode)
     end = run_campaign(campaign(environments=["sparse"]), tmp_path)
     assert end.complete
     with Store.open(tmp_path) as store:

@@ -79,7 +79,7 @@ class Case:
 
     Attributes:
         fault: The sampled fault.
-        kernel: The injected kernel of the pipeline, "" = the detector; `call` of its function is injected,
+        kernel: The injected kernel of the pipeline, "" = the detector or recovery; `call` of its function is injected,
             at `time_us` (us).
         value: The injected value, as reported by the machine code.
         how: How the call ended, or `WAITING`; `detail`: as in `KernelEffect`.
@@ -120,13 +120,16 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
 
 def check_watched(target: str, detector: Detector | None) -> None:
     """Check that a detector is part of a flight with `detector`; `BadInputError` if not."""
-    if part_of(detector, target) is None:
-        found = {name: [one for one in PROFILES if contains(name, one, target)] for name in detector_names()}
-        named = [name if PROFILES[0] in own else f"{name} (profile {own[0]})" for name, own in found.items() if own]
-        raise BadInputError(
-            f"kernel {target!r}: is not part of this mission; allowed: with "
-            f"{', '.join(named) if target in DETECTORS else 'a detector'}"
-        )
+    if part_of(detector, target) is not None:
+        return
+    if target not in DETECTORS:
+        raise BadInputError(f"kernel {target!r}: is not part of this mission; allowed: with a detector")
+    names = []
+    for name in detector_names():
+        profiles = [profile for profile in PROFILES if contains(name, profile, target)]
+        if profiles:
+            names.append(name if PROFILES[0] in profiles else f"{name} (profile {profiles[0]})")
+    raise BadInputError(f"kernel {target!r}: is not part of this mission; allowed: with {', '.join(names)}")
 
 
 def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> Case:
@@ -137,26 +140,28 @@ def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | No
 
 def flight_of(case: Case, golden: Flight) -> Flight:
     """The injected run, given the golden one."""
-    log = golden.log if case.report is None or case.report.log is None else case.report.log
+    log = golden.log
+    if case.report is not None and case.report.log is not None:
+        log = case.report.log
     injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
-    return Flight(replace(log, injections=[injection], kernel=_effect(case, golden.log)), None, golden.world,
-                  golden.pipeline)  # fmt: skip
+    log = replace(log, injections=[injection], kernel=_effect(case, golden.log))
+    return Flight(log, None, golden.world, golden.pipeline)
 
 
 def _effect(case: Case, golden: FlightLog) -> KernelEffect:
     """Effect on the kernel: relative to its golden output if both steps completed, else to the whole flight."""
-    report, difference = case.report, None
-    how = case.how
-    if how == "done" and report is not None:
-        output = report.output
-        if report.log is None:
-            same = True
-        elif output is not None and case.golden is not None:
-            same, difference = output.same(case.golden), first_difference(case.golden, output)
-        else:
-            same = report.call_same and report.log.digest() == golden.digest()
-        how = "masked" if same else "sdc"
-    return KernelEffect(how, case.detail, difference)
+    report = case.report
+    if case.how != "done" or report is None:
+        return KernelEffect(case.how, case.detail, None)
+    difference = None
+    if report.log is None:
+        same = True
+    elif report.output is not None and case.golden is not None:
+        same = report.output.same(case.golden)
+        difference = first_difference(case.golden, report.output)
+    else:
+        same = report.call_same and report.log.digest() == golden.digest()
+    return KernelEffect("masked" if same else "sdc", case.detail, difference)
 
 
 def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
@@ -171,13 +176,16 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
         if state not in injected.states:
             return _difference(state, "", None, len(elements), 0, 1, math.inf)
         other_header, other_elements = injected.states[state]
-        found = _in_fields(state, header, other_header, in_list=False)
-        if found is None and len(elements) != len(other_elements):
-            lengths = len(elements), len(other_elements)
-            found = _difference(state, "elements", None, *lengths, 1, float(abs(lengths[0] - lengths[1])))
-        found = found or _in_fields(state, elements, other_elements, in_list=True)
-        if found is not None:
-            return found
+        length, other_length = len(elements), len(other_elements)
+        difference = _in_fields(state, header, other_header, in_list=False)
+        if difference is None and length != other_length:
+            difference = _difference(
+                state, "elements", None, length, other_length, 1, float(abs(length - other_length))
+            )
+        if difference is None:
+            difference = _in_fields(state, elements, other_elements, in_list=True)
+        if difference is not None:
+            return difference
     return None
 
 
@@ -186,14 +194,14 @@ def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list:
         before, after = np.ascontiguousarray(golden[name]), np.ascontiguousarray(injected[name])
         width = before.dtype.itemsize
         bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
-        places = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
-        if len(places):
-            first = int(places[0])
+        rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
+        if len(rows):
+            first = int(rows[0])
             with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
-                apart = np.abs(after[places].astype(np.float64) - before[places].astype(np.float64))
-            largest = float(apart.max()) if np.isfinite(apart).all() else math.inf
+                changes = np.abs(after[rows].astype(np.float64) - before[rows].astype(np.float64))
+            largest = float(changes.max()) if np.isfinite(changes).all() else math.inf
             element = first if in_list else None
-            return _difference(state, name, element, before[first].item(), after[first].item(), len(places), largest)
+            return _difference(state, name, element, before[first].item(), after[first].item(), len(rows), largest)
     return None
 
 

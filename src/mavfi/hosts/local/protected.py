@@ -40,8 +40,10 @@ SOURCE = "protection"
 
 def repetition_of(plan: Plan, kernel: str, signature: tuple[Any, ...]) -> str:
     """Kind of protection by repetition of a function: "rerun" or "vote"; "" = none."""
-    found = plan.find(kernel, signature)
-    return found.kind if found is not None and found.executions > 1 else ""
+    function = plan.find(kernel, signature)
+    if function is None or function.executions <= 1:
+        return ""
+    return function.kind
 
 
 def rewriting_of(scenario: Scenario) -> Rewriting | None:
@@ -55,25 +57,34 @@ def paired(fault: InstructionFault, plain: Variant, protected: Variant, args: tu
     Raises:
         IndexError: The call ends before the instruction.
     """
-    times = apart(lambda: plain.tally(*args)[1])
-    trace = apart(lambda: plain.profile(*args, room=int(times.sum()))[2])
-    sizes = plain.sizes
-    ends = np.cumsum(sizes[trace])
-    place = int(np.searchsorted(ends, fault.index, side="right"))
-    if place == len(trace):
+    # 1. In the plain call, find the execution of a block that contains the fault's dynamic index.
+    site_counts = plain.sizes
+    block_executions = apart(lambda: plain.tally(*args)[1])
+    trace = apart(lambda: plain.profile(*args, room=int(block_executions.sum()))[2])  # executed blocks, in order
+    end_indices = np.cumsum(site_counts[trace])  # dynamic index after each executed block
+    step = int(np.searchsorted(end_indices, fault.index, side="right"))
+    if step == len(trace):
         raise IndexError(fault.index)
-    block = int(trace[place])
-    number = int(np.count_nonzero(trace[:place] == block))
-    before = int(sizes[:block].sum() + fault.index - ends[place] + sizes[block])  # sites before it in the text
-    site = [site for sites in protected.table.blocks for site in sites if not site.role][before]
+    block = int(trace[step])
+    start_index = int(end_indices[step] - site_counts[block])
 
-    def start() -> int:
-        passes = Passes(len(protected.table.blocks), [(site.block, number)])
+    # 2. Identify it by block, offset of the instruction in the block, and number of earlier executions of the block.
+    offset = fault.index - start_index
+    earlier_executions = int(np.count_nonzero(trace[:step] == block))
+
+    # 3. Protected code has all plain instructions in the same order in its text, between those that it adds.
+    number_in_text = int(site_counts[:block].sum()) + offset
+    plain_sites = [site for sites in protected.table.blocks for site in sites if not site.role]
+    site = plain_sites[number_in_text]
+
+    # 4. Dynamic index of the same execution of that instruction in the protected call.
+    def block_start() -> int:
+        passes = Passes(len(protected.table.blocks), [(site.block, earlier_executions)])
         protected.locate(passes, *args)
-        return passes.start(site.block, number)
+        return passes.start(site.block, earlier_executions)
 
     total = apart(lambda: protected.count(*args)[1])
-    index = apart(start) + site.offset
+    index = apart(block_start) + site.offset
     return replace(fault, index=index, ir_sha256=protected.ir_sha256, budget=budget_for(total))
 
 
