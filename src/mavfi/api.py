@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
@@ -66,8 +66,8 @@ def fly(
     """
     if fault_seed and not isinstance(fault, str):
         raise BadInputError(f"fault_seed: {fault_seed}: no fault to draw; allowed: with the text of a fault")
-    if not (detector is None or isinstance(detector, str) or callable(getattr(detector, "check", None))):
-        raise BadInputError(f"detector: {detector!r:.60}: allowed: a name, or an object with start, check and accept")
+    if not (detector is None or isinstance(detector, str)):
+        require_detector(detector)
     asked = _spec(mission, options)
     spec = asked if detector is None else with_keys_of(asked, detector)
     scenario = resolve(spec)

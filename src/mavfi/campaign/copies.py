@@ -48,7 +48,7 @@ def _leads(campaign: Campaign, target: str) -> tuple[str, ...]:
     found = [
         name
         for name, arm in campaign.arms.items()
-        if arm.detector and (target == RECOVERY or contains(arm.detector, arm.profile, target))
+        if arm.detector and (target == RECOVERY or contains(arm.detector, arm.profile, target, arm.options))
     ]
     return tuple(dict.fromkeys(lead_of(campaign.arms, name) for name in found))
 

@@ -212,10 +212,11 @@ def _score(task: _Task) -> dict[str, _Kept]:
             arm.profile,
             task.models_dir,
             arm.overrides.get("trained_for", task.mission.trained_for),
-        )[0]
+            arm.options,
+        ).detector
         for arm in task.arms
     }
-    judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}
+    judging = {name: detector for name, detector in loaded.items() if not detector.seals}
 
     def fly_judged() -> tuple[dict[str, _Kept], FlightLog]:
         scorer = _Scorer(judging, task.faults, scenario.autopilot.name)

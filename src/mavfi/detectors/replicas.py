@@ -9,8 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.detector import Alarm, Detector, checked_alarm
+from mavfi.detectors.detector import Alarm, Chain, Detector, checked_alarm
 from mavfi.errors import BadInputError
 from mavfi.states import State
 
@@ -110,7 +109,7 @@ def replicated(detector: Detector, copies: int) -> Detector:
     if copies == 1:
         return detector
     name = type(detector).__name__
-    if hasattr(detector, "seal") or hasattr(detector, "duplicates"):
+    if detector.seals or detector.duplicates:
         raise BadInputError(f"copies: {copies}: detector {name} takes part in what is not published; allowed: 1")
     try:
         others = [copy.deepcopy(detector) for _ in range(copies - 1)]

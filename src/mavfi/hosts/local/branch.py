@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavfi.detectors.bounded import StuckError
-from mavfi.detectors.detector import Detector, admission
+from mavfi.detectors.bounded import StuckError, limited
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, keeper_of, put, take
@@ -71,7 +71,7 @@ def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
     all that it needs.
     """
     return detector is not None and (
-        recovery.remembers or recovery.resends or hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        recovery.remembers or recovery.resends or detector.seals or bool(detector.duplicates)
     )  # fmt: skip
 
 
@@ -232,7 +232,15 @@ class Branch:
         assert self._detector is not None and self._tap is not None  # precondition
         if self._tap.gave_up:
             return False
-        watched, admit = self.loop.taps.watched, admission(self._detector.content)
+        watched, check = self.loop.taps.watched, limited(self._detector.content, "check")
+        accept = limited(self._detector.content, "accept")
+
+        def admit(state: State, time_us: int) -> Alarm | None:
+            alarm: Alarm | None = check(state, time_us)
+            if alarm is None:
+                accept(state, time_us)
+            return alarm
+
         seen = (one for one in track.shown[here.shown : there.shown] if watched is None or one[0].spec.name in watched)
         try:
             return any(admit(state, now) is not None for state, now in seen)

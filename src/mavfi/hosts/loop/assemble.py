@@ -69,6 +69,5 @@ def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restar
     tap = Watch(loop, detector, recovery, **({} if restarts is None else {"restart": restarts.die}))
     loop.taps.detector, loop.taps.watched = tap, tap.states
     loop.taps.seal, loop.taps.again = tap.seal if tap.seals else None, tap.lost if recovery.resends else None
-    duplicates = getattr(detector, "duplicates", ())
-    loop.verify = Duplicates(loop, duplicates) if duplicates else None
+    loop.verify = Duplicates(loop, detector.duplicates) if detector.duplicates else None
     return tap

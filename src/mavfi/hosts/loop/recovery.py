@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from weakref import proxy
 
 from mavfi.detectors.bounded import LIMIT_S, StuckError, is_foreign, limited
-from mavfi.detectors.detector import Alarm, Detector, admission, checked_alarm
+from mavfi.detectors.detector import Alarm, Detector, checked_alarm
 from mavfi.detectors.sealed import DIFFERENT
 from mavfi.errors import machine_failure
 from mavfi.flight_record import CRASHED, LIMITED, SILENCED, STUCK
@@ -105,14 +105,14 @@ class Watch:
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
-        self._at_once, self._otherwise = admission(detector)
+        self._check = limited(detector, "check")
         self._start = limited(detector, "start")
-        self._accept, self._seal = limited(detector, "accept"), limited(detector, "seal")
+        self._accept, self._seal = limited(detector, "accept"), limited(detector, "seal") if detector.seals else None
         self._is_foreign = is_foreign(detector)
         self._functions = loop.functions
         self._respond = entry(loop.functions.respond, FIRST, *[False] * 5)
         self.forget()
-        states = getattr(detector, "states", None)
+        states = detector.states
         always = {WAYPOINT}.union(Answer.states if recovery.answer_s else ())  # required even without a model
         self._setpoints = None
         if recovery.degraded != "none":
@@ -165,8 +165,10 @@ class Watch:
         asks = self._asks(awaited) and not self._is_limited(now)
         alarm = None
         try:
-            if asks and self._at_once[state.spec.name](state.header):
-                alarm = self._otherwise(state, now)
+            if asks:
+                alarm = self._check(state, now)
+                if alarm is None:
+                    self._accept(state, now)
         except (StuckError, Exception) as error:
             asks = False
             self.give_up(error, now)

@@ -4,7 +4,7 @@ The result 0 is no response, also that of a node that died while it decided.
 """
 
 from mavfi.kernels.recovery.response import FIRST, RECOMPUTED, RESENT
-from mavfi.numerics.jit import short_jit
+from mavfi.numerics.jit import kernel_jit
 
 REFUSED, CURABLE, UNCURED = range(3)
 """Whether an alarm gets a response; `UNCURED`: that is the degraded mode."""
@@ -21,7 +21,7 @@ ALARMS_WITHIN_US = 10_000_000
 """Time within which alarms are counted against the detector (us)."""
 
 
-@short_jit
+@kernel_jit
 def series_start(first_us: int, last_us: int, now: int) -> int:
     """First instant of the contiguous series of hard alarms that the present one continues, or begins (us).
 
@@ -33,7 +33,7 @@ def series_start(first_us: int, last_us: int, now: int) -> int:
     return now if now - last_us > GAP_US else first_us
 
 
-@short_jit
+@kernel_jit
 def escalate(
     after: int, hard: bool, degrades: bool, restarts: bool, restarts_left: int, first_us: int, last_us: int, now: int
 ) -> int:  # fmt: skip
@@ -60,7 +60,7 @@ def escalate(
     return CURABLE if hard and (after == RESENT or restarts_left > 0) else REFUSED
 
 
-@short_jit
+@kernel_jit
 def frequency(oldest_us: int, now: int) -> int:
     """Whether as many alarms as are permitted came within `ALARMS_WITHIN_US`, as a code.
 
@@ -71,13 +71,13 @@ def frequency(oldest_us: int, now: int) -> int:
     return MANY if now - oldest_us < ALARMS_WITHIN_US else FEW
 
 
-@short_jit
+@kernel_jit
 def left_after(restarts_left: int) -> int:
     """Number of restarts left after one; a corrupted number is bounded, so that it cannot stall the flight."""
     return min(max(restarts_left, 1), MOST_RESTARTS) - 1
 
 
-@short_jit
+@kernel_jit
 def down_time(restarts_left: int) -> int:
     """Down time of a node, given the number of restarts left before (us)."""
     earlier = MOST_RESTARTS - 1 - left_after(restarts_left)

@@ -6,7 +6,7 @@ Both are codes; 0 is no response, also that of a node that died while it decided
 import math
 
 from mavfi.kernels.perception.collision_check import NO_COLLISION
-from mavfi.numerics.jit import kernel_jit, short_jit
+from mavfi.numerics.jit import kernel_jit
 
 NOTHING, RECOMPUTE, RESEND, ABANDON, STOP, RESTART, DEGRADE, CHARGE = range(8)
 """Responses; `CHARGE`: the latency of another stage than the writer's is charged, and the value passes."""
@@ -17,7 +17,7 @@ KEEP, BEGIN, END, POSTPONE, OVERDUE = range(5)
 NOT_WAITING = -1
 
 
-@short_jit
+@kernel_jit
 def respond(after: int, uncured: bool, stop: bool, abandon: bool, own_stage: bool, resends: bool) -> int:
     """Response to an alarm, as a code.
 
@@ -57,7 +57,7 @@ def is_free(time_to_collision: float, distance_to_blocked: float, index: int) ->
     return time_to_collision == NO_COLLISION and distance_to_blocked == math.inf and index >= 0
 
 
-@short_jit
+@kernel_jit
 def wait_for_path(
     answered: bool, raised: bool, same_alarm: bool, time_to_collision: float, distance_to_blocked: float, index: int,
     away: bool, since: int, now: int, limit_us: float,
