@@ -1,7 +1,7 @@
 """Write docs/generated/detectors.md: for each shipped detector what it is, its results by part, and its cost.
 
 Everything is stated elsewhere: descriptions in docs/detectors.md, training in the shipped models, results in the
-published rows of the bench, those of each of the five rules in docs/engineers.md, cost in docs/models.md.
+published rows of the bench, cost in docs/models.md.
 """
 
 import json
@@ -55,25 +55,7 @@ def _section(bench: Bench, name: str, arm: ArmConfig) -> str:
 
 def _not_in_the_bench(detector: str) -> str:
     arm = ArmConfig(detector=detector)
-    results = list(_rule_alone(detector)) or ["No row in the bench."]
-    return "\n\n".join([_what(arm), *_recovery(arm), "\n".join(results)])
-
-
-def _rule_alone(detector: str) -> Iterator[str]:
-    """Missions brought back by one of the five rules, by the field of the fault, from docs/engineers.md."""
-    block = (DOCS / "engineers.md").read_text(encoding="utf-8").partition("<!-- single-rules:begin -->")[2]
-    heads, _, *rows = (
-        [cell.strip() for cell in line.strip("| ").split(" | ")]
-        for line in block.partition("<!-- single-rules:end -->")[0].strip().splitlines()
-    )
-    title = detector.replace("_", " ")
-    if title not in heads:
-        return
-    yield "| [fault in](../engineers.md#measured-benefit) | lost | brought back |"
-    yield "|---|---:|---:|"
-    for row in rows:
-        of = dict(zip(heads, row, strict=True))
-        yield f"| {of['fault in']} | {of['lost']} | {of[title]} |"
+    return "\n\n".join([_what(arm), *_recovery(arm), "No row in the bench."])
 
 
 def _what(arm: ArmConfig) -> str:

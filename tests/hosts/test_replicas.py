@@ -3,7 +3,7 @@
 import pytest
 
 import mavfi
-from mavfi.detectors import Alarm
+from mavfi.detectors import Alarm, Detector
 from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.replicas import Replicated, replicated
 from mavfi.errors import BadInputError
@@ -24,7 +24,7 @@ from tests.unit.detectors.streams import LIMITS
 STRUCK = fault("control.command", "vx", 1.0, 62)
 
 
-class Stuck:
+class Stuck(Detector):
     """A copy that gives one answer for ever."""
 
     def __init__(self, alarm=None):

@@ -83,7 +83,7 @@ class CodeScorer(Scorer):
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """See `Scorer.instrument`."""
         self.field_codes.instrument(made)
-        self._judge = entry(made.get("judge", self.judge), *self._tables)
+        self._judge: Callable[..., float] = entry(made.get("judge", self.judge), *self._tables)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code and addresses, which are valid in one process only."""

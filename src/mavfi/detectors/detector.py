@@ -182,12 +182,12 @@ class Chain(Detector):
             detector.restore(kept)
 
 
-def part_of(detector: Detector | None, source: str) -> Detector | None:
+def part_of(detector: Detector | None, source: str) -> Any:  # noqa: ANN401 - callers know that there is one
     """The part of a detector that raises alarms as `source`, if it has compiled functions; None = there is none."""
     if detector is None:
         return None
     for part in detector.parts:
-        found = part_of(part, source)
+        found: Any = part_of(part, source)
         if found is not None:
             return found
     return detector if detector.source == source and detector.compiled else None

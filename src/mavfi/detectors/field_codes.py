@@ -121,8 +121,8 @@ class FieldCodes:
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """Replace functions of `COMPILED` by those of the same name in `made`; restore all others."""
-        example = np.zeros(1, np.uint8)
-        self._note = entry(made.get("note_vehicle", residual_state.note_vehicle), example, self.measured)
+        note = made.get("note_vehicle", residual_state.note_vehicle)
+        self._note: Callable[..., bool] = entry(note, np.zeros(1, np.uint8), self.measured)
         self._measures = [self._measure_of(name, made) for name in _WATCHED]
 
     def _measure_of(self, state: str, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:

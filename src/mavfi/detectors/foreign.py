@@ -6,6 +6,7 @@ largest difference.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
     Raises:
         BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.
     """
-    known = of_monitored_fields()
+    known: Mapping[str, Any] = of_monitored_fields()
     if kind not in known:
         raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(known)}")
     thresholds = [

@@ -184,7 +184,9 @@ class PhysicsGate(Detector):
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """See `Detector`."""
         function = made.get("judge_gate", judge)
-        self._judge = entry(function, np.zeros(1, np.uint8), 0, self._limits, self._kept, self._then)
+        self._judge: Callable[..., int] = entry(
+            function, np.zeros(1, np.uint8), 0, self._limits, self._kept, self._then
+        )
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""

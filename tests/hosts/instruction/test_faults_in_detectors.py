@@ -13,8 +13,7 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.detectors import Alarm, load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.detector import part_of
+from mavfi.detectors.detector import Chain, Detector, part_of
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import contains
@@ -150,7 +149,7 @@ def test_a_flight_continues_whatever_becomes_of_its_recovery(name, entry):
     assert hangs and not any(flight.log.alarms for flight in hangs), "a dead one does not respond"
 
 
-class _Nervous:
+class _Nervous(Detector):
     """Reports a violated rule at every thirtieth command, and at its recomputation."""
 
     states = frozenset({"control.command"})

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.cli import run
-from mavfi.detectors.chain import Chain
+from mavfi.detectors.detector import Chain
 from mavfi.errors import MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog

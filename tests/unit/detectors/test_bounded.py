@@ -16,14 +16,13 @@ import pytest
 
 from mavfi.detectors import bounded as module
 from mavfi.detectors.bounded import StuckError, bounded, limited, split_again
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.registry import NoDetector
+from mavfi.detectors.detector import Chain, Detector, NoDetector
 from mavfi.detectors.replicas import replicated
 from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
 from mavfi.states import new_state
 
 
-class Own:
+class Own(Detector):
     """A detector that is not part of mavfi."""
 
     states = None

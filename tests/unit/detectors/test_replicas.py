@@ -7,8 +7,7 @@ import pytest
 
 from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.detector import Alarm, part_of
+from mavfi.detectors.detector import Alarm, Chain, Detector, part_of
 from mavfi.detectors.replicas import Replicated, replicated, voted
 from mavfi.detectors.sealed import Checksum
 from mavfi.errors import BadInputError
@@ -20,7 +19,7 @@ STATE = new_state("control.command")
 NAMES = ("acceptance", "gaussian", "autoencoder")
 
 
-class Says:
+class Says(Detector):
     """A detector with a fixed answer, which counts what it accepts."""
 
     def __init__(self, alarm=None, value=None):
@@ -232,7 +231,7 @@ def test_detectors_that_cannot_be_copied_are_refused_in_one_line():
 
 
 def test_copies_of_a_user_without_memory_are_copied_whole():
-    class Plain:
+    class Plain(Detector):
         def start(self):
             pass
 

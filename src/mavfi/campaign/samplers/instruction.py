@@ -160,7 +160,7 @@ def in_other_calls(fault: InstructionFault, setup: ArmSetup, count: int) -> list
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
     """The compiled functions of a kernel, of the detector of that name, or of recovery."""
     if kernel in DETECTORS:
-        compiled: dict[str, Any] = part_of(detector, kernel).compiled
+        compiled: dict[str, Any] = dict(part_of(detector, kernel).compiled)
         return compiled
     return {name: getattr(PLAIN, name) for name in (INJECTABLE | GUARDS)[kernel]}
 

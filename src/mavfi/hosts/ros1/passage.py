@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.faults.state import StateInjector
 from mavfi.flight_log import Injection
 from mavfi.hosts.ros1.folder import read_injections
@@ -127,18 +127,12 @@ def state_injections(plan: Plan) -> list[Injection]:
     return read_injections() or StateInjector(plan.state_fault).finish()
 
 
-class LockStepDetector:
+class LockStepDetector(Detector):
     """The loop's detector: returns the verdict of the detector's node on the last published value."""
 
     def __init__(self, passage: Passage) -> None:
         self._passage = passage
 
-    def start(self) -> None:
-        """No operation: the node initializes its detector itself."""
-
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The verdict of the node."""
         return self._passage.verdict
-
-    def accept(self, state: State, time_us: int) -> None:
-        """No operation: the node has processed the value."""

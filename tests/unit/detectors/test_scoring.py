@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, load_detector
-from mavfi.detectors.parts import NOT_FINITE, Reading, Threshold, find_policy
+from mavfi.detectors.scoring import NOT_FINITE, Reading, Threshold, find_policy
 from mavfi.errors import BadInputError
 from tests.unit.detectors.streams import LIMITS, command, flight, later, strike
 from tests.unit.detectors.streams import waypoint as point
