@@ -5,7 +5,6 @@ next scan repair it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -115,26 +114,21 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
     return rules.tracking(header, record[0]["last_tracking"].view(rule_memory.TRACKING), duration, record)
 
 
-@dataclass(frozen=True, slots=True)
-class Functions:
-    """Entry points from Python into compiled code; a host may supply instrumented ones."""
-
-    judge_status: Compiled = judge_status
-    judge_path: Compiled = judge_path
-    judge_trajectory: Compiled = judge_trajectory
-    judge_waypoint: Compiled = judge_waypoint
-    judge_command: Compiled = judge_command
-    judge_tracking: Compiled = judge_tracking
-    note_status: Compiled = rule_memory.note_status
-    note_path: Compiled = rule_memory.note_path
-    note_trajectory: Compiled = rule_memory.note_trajectory
-    judge_estimate: Compiled = estimates.judge_estimate
-    note_estimate: Compiled = estimates.note_estimate
-    note_fix: Compiled = estimates.note_fix
-
-
-PLAIN = Functions()
-"""The functions without instrumentation."""
+COMPILED: Mapping[str, Compiled] = {
+    "judge_status": judge_status,
+    "judge_path": judge_path,
+    "judge_trajectory": judge_trajectory,
+    "judge_waypoint": judge_waypoint,
+    "judge_command": judge_command,
+    "judge_tracking": judge_tracking,
+    "note_status": rule_memory.note_status,
+    "note_path": rule_memory.note_path,
+    "note_trajectory": rule_memory.note_trajectory,
+    "judge_estimate": estimates.judge_estimate,
+    "note_estimate": estimates.note_estimate,
+    "note_fix": estimates.note_fix,
+}
+"""Entry points from Python into compiled code, by name."""
 
 
 class AcceptanceTest(Detector):
@@ -142,13 +136,11 @@ class AcceptanceTest(Detector):
 
     Args:
         limits: Limits of the mission.
-        functions: Compiled code.
         rules: Numbers of the rules whose alarms count.  The test finds the first field of a publication that violates
             any rule; the publication passes if that field belongs to a rule that does not count.
 
     Attributes:
         limits: Limits of the mission.
-        functions: Compiled code in use.
         record: Limits and memory, see `rule_memory.RECORD`. Shape (1,).
         blocks: Points of trajectories, see `rule_memory`. Shape (KEPT, capacity, 11).
         odometry: Header of the latest odometry; zeros before the first.
@@ -160,9 +152,7 @@ class AcceptanceTest(Detector):
 
     source = SOURCE
 
-    def __init__(
-        self, limits: MissionLimits, functions: Functions = PLAIN, rules: Sequence[int] = tuple(RULES)
-    ) -> None:  # fmt: skip
+    def __init__(self, limits: MissionLimits, rules: Sequence[int] = tuple(RULES)) -> None:
         if not isinstance(rules, (list, tuple)) or not all(rule in RULES for rule in rules):
             raise BadInputError(f"rules: {rules!r}: allowed: a list of numbers from {COUNTERS} to {NODES}")
         self.limits, self.rules = limits, tuple(rules)
@@ -172,31 +162,28 @@ class AcceptanceTest(Detector):
         self.states = frozenset((*CHECKED, *_POSITIONS, *self.estimates.states)).difference(unread)
         self._accepted = self.record["accepted"]
         self.start()
-        self._use(functions)
-
-    def _use(self, functions: Functions) -> None:
-        header = {name: new_state(name).header for name in (_STATUS, *_CANDIDATES)}
-        odometry = bytes_of(self.odometry)
-        self.functions = functions
-        self._judge_status = entry(functions.judge_status, header[_STATUS], self.record)
-        self._note_status = entry(functions.note_status, header[_STATUS], 0, self.record)
-        self._judge_waypoint = entry(
-            functions.judge_waypoint, header[_WAYPOINT], odometry, self.record, self.blocks
-        )  # fmt: skip
-        # the most frequent publications: `check` calls these itself
-        self._judges_at_ticks = {_COMMAND: entry(functions.judge_command, header[_COMMAND], self.record)}
-        if self.limits.held:
-            self._judges_at_ticks[_TRACKING] = entry(functions.judge_tracking, header[_TRACKING], self.record)
-        self.estimates.use(functions.judge_estimate, functions.note_estimate, functions.note_fix)
+        self.instrument({})
 
     @property
     def compiled(self) -> Mapping[str, Compiled]:
         """See `Detector`."""
-        return {field.name: getattr(PLAIN, field.name) for field in fields(Functions)}
+        return COMPILED
 
     def instrument(self, made: Mapping[str, Compiled]) -> None:
         """See `Detector`."""
-        self._use(replace(PLAIN, **made))
+        functions = {**COMPILED, **made}
+        header = {name: new_state(name).header for name in (_STATUS, *_CANDIDATES)}
+        self._functions = functions
+        self._judge_status = entry(functions["judge_status"], header[_STATUS], self.record)
+        self._note_status = entry(functions["note_status"], header[_STATUS], 0, self.record)
+        self._judge_waypoint = entry(
+            functions["judge_waypoint"], header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
+        )  # fmt: skip
+        # the most frequent publications: `check` calls these itself
+        self._judges_at_ticks = {_COMMAND: entry(functions["judge_command"], header[_COMMAND], self.record)}
+        if self.limits.held:
+            self._judges_at_ticks[_TRACKING] = entry(functions["judge_tracking"], header[_TRACKING], self.record)
+        self.estimates.use(functions["judge_estimate"], functions["note_estimate"], functions["note_fix"])
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -232,11 +219,11 @@ class AcceptanceTest(Detector):
         if name == _PATH:
             vertices, odometry = _rows(state.elements, 3), bytes_of(self.odometry)
             return int(
-                self.functions.judge_path(state.header, vertices, now, odometry, self.record, self.blocks)
+                self._functions["judge_path"](state.header, vertices, now, odometry, self.record, self.blocks)
             )  # fmt: skip
         if name == _TRAJECTORY:
             points = _rows(state.elements, rules.POINT_WIDTH)
-            return int(self.functions.judge_trajectory(state.header, points, bytes_of(self.odometry), self.record))
+            return int(self._functions["judge_trajectory"](state.header, points, bytes_of(self.odometry), self.record))
         if name == _ESTIMATE:
             return self.estimates.check(state, now)
         return rules.FINE
@@ -269,11 +256,11 @@ class AcceptanceTest(Detector):
         elif name == _STATUS:
             self._note_status(state.header, now, self.record)
         elif name == _PATH:
-            self.functions.note_path(state.header, _rows(state.elements, 3), self.record)
+            self._functions["note_path"](state.header, _rows(state.elements, 3), self.record)
         elif name == _TRAJECTORY:
             self._make_room(len(state.elements))
             points = _rows(state.elements, rules.POINT_WIDTH)
-            self.functions.note_trajectory(state.header, points, self.record, self.blocks)
+            self._functions["note_trajectory"](state.header, points, self.record, self.blocks)
 
     def _make_room(self, count: int) -> None:
         """Grow the blocks to hold trajectories of `count` points."""
@@ -324,7 +311,7 @@ class AcceptanceTest(Detector):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""
-        return AcceptanceTest, (self.limits, PLAIN, self.rules), self.memory()
+        return AcceptanceTest, (self.limits, self.rules), self.memory()
 
     __setstate__ = restore
 

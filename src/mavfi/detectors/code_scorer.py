@@ -100,10 +100,6 @@ class CodeScorer(Scorer):
         self.field_codes.forget()
         self.candidate = None
 
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        return None if self.score(state) is None else self.judged()[0]
-
     def score(self, state: State) -> float | None:
         """Score of a publication."""
         slot = self._slots.get(state.spec.name)

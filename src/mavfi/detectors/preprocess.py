@@ -219,10 +219,6 @@ class DeltaScorer(Scorer):
         self.scratch.place[features.ACCEPTED] = 0
         self._vehicles.forget()
 
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        return None if self.score(state) is None else self.judged()[0]
-
     def score(self, state: State) -> float | None:
         """Score of a publication."""
         slot = self._slots.get(state.spec.name)

@@ -75,7 +75,6 @@ class Scorer(ABC):
     kept: Mapping[str, np.ndarray] = {}
     candidate: State | None = None
     threshold: "Threshold"
-    _judged: "tuple[Reading, Verdict]"
 
     def use(self, threshold: "Threshold") -> None:
         """Set the threshold; called before the first flight."""
@@ -90,23 +89,12 @@ class Scorer(ABC):
         """See `Detector`."""
 
     @abstractmethod
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication without changing the memory; None if it is not watched.
-
-        The arrays are valid until the next call.
-        """
-
     def score(self, state: State) -> float | None:
         """Score of a publication, None if it is not watched; does not change the memory."""
-        reading = self.read(state)
-        if reading is None:
-            return None
-        self._judged = reading, self.threshold.judge(reading)
-        return self._judged[1].score
 
+    @abstractmethod
     def judged(self) -> "tuple[Reading, Verdict]":
-        """Reading and verdict of the publication scored last."""
-        return self._judged
+        """Reading and verdict of the publication scored last; their arrays are valid until the next call."""
 
     @abstractmethod
     def accept(self, state: State) -> None:
@@ -183,7 +171,6 @@ class Threshold:
     Attributes:
         limit: See `limit` below.
         ratios: Ratios of the reading judged last, see `Verdict`.
-        score_of: The compiled function `score_of`, or an instrumented one.
 
     Args:
         limit: By field and regime, shape (n, regimes); or for the mean squared distance, shape (1, 1).
@@ -193,12 +180,8 @@ class Threshold:
     """
 
     def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
-        self.limit, self._usual, self.score_of = limit, usual, score_of
+        self.limit, self._usual = limit, usual
         self.ratios = np.zeros(size)
-
-    def judge(self, reading: Reading) -> Verdict:
-        """The score of a reading."""
-        return Verdict(self.score_of(reading, self.limit, self.ratios), self.ratios)
 
     def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
         """Indices of the fields that an alarm names.

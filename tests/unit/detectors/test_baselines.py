@@ -31,7 +31,6 @@ from mavfi.detectors.baselines.matrix_profile import (
 from mavfi.detectors.baselines.outliers import (
     Components,
     Ellipsoid,
-    EllipsoidScorer,
     IsolationForestDetector,
     MahalanobisDetector,
     PcaDetector,
@@ -64,7 +63,7 @@ LIBRARIES = [
 class EllipsoidDetector(LibraryDetector):
     """A library that is always installed: mean and covariance."""
 
-    model_kind, package, scorer_type = "ellipsoid", "numpy", EllipsoidScorer
+    model_kind, package = "ellipsoid", "numpy"
 
     @classmethod
     def tables(cls, rows, slots, field_codes, inputs):

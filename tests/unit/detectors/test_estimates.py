@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import estimates
-from mavfi.detectors.acceptance import PLAIN, SOURCE, AcceptanceTest, Functions
+from mavfi.detectors.acceptance import COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ATTITUDE, ESTIMATE, FIX, VELOCITY, WIDTH
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.pipeline.estimation import StateEstimator
@@ -208,5 +208,7 @@ def test_compiled_rules_agree_with_plain_python(monkeypatch):
     assert len(compiled) > 5, "and those at the sound ones that follow"
     for name, found in list(vars(estimates).items()):
         monkeypatch.setattr(estimates, name, getattr(found, "py_func", found))
-    plain = {name: getattr(PLAIN, name).py_func for name in ("judge_estimate", "note_estimate", "note_fix")}
-    assert alarms(events, AcceptanceTest(ESTIMATED, replace(Functions(), **plain))) == compiled
+    detector = AcceptanceTest(ESTIMATED)
+    names = ("judge_estimate", "note_estimate", "note_fix")
+    detector.instrument({name: COMPILED[name].py_func for name in names})
+    assert alarms(events, detector) == compiled
