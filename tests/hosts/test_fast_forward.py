@@ -10,8 +10,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, arms_of
 from mavfi.detectors.detector import Alarm
-from mavfi.detectors.duplicate import Duplicate
-from mavfi.detectors.sealed import Checksum, Oracle
+from mavfi.detectors.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup

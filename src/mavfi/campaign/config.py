@@ -142,6 +142,9 @@ class ArmConfig(Config):
     also_accepts: ClassVar = tuple(key for key in MissionSpec.model_fields if key not in ("environment", "seed"))
     detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
     profile: str = Field("paper", description="of the detector: paper or tuned")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="of the detector, e.g. rules: [1, 3]; over those of its file and profile"
+    )
     mission: dict[str, Any] = Field(default_factory=dict, description="keys that differ; also allowed in the arm")
 
     @model_validator(mode="before")
@@ -299,6 +302,9 @@ class Campaign(Config):
     def to_json(self) -> dict[str, Any]:
         """Plain data; unset keys of later versions are omitted, so that older campaigns keep their identity."""
         data = self.model_dump(mode="json")
+        for arm in data["arms"].values():
+            if not arm["options"]:
+                del arm["options"]
         if not self.parts:
             del data["parts"]
         if self.program is None:

@@ -101,7 +101,7 @@ def model_hashes(
         spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
         for environment in campaign.environments:
             scenario = scenarios[environment, arm.name]
-            _, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for)
+            _, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
             found[f"{environment}/{arm.name}" if campaign.parts else arm.name] = model
     return found
 
@@ -111,7 +111,7 @@ def flights_of(plan: Plan, environment: str) -> dict[str, str]:
     campaign = plan.campaign
     return {
         arm.name: json.dumps([
-            campaign.host, campaign.under_test, arm.detector, arm.profile,
+            campaign.host, campaign.under_test, arm.detector, arm.profile, dict(arm.options),
             model_of(plan.models, environment, arm.name), plan.scenarios[environment, arm.name],
             campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
         ], sort_keys=True)
@@ -147,7 +147,9 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
     scenario = scenario or host.resolve(spec)
 
     def make() -> Detector:
-        detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for)
+        detector, model = detector_for(
+            scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for, arm.options
+        )
         planned = model_of(plan.models, plan.environment, arm.name)
         if model != planned:
             raise SpecMismatchError(

@@ -96,6 +96,7 @@ class Arm:
     overrides: Mapping[str, Any] = field(default_factory=dict)
     detector: str = ""  # "" = none
     profile: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the detector
     is_variant: bool = False  # required by the sampling scheme; flown only with the faults drawn in it
 
 
@@ -259,6 +260,7 @@ def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
             {**mission_keys(config.detector), **config.mission},
             config.detector,
             config.profile if config.detector else "",
+            config.options,
         )
         for name, config in campaign.arms.items()
     ]

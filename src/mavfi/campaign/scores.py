@@ -198,10 +198,11 @@ def _score(task: _Task) -> dict[str, _Kept]:
             arm.profile,
             task.models_dir,
             arm.overrides.get("trained_for", task.mission.trained_for),
-        )[0]
+            arm.options,
+        ).detector
         for arm in task.arms
     }
-    judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}
+    judging = {name: detector for name, detector in loaded.items() if not detector.seals}
     scorer = _Scorer(judging, task.faults, scenario.autopilot.name)
     log = fly(scenario, recorders=[scorer]).log
     hours = quality_of_flight(log).flight_time_s / 3600

@@ -2,10 +2,11 @@
 
 import fcntl
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
@@ -61,10 +62,13 @@ class _Detector:
     name: str
     profile: str
     trained_for: str
+    options: Mapping[str, Any]
 
     def compile(self) -> None:
         with suppress(BadInputError):
-            detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for)
+            detector_for(
+                self.scenario, self.name, self.profile, trained_for=self.trained_for, options=self.options
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +194,8 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
         for arm, scenario in _scenarios(campaign):
             if arm.detector:
                 spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
-                task = _Detector(scenario, arm.detector, arm.profile, spec.trained_for)
-                found[arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for] = task
+                task = _Detector(scenario, arm.detector, arm.profile, spec.trained_for, arm.options)
+                found[arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for, str(arm.options)] = task
     return list(found.values())
 
 

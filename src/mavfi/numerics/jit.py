@@ -222,11 +222,6 @@ def kernel_jit(function: F) -> F:
     return _compiled(function, _FLAGS)
 
 
-def short_jit(function: F) -> F:
-    """As `kernel_jit`, for a short function called from Python: it keeps the GIL, whose release takes 30 ns."""
-    return _compiled(function, {**_FLAGS, "nogil": False})
-
-
 def _compiled(function: F, flags: Mapping[str, Any]) -> F:
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function

@@ -123,8 +123,6 @@ def test_arms_fly_the_same_faults(by_stage):
     assert replay(by_stage, runs_of(by_stage, "dr_idle")[0].spec.run_id).same
 
 
-
-
 # ---- faults in addresses --------------------------------------------------------------------------------------------
 ADDRESSES = {"kernels": ["pid", "point_cloud"], "which": "address"}
 

@@ -13,8 +13,7 @@ from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.detector import part_of
+from mavfi.detectors.detector import Chain, part_of
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import contains

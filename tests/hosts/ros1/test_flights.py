@@ -15,7 +15,7 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.cli.ros_nodes import effect
-from mavfi.detectors.chain import Chain
+from mavfi.detectors.detector import Chain
 from mavfi.errors import MachineError, MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog

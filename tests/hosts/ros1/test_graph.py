@@ -4,8 +4,7 @@ from functools import cache
 
 import pytest
 
-from mavfi.detectors.duplicate import Duplicate
-from mavfi.detectors.sealed import Checksum
+from mavfi.detectors.sealed import Checksum, Duplicate
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of

@@ -78,7 +78,7 @@ def test_a_measurement_without_modelled_detection_says_how_to_get_it():
 def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_modelled_one(monkeypatch):
     flights = iter([2.0, 2.0, 4.0, 8.0])  # the first one compiles
 
-    def cost(scenario, name, profile, models_dir):
+    def cost(scenario, name, profile, models_dir, options):
         kernels = next(flights)
         return overheads.Cost(
             kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0, 10 * kernels

@@ -140,7 +140,7 @@ def _flights_of(setup: ArmSetup, arm: str = "") -> LocalFlights:
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
     """The compiled functions of a kernel, of the detector of that name, or of recovery."""
     if kernel in DETECTORS:
-        compiled: dict[str, Any] = part_of(detector, kernel).compiled
+        compiled: dict[str, Any] = dict(part_of(detector, kernel).compiled)
         return compiled
     return {entry: getattr(PLAIN, entry) for entry in INJECTABLE[kernel]}
 

@@ -31,11 +31,11 @@ from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.checkpoints import (
     Checkpoint,
+    DetectorKeeper,
     Instant,
     can_save_kernels,
     has_scratch,
     is_at,
-    keeper_of,
     put,
     take,
 )
@@ -93,7 +93,7 @@ def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
         return False
     if recovery.remembers or recovery.resends:
         return True
-    return hasattr(detector, "seal") or hasattr(detector, "duplicates")
+    return detector.seals or bool(detector.duplicates)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +170,7 @@ class Branch:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
 
         # Attach the detector.
-        self._detector = None if arm.detector is None else keeper_of(arm.detector)
+        self._detector = None if arm.detector is None else DetectorKeeper(arm.detector)
         self._restarts = None if arm.detector is None else restarts_for(self.loop, arm.recovery)
         self._tap = self._new_tap()
 

@@ -107,8 +107,6 @@ class MemoryInjector:
         for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
             if hasattr(part, name):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
-        if hasattr(part, "step_by_step"):
-            part.step_by_step(True)
 
     def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -137,8 +135,6 @@ class MemoryInjector:
         if part is not None:
             for name in _CHECKS:
                 vars(part).pop(name, None)
-            if hasattr(part, "step_by_step"):
-                part.step_by_step(False)
 
     @property
     def injections(self) -> list[Injection]:

@@ -8,7 +8,7 @@ from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.loop.duplicate import Duplicates
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.loop.recovery import DetectorTap, declared
+from mavfi.hosts.loop.recovery import DetectorTap
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import Scenario
@@ -74,6 +74,5 @@ def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restar
     loop.taps.watched = tap.states
     loop.taps.seal = tap.seal if tap.seals else None
     loop.taps.again = tap.lost if recovery.resends else None
-    duplicates = declared(detector, "duplicates")
-    loop.verify = Duplicates(loop, duplicates) if duplicates else None
+    loop.verify = Duplicates(loop, detector.duplicates) if detector.duplicates else None
     return tap

@@ -52,15 +52,6 @@ UNREADABLE = "unreadable"
 """Source of the alarm on a message that its consumers cannot read."""
 
 
-def declared(detector: Any, name: str) -> Any:  # noqa: ANN401 - a detector of any class
-    """An attribute of a detector: `states`, `seals` or `duplicates`.
-
-    COMPATIBILITY: to be deleted, with its uses, as soon as every detector inherits these from `Detector`.
-    """
-    defaults = {"states": None, "seals": hasattr(detector, "seal"), "duplicates": ()}
-    return getattr(detector, name, defaults[name])
-
-
 class _Disabled:
     """In the place of a detector that has been disabled after an exception: it sees nothing and raises no alarm."""
 
@@ -102,11 +93,11 @@ class DetectorTap:
         self._is_custom = is_custom(detector)
         # looked up at each call, since a memory fault replaces the methods of a detector in flight
         self._calls: Any = NotedCalls(detector) if self._is_custom else detector
-        self._detector_seals = bool(declared(detector, "seals"))
+        self._detector_seals = detector.seals
         self.seals = self._detector_seals or policy.resends
         self._hold = HoldPosition(loop.scenario.v_max) if policy.degrades else None
         self._deadline = PathDeadline(policy.answer_s, loop.scenario.autopilot) if policy.answer_s else None
-        self.states = self._needed_states(declared(detector, "states"))
+        self.states = self._needed_states(detector.states)
         self.memory = History()
         self.alarm: Alarm | None = None
         self.action: Action | None = None

@@ -74,7 +74,7 @@ class Plan:
             raise BadInputError(f"fault in {fault.site}: lasts_s or times: on ROS one publication is changed")
         if fault is not None and fault.of_length:
             raise BadInputError(f"fault in {fault.site}: is the length of a list; allowed on ROS: a field of the state")
-        if hasattr(self.detector, "seal") or hasattr(self.detector, "duplicates"):
+        if self.detector is not None and (self.detector.seals or self.detector.duplicates):
             text = "takes part in what is not published; allowed on ROS: detectors of published values"
             raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
         injected = None if fault is None else fault.where.state

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mavfi.detectors import Alarm
+from mavfi.detectors import Alarm, Detector
 from mavfi.detectors.detector import checked_alarm
 from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
@@ -35,7 +35,7 @@ def test_a_stage_that_cannot_be_run_again_is_refused(stage):
         checked_alarm(_Reckless(), Alarm("d", stage))
 
 
-class _Reckless:
+class _Reckless(Detector):
     """A detector that gives no `Alarm`."""
 
     states = None
@@ -112,7 +112,7 @@ class Flight:
         return [(alarm.action, alarm.outcome) for alarm in self.record.alarms]
 
 
-class Always:
+class Always(Detector):
     """Alarms at every value."""
 
     def __init__(self, hard):

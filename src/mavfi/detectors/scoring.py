@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm, AtOnce
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import kernel_jit
 from mavfi.states import State
@@ -19,8 +19,6 @@ from mavfi.states import State
 NOT_FINITE = 1e9
 """Score of a publication with a value that is not finite: always an alarm."""
 _WAYPOINT = "planning.waypoint"
-FREQUENT = (_WAYPOINT, "control.command", "control.tracking")
-"""States that are published at most control ticks."""
 _NONE = np.zeros(0, np.int64)
 
 
@@ -67,9 +65,7 @@ class Scorer(ABC):
         stages: Stage of each.
         states: Names of the states that it reads; None = all.
         kept: Memory of a flight, as arrays by name; 0 at its start.
-        at_once: By state, for frequent ones: a function of the header that accepts the publication, or returns a true
-            value if there is an alarm.  Publications of other states are scored, then accepted.
-        candidate: The publication scored last by `score`, not by `at_once`; None = none yet, or the memory was read.
+        candidate: The publication scored last; None = none yet, or the memory was read.
         threshold: Converts readings to scores.
     """
 
@@ -77,41 +73,28 @@ class Scorer(ABC):
     stages: tuple[str, ...]
     states: frozenset[str] | None = None
     kept: Mapping[str, np.ndarray] = {}
-    at_once: Mapping[str, Callable[[np.ndarray], object]] = {}
     candidate: State | None = None
     threshold: "Threshold"
-    _judged: "tuple[Reading, Verdict]"
 
     def use(self, threshold: "Threshold") -> None:
         """Set the threshold; called before the first flight."""
         self.threshold = threshold
 
     @property
-    def compiled(self) -> dict[str, Callable[..., Any]]:
-        """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See `Detector`."""
         return {}
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - one in Python has none
-        """Replace compiled functions by those of the same name in `made`; restore all others."""
+        """See `Detector`."""
 
     @abstractmethod
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication without changing the memory; None if it is not watched.
-
-        The arrays are valid until the next call.
-        """
-
     def score(self, state: State) -> float | None:
         """Score of a publication, None if it is not watched; does not change the memory."""
-        reading = self.read(state)
-        if reading is None:
-            return None
-        self._judged = reading, self.threshold.judge(reading)
-        return self._judged[1].score
 
+    @abstractmethod
     def judged(self) -> "tuple[Reading, Verdict]":
-        """Reading and verdict of the publication scored last."""
-        return self._judged
+        """Reading and verdict of the publication scored last; their arrays are valid until the next call."""
 
     @abstractmethod
     def accept(self, state: State) -> None:
@@ -188,7 +171,6 @@ class Threshold:
     Attributes:
         limit: See `limit` below.
         ratios: Ratios of the reading judged last, see `Verdict`.
-        score_of: The compiled function `score_of`, or an instrumented one.
 
     Args:
         limit: By field and regime, shape (n, regimes); or for the mean squared distance, shape (1, 1).
@@ -198,12 +180,8 @@ class Threshold:
     """
 
     def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
-        self.limit, self._usual, self.score_of = limit, usual, score_of
+        self.limit, self._usual = limit, usual
         self.ratios = np.zeros(size)
-
-    def judge(self, reading: Reading) -> Verdict:
-        """The score of a reading."""
-        return Verdict(self.score_of(reading, self.limit, self.ratios), self.ratios)
 
     def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
         """Indices of the fields that an alarm names.
@@ -249,7 +227,7 @@ def find_policy(name: str) -> Policy:
     return POLICIES[name]
 
 
-class ScoringDetector:
+class ScoringDetector(Detector):
     """A detector composed of scorer, threshold and policy.
 
     Args:
@@ -265,38 +243,8 @@ class ScoringDetector:
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
         self._persists = np.zeros(1, np.bool_)
-        self._accept, self._measure = scorer.accept, scorer.score
         self._scored: State | None = None
         self._score: float | None = None
-        self._stepwise, self._at_once = False, AtOnce()
-        self._use()
-
-    @property
-    def at_once(self) -> AtOnce:
-        """See `Detector`."""
-        return self._at_once
-
-    def _use(self) -> None:
-        """Look up the scorer's functions; a policy that counts way-points needs the score of each."""
-        counted = (_WAYPOINT,) if self._counts_waypoints else ()
-        self._at_once.clear()
-        if not self._stepwise:
-            self._at_once.update((name, call) for name, call in self.scorer.at_once.items() if name not in counted)
-
-    def step_by_step(self, always: bool) -> None:
-        """Whether hosts always call `check` and `accept`, which one of them may have replaced."""
-        self._stepwise = always
-        self._use()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle without machine code and addresses, which are valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name != "_at_once"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Inverse of `__getstate__`."""
-        self.__dict__.update(state)
-        self._at_once = AtOnce()
-        self._use()
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -306,14 +254,12 @@ class ScoringDetector:
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
         if self._scored is not state:
-            self._scored, self._score = state, self._measure(state)
+            self._scored, self._score = state, self.scorer.score(state)
         return self._score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
-        if self._scored is not state:  # as `score`, without another call
-            self._scored, self._score = state, self._measure(state)
-        score = self._score
+        score = self.score(state, time_us)
         return None if score is None or score <= 1.0 else self._alarm(state, score)
 
     def _alarm(self, state: State, score: float) -> Alarm:
@@ -330,17 +276,16 @@ class ScoringDetector:
             score = self.score(state, time_us)
             self._persists[0] = self._persists[0] if score is None else not score <= 1.0
         self._scored = None
-        self._accept(state)
+        self.scorer.accept(state)
 
     @property
-    def compiled(self) -> dict[str, Callable[..., Any]]:
-        """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See `Detector`."""
         return self.scorer.compiled
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """Replace compiled functions, see `detector.part_of`."""
+        """See `Detector`."""
         self.scorer.instrument(made)
-        self._use()
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """Memory between publications, see `Detector`."""

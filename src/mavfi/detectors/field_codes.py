@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import book, residuals
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors import residual_state, residuals
+from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.samples import Sample
 from mavfi.detectors.vehicle import VehicleQueue
-from mavfi.numerics.jit import entry, is_compiled
-from mavfi.numerics.stored import Stored
+from mavfi.numerics.jit import entry
 from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, bytes_of, floats, new_state
 
 MONITORED = "all"
@@ -47,46 +46,46 @@ def _of(unit: str, *names: str) -> tuple[tuple[str, str, str], ...]:
 
 _WATCHED = {
     "perception.collision_status": _Watched(
-        book.measure_status,
+        residual_state.measure_status,
         (*_of("octave", "time_to_collision", "distance_to_blocked", "distance_to_unknown"),
          *_fields("future_collision_seq", "trajectory_seq", "collision")),
         False, 0,
     ),
     "planning.path": _Watched(
-        book.measure_path,
+        residual_state.measure_path,
         (*_fields("entry_speed", "future_collision_seq", "junction"),
          ("start", "x", ""), ("end", "x", ""), ("detour", "x", "")),
         True, 3, True,
     ),
     "planning.trajectory": _Watched(
-        book.measure_trajectory,
+        residual_state.measure_trajectory,
         (*_fields("trajectory_seq", "future_collision_seq"),
          ("step", "x", ""), ("change", "vx", ""), ("speed", "vx", ""), ("acceleration", "ax", ""),
          ("duration", "duration", ""), ("turn", "yaw", ""), ("start", "x", ""), ("end", "x", "")),
         True, 11, True,
     ),
     "planning.waypoint": _Watched(
-        book.measure_waypoint,
+        residual_state.measure_waypoint,
         _fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration", "trajectory_seq",
                 "future_collision_seq", "index"),
         False, 11, True,
     ),
     "control.command": _Watched(
-        book.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
+        residual_state.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
     ),
-    "control.tracking": _Watched(book.measure_tracking, _fields("remaining"), False, 1),
+    "control.tracking": _Watched(residual_state.measure_tracking, _fields("remaining"), False, 1),
 }  # fmt: skip
 
 _ALONE = "control.tracking"
 """State that predicts nothing but its own residual."""
 
 COMPILED: dict[str, Callable[..., Any]] = {
-    **{own.measure.__name__: own.measure for own in _WATCHED.values()}, "note_vehicle": book.note_vehicle,
+    **{own.measure.__name__: own.measure for own in _WATCHED.values()}, "note_vehicle": residual_state.note_vehicle,
 }  # fmt: skip
 """Compiled functions that compute the codes, by name."""
 
 
-class Everything:
+class FieldCodes:
     """Codes of the residuals of all states during one flight.
 
     Fields that no consumer reads under an autopilot profile are not watched: their code is 0.
@@ -100,7 +99,7 @@ class Everything:
         slots: Index of each state, by name.
         states: Names of those that it reads, and of the vehicle's odometry.
         quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
-        book: The publication measured last, and the memory between publications.
+        measured: The publication measured last, and the memory between publications.
         vehicles: Odometry that is not yet stored.
     """
 
@@ -117,33 +116,26 @@ class Everything:
         self._watched = tuple(_WATCHED.values())
         self._empty = [np.zeros((0, own.width)) for own in self._watched]
         self.vehicles = VehicleQueue(self._store)
-        self.book = book.new_book(self.quanta, np.array(self._ranges, np.int64))
+        self.measured = residual_state.initial_state(self.quanta, np.array(self._ranges, np.int64))
         self.instrument({})
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """Replace functions of `COMPILED` by those of the same name in `made`; restore all others."""
-        self._stored = Stored(book.KIND, self.book)
-        self._place = self.book.place
-        self._note: Callable[..., bool] = self._direct("note_vehicle", np.zeros(1, np.uint8), made)
-        self._measures = [self._measure_of(name, own, made) for name, own in _WATCHED.items()]
+        note = made.get("note_vehicle", residual_state.note_vehicle)
+        self._note: Callable[..., bool] = entry(note, np.zeros(1, np.uint8), self.measured)
+        self._measures = [self._measure_of(name, made) for name in _WATCHED]
 
-    def _measure_of(self, state: str, own: _Watched, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
-        """Callable of a publication's header, followed by its elements or the address of the book."""
-        name = own.measure.__name__
-        if own.in_list:
-            given: Callable[..., Any] = made.get(name, own.measure)
-            return lambda header, elements: given(header, elements, self.book)
-        return self._direct(name, new_state(state).header, made)
-
-    def _direct(self, name: str, example: np.ndarray, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
-        given = made.get(name, COMPILED[name])
-        if is_compiled(given):
-            return entry(book.AT[name], example, 0)
-        return lambda array, _: given(array, self.book)
+    def _measure_of(self, state: str, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+        """The function that computes the codes of a state: of its header, its list if it has one, and `measured`."""
+        watched = _WATCHED[state]
+        function = made.get(watched.measure.__name__, watched.measure)
+        if watched.in_list:
+            return function
+        return entry(function, new_state(state).header, self.measured)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code and addresses, which are valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_stored", "_measures", "_note")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_measures", "_note")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -152,21 +144,18 @@ class Everything:
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        self.book.known[:] = 0.0
+        self.measured.known[:] = 0.0
         self.forget()
 
     def forget(self) -> None:
         """Forget the publication measured last; the memory stays."""
         self.vehicles.forget()
-        self._place[book.ACCEPTED], self._place[book.LEARNED] = 0, book.NEVER
+        self.measured.place[residual_state.ACCEPTED] = 0
+        self.measured.place[residual_state.LEARNED] = residual_state.NEVER
 
     def _is_read(self, name: str) -> bool:
         """Whether something of a state is watched, or predicts residuals of other states."""
         return name != _ALONE or bool(self.quanta[slice(*self._ranges[self.slots[name]])].any())
-
-    def from_vehicle(self, name: str) -> bool:
-        """Whether the residuals of a state depend on the vehicle's odometry."""
-        return _WATCHED[name].from_vehicle
 
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of a state's residuals."""
@@ -177,21 +166,21 @@ class Everything:
         return next(slot for slot, (_, last) in enumerate(self._ranges) if index < last)
 
     def read(self, state: State, slot: int) -> None:
-        """Compute the codes of a publication of the state with this slot, in `book`."""
-        own = self._watched[slot]
-        if own.from_vehicle:
+        """Compute the codes of a publication of the state with this slot, in `measured`."""
+        watched = self._watched[slot]
+        if watched.from_vehicle:
             self.vehicles.settle()
-        if own.in_list:
+        if watched.in_list:
             elements = self._empty[slot]
             if len(state.elements):
-                elements = floats(state.elements, own.width).reshape(-1, own.width)
-            self._measures[slot](state.header, elements)
+                elements = floats(state.elements, watched.width).reshape(-1, watched.width)
+            self._measures[slot](state.header, elements, self.measured)
         else:
-            self._measures[slot](state.header, self._stored.address)
+            self._measures[slot](state.header, self.measured)
 
     def accept(self) -> None:
         """The publication measured last was published: it is the reference for the next one."""
-        self._place[book.ACCEPTED] = 1
+        self.measured.place[residual_state.ACCEPTED] = 1
 
     def measure(self, state: State, slot: int, codes: np.ndarray, keep: bool = False) -> int:
         """Compute the codes of a publication.
@@ -207,10 +196,10 @@ class Everything:
         """
         self.read(state, slot)
         own = slice(*self._ranges[slot])
-        codes[own] = self.book.codes[own]
+        codes[own] = self.measured.codes[own]
         if keep:
             self.accept()
-        return int(self._place[book.REGIME])
+        return int(self.measured.place[residual_state.REGIME])
 
     def note(self, state: State) -> None:
         """Store position and velocity of the vehicle, if this state is odometry."""
@@ -218,17 +207,17 @@ class Everything:
             self.vehicles.add(state.header)
 
     def _store(self, odometry: np.ndarray) -> bool:
-        return self._note(bytes_of(odometry), self._stored.address)
+        return bool(self._note(bytes_of(odometry), self.measured))
 
     def settle(self) -> None:
         """Bring the memory up to date."""
-        book.settle(self.book)
+        residual_state.settle(self.measured)
         self.vehicles.settle()
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the residuals of a publication, measured last, that divided by their quanta are not finite."""
         first, last = self._ranges[self.slots[state.spec.name]]
-        values, quanta = self.book.values[first:last], self.quanta[first:last]
+        values, quanta = self.measured.values[first:last], self.quanta[first:last]
         with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, but overflows in centimetres
             wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
         return first + np.flatnonzero(wrong)
@@ -244,7 +233,7 @@ def _quantum(state: str, residual: tuple[str, str, str], autopilot: str) -> floa
     return 0.0 if autopilot in AUTOPILOTS and found.dead_in(autopilot) else QUANTA[unit or found.unit]
 
 
-class CodeRecorder:
+class CodeRecorder(Detector):
     """A recorder of all codes of a flight, for training.
 
     Args:
@@ -252,30 +241,26 @@ class CodeRecorder:
     """
 
     def __init__(self, autopilot: str) -> None:
-        self._everything = Everything(autopilot)
-        self._codes = np.zeros(len(self._everything.fields), np.int16)
+        self._field_codes = FieldCodes(autopilot)
+        self._codes = np.zeros(len(self._field_codes.fields), np.int16)
         self._own: list[bytes] = []
         self._slots: list[int] = []
         self._regimes: list[int] = []
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        self._everything.start()
+        self._field_codes.start()
         self._own, self._slots, self._regimes = [], [], []
-
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """Never an alarm."""
-        return None
 
     def accept(self, state: State, time_us: int) -> None:
         """Store the codes of a published value."""
-        slot = self._everything.slots.get(state.spec.name)
+        slot = self._field_codes.slots.get(state.spec.name)
         if slot is None:
-            self._everything.note(state)
+            self._field_codes.note(state)
             return
-        self._regimes.append(self._everything.measure(state, slot, self._codes, keep=True))
+        self._regimes.append(self._field_codes.measure(state, slot, self._codes, keep=True))
         self._slots.append(slot)
-        first, last = self._everything.range_of(slot)
+        first, last = self._field_codes.range_of(slot)
         self._own.append(self._codes[first:last].tobytes())
 
     def codes(self) -> "Codes":
@@ -289,7 +274,7 @@ class Codes(NamedTuple):
 
     Attributes:
         slots: State of each publication. Shape (m,), int8.
-        regimes: Regime of each, see `Everything.measure`. Shape (m,), int8.
+        regimes: Regime of each, see `FieldCodes.measure`. Shape (m,), int8.
         own: Codes of the published states, concatenated. Shape (total,), int16.
     """
 
@@ -306,13 +291,13 @@ def codes_are_whole(flight: Codes) -> bool:
     return int(_SIZES[slots].sum()) == len(flight.own) and bool((np.abs(flight.regimes) <= REGIMES).all())
 
 
-def sample_of(flight: Codes, everything: Everything) -> Sample:
+def sample_of(flight: Codes, field_codes: FieldCodes) -> Sample:
     """Sample of one flight, as a detector of all fields sees it."""
     count = len(flight.slots)
-    vectors = np.zeros((count, len(everything.fields)), np.int16)
+    vectors = np.zeros((count, len(field_codes.fields)), np.int16)
     ends = np.cumsum(_SIZES[flight.slots])
     for slot in np.unique(flight.slots):
-        first, last = everything.range_of(int(slot))
+        first, last = field_codes.range_of(int(slot))
         rows = np.flatnonzero(flight.slots == slot)
         codes = flight.own[ends[rows, None] - (last - first) + np.arange(last - first)]
         # a code holds until the next publication of its state

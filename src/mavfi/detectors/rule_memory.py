@@ -48,7 +48,7 @@ _WORK = [
     ("planning_us", "i8"), ("blocks", "i8", (KEPT,)), ("candidate", "u1", (_WAYPOINT_SIZE,)), ("candidate_of", "i8"),
     ("accepted", "?"),
 ]  # fmt: skip
-KNOWN = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
+RECORD = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
 """The record.
 
 - Limits: see `MissionLimits.numbers`.
@@ -63,13 +63,13 @@ KNOWN = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
   the candidate, its state, and whether it was accepted.
 """
 _FIRST, _END = len(_LIMITS), len(_LIMITS) + len(_REMEMBERED)
-MEMORY = slice(KNOWN.fields[KNOWN.names[_FIRST]][1], KNOWN.fields[KNOWN.names[_END]][1])  # type: ignore[index]
+MEMORY = slice(RECORD.fields[RECORD.names[_FIRST]][1], RECORD.fields[RECORD.names[_END]][1])  # type: ignore[index]
 """Bytes of the record that form the memory."""
 
 
 def new_record(limits: MissionLimits) -> np.ndarray:
     """The record at the start of a flight. Shape (1,)."""
-    known = np.zeros(1, KNOWN)
+    known = np.zeros(1, RECORD)
     for name in NUMBERS.names or ():
         known[name] = limits.numbers()[name]
     known["planning_us"] = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
@@ -80,7 +80,7 @@ def new_record(limits: MissionLimits) -> np.ndarray:
 def named(known: np.ndarray) -> dict[str, np.ndarray]:
     """The memory by name, headers by field: the arrays themselves, not copies."""
     found: dict[str, np.ndarray] = {}
-    for name in KNOWN.names[_FIRST:_END] if KNOWN.names else ():
+    for name in RECORD.names[_FIRST:_END] if RECORD.names else ():
         array = known[name].reshape(-1)
         if name in _HEADERS:
             header = array.view(_HEADERS[name])
@@ -123,14 +123,6 @@ def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
     content = header.view(np.uint8)
     own["candidate"][: len(content)] = content
     own["candidate_of"] = of
-
-
-@kernel_jit
-def accept_unless_violated(place: int, known: np.ndarray) -> bool:
-    """Accept the candidate unless a field, at this place, violates a rule (>= 0); returns whether one does."""
-    if place < 0:
-        known[0]["accepted"] = True
-    return place >= 0
 
 
 @kernel_jit
@@ -219,10 +211,3 @@ def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Points of the latest stored trajectory. Shape (n, 11); (0, 11) if there is none."""
     last = used(known[0]["stored"], 0, KEPT) - 1
     return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]
-
-
-@kernel_jit
-def is_counted(header: np.ndarray, known: np.ndarray) -> bool:
-    """Whether the counter of a collision status differs from the last one, so that its time is recorded."""
-    last = used(known[0]["changes"], 1, COUNTERS) - 1
-    return bool(int(header[0]["future_collision_seq"]) != known[0]["counters"][last])
