@@ -13,7 +13,7 @@ of the alarm, so the kernel is restored at its next step: at the next control pe
 next image for perception, at the next IMU sample for the state estimator.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import proxy
@@ -103,7 +103,7 @@ class DetectorTap:
         self.action: Action | None = None
         self._sent: State | None = None
 
-    def _needed_states(self, detector_states: frozenset[str] | None) -> frozenset[str] | None:
+    def _needed_states(self, detector_states: Collection[str] | None) -> frozenset[str] | None:
         """States that detector and recovery need to see; None = all."""
         if detector_states is None:
             return None

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.hosts.ros1.convert import to_msg
 from mavfi.hosts.ros1.definitions import Action
 from mavfi.hosts.ros1.generate import message_type, state_types
@@ -271,14 +271,11 @@ class RemoteKernel:
         return Publication(spec, *empty, number, link, link.life, self.name, name in self._at_once)
 
 
-class RemoteDetector:
+class RemoteDetector(Detector):
     """Proxy of the detector in its node; while that is down, values pass unchecked."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
-
-    def start(self) -> None:
-        """No operation: the node initializes its detector itself."""
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The alarm of the node on a publication."""
