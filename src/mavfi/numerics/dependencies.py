@@ -249,11 +249,12 @@ class _Content:
         if _is_versioned(value.__module__):
             self.text(value.__module__, value.__qualname__)
             return
-        self.text(value.__qualname__, getattr(value, "_fields", ()))
-        if hasattr(value, "_fields"):
-            self.value(tuple(sorted(value._field_defaults.items())))
-        else:
+        fields = getattr(value, "_fields", None)
+        self.text(value.__qualname__, fields)
+        if fields is None:
             self._source(value.__module__)
+        else:
+            self.value(tuple(sorted(getattr(value, "_field_defaults", {}).items())))
 
     def _plain_function(self, value: python.FunctionType) -> None:
         """Add a function that has an `overload`: the text of its module, and the functions that the overload uses."""

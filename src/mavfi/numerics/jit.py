@@ -30,7 +30,7 @@ import numpy as np
 from numba.core import types
 from numba.core.caching import NullCache
 from numba.core.compiler import Compiler, CompileResult
-from numba.core.environment import Environment, _rebuild_env
+from numba.core.environment import _rebuild_env
 from numba.core.errors import NumbaDebugInfoWarning
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
@@ -155,12 +155,12 @@ class _Unpickler(pickle.Unpickler):
         return _environment if name == "_rebuild_env" else super().find_class(module, name)
 
 
-def _environment(module: str, constants: list[Any], name: str) -> Environment:
+def _environment(module: str, constants: list[Any], name: str) -> Any:
     """Numba's environment of a compiled function; without its module, whose globals only Python objects need."""
     try:
-        return _rebuild_env(module, constants, name)
+        return _rebuild_env(module, constants, name)  # type: ignore[no-untyped-call]
     except ImportError:
-        return _rebuild_env(__name__, constants, name)
+        return _rebuild_env(__name__, constants, name)  # type: ignore[no-untyped-call]
 
 
 @functools.cache

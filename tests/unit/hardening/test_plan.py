@@ -61,8 +61,13 @@ def test_the_time_of_a_kernel_weights_its_functions_by_their_shares(tmp_path):
 
 def test_a_plan_without_shares_keeps_its_digest():
     plan = Plan(mavfi="1", numba="1", llvmlite="1", functions=(of(sites=((0, 0, 1),), time=1.5),))
-    assert plan.digest.startswith("e8e853e533f5f2497261567f69d774ab")
+    assert plan.digest.startswith("09d426171a426501aa6ac895f2cf0653")
     assert "share" not in Plan(functions=(of(),)).model_dump_json()
+
+
+def test_modules_of_functions_are_not_in_the_digest():
+    one, moved, other = (Plan(functions=(of(function=name, time=1.5),)) for name in ("m.f", "n.o.f", "m.g"))
+    assert one.digest == moved.digest != other.digest
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import MemoryRequest, parse
 from mavfi.hosts.loop.compose import resolve
-from mavfi.ir.build import name_of
 from mavfi.mission import MissionSpec
-from mavfi.pipeline.functions import PLAIN
 
 
 @pytest.mark.parametrize(
@@ -34,8 +32,7 @@ def test_the_text_of_a_fault_in_memory_or_in_none():
     [{"bits": (62,)}, {"bits": (3, 60), "model": "bits", "restart_s": 0.2}, {"value": 1 << 90, "model": "random"}],
 )
 def test_the_text_of_a_fault_in_an_instruction_names_all_of_it(changed):
-    name = name_of(PLAIN.track)
-    fault = InstructionFault(name, "ab" * 32, 42, 7, budget=10_300, kernel="pid", entry="track", **changed)
+    fault = InstructionFault("", "ab" * 32, 42, 7, budget=10_300, kernel="pid", entry="track", **changed)
     assert draw_request(resolve(MissionSpec()), parse(text_of(fault)), 0) == (fault, None)
 
 
