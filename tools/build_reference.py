@@ -139,10 +139,15 @@ def shown(value: Any) -> str:
     if isinstance(value, BaseModel):
         return "its defaults"
     if isinstance(value, dict):
-        return ", ".join(f"`{name}: {item:g}`" for name, item in value.items())
+        return ", ".join(f"`{name}: {_item(item)}`" for name, item in value.items())
     if isinstance(value, tuple):
         return f"`[{', '.join(map(str, value))}]`"
     return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+
+
+def _item(value: Any) -> str:
+    """A value of a default that is a mapping."""
+    return f"{value:g}" if isinstance(value, (int, float)) else str(value)
 
 
 def model_section(model: type[BaseModel]) -> list[str]:
