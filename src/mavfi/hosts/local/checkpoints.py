@@ -98,10 +98,10 @@ def take(loop: Loop, *, scratch: bool = False) -> Instant:
     """The current instant of a loop; `scratch`: with the work arrays of all kernels, which must be known."""
     _settle(loop)
     kernels = {name: kernel.save() for name, kernel in _kernels(loop).items()}
-    arrays = None
+    saved_arrays = None
     if scratch:
-        arrays = {name: tuple(array.save() for array in arrays) for name, arrays in _scratch(loop).items()}
-    return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels, arrays)
+        saved_arrays = {name: tuple(array.save() for array in arrays) for name, arrays in _scratch(loop).items()}
+    return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels, saved_arrays)
 
 
 def put(loop: Loop, instant: Instant) -> None:

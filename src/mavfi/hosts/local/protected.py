@@ -24,7 +24,7 @@ import numpy as np
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import budget_for
 from mavfi.faults.instruction.api import apart
-from mavfi.faults.instruction.variant import Passes, Variant
+from mavfi.faults.instruction.variant import Variant
 from mavfi.flight_log import AlarmRecord
 from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import protection_of
@@ -58,34 +58,40 @@ def paired(fault: InstructionFault, plain: Variant, protected: Variant, args: tu
         IndexError: The call ends before the instruction.
     """
     # 1. In the plain call, find the execution of a block that contains the fault's dynamic index.
-    site_counts = plain.sizes
-    block_executions = apart(lambda: plain.tally(*args)[1])
-    trace = apart(lambda: plain.profile(*args, room=int(block_executions.sum()))[2])  # executed blocks, in order
-    end_indices = np.cumsum(site_counts[trace])  # dynamic index after each executed block
-    step = int(np.searchsorted(end_indices, fault.index, side="right"))
-    if step == len(trace):
-        raise IndexError(fault.index)
+    trace = _trace(plain, args)
+    starts = _start_indices(plain, trace)
+    step = int(np.searchsorted(starts, fault.index, side="right")) - 1
     block = int(trace[step])
-    start_index = int(end_indices[step] - site_counts[block])
+    offset = int(fault.index - starts[step])
+    if offset >= plain.sizes[block]:
+        raise IndexError(fault.index)
 
-    # 2. Identify it by block, offset of the instruction in the block, and number of earlier executions of the block.
-    offset = fault.index - start_index
-    earlier_executions = int(np.count_nonzero(trace[:step] == block))
-
-    # 3. Protected code has all plain instructions in the same order in its text, between those that it adds.
-    number_in_text = int(site_counts[:block].sum()) + offset
+    # 2. Protected code has all plain instructions in the same order in its text, between those that it adds.
+    number_in_text = int(plain.sizes[:block].sum()) + offset
     plain_sites = [site for sites in protected.table.blocks for site in sites if not site.role]
     site = plain_sites[number_in_text]
 
-    # 4. Dynamic index of the same execution of that instruction in the protected call.
-    def block_start() -> int:
-        passes = Passes(len(protected.table.blocks), [(site.block, earlier_executions)])
-        protected.locate(passes, *args)
-        return passes.start(site.block, earlier_executions)
+    # 3. In the protected call, find the execution of the instruction's block with the same number.
+    earlier_executions = int(np.count_nonzero(trace[:step] == block))
+    protected_trace = _trace(protected, args)
+    protected_step = np.flatnonzero(protected_trace == site.block)[earlier_executions]
+    index = int(_start_indices(protected, protected_trace)[protected_step]) + site.offset
+    budget = budget_for(int(protected.sizes[protected_trace].sum()))
+    return replace(fault, index=index, ir_sha256=protected.ir_sha256, budget=budget)
 
-    total = apart(lambda: protected.count(*args)[1])
-    index = apart(block_start) + site.offset
-    return replace(fault, index=index, ir_sha256=protected.ir_sha256, budget=budget_for(total))
+
+def _trace(variant: Variant, args: tuple[Any, ...]) -> np.ndarray:
+    """Executed blocks of a call, in order. Shape (n,)."""
+    executions = apart(lambda: variant.tally(*args)[1])
+    trace: np.ndarray = apart(lambda: variant.profile(*args, room=int(executions.sum()))[2])
+    return trace
+
+
+def _start_indices(variant: Variant, trace: np.ndarray) -> np.ndarray:
+    """Dynamic index at which each executed block starts. Shape (n,)."""
+    sizes = variant.sizes[trace]
+    starts: np.ndarray = np.cumsum(sizes) - sizes
+    return starts
 
 
 def is_detection(error: Exception) -> bool:
