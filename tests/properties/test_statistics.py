@@ -176,19 +176,6 @@ def test_ten_identical_flights_per_world_count_once():
     assert clustered_rate([], []).rate is None
 
 
-@given(st.lists(st.tuples(st.booleans(), st.sampled_from([0.1, 0.5, 2.0])), min_size=1, max_size=60))
-def test_weights_make_a_weighted_mean_of_fewer_effective_flights(flights):
-    success, weight = zip(*flights, strict=True)
-    found = clustered_rate(success, range(len(success)), weight)
-    assert found.rate == pytest.approx(np.average(success, weights=weight), abs=1e-9)
-    assert found.low - 1e-9 <= found.rate <= found.high + 1e-9
-    if len(set(success)) == 1 and len(set(weight)) > 1:
-        plain = wilson(sum(success), len(success))
-        assert found.high - found.low > plain.high - plain.low
-    same = clustered_rate(success, range(len(success)), [0.5] * len(success))
-    assert same == clustered_rate(success, range(len(success)))
-
-
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_paired_difference_holds_the_estimate_and_turns_with_the_pairs(pairs):
     first, second = zip(*pairs, strict=True)

@@ -45,8 +45,7 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
     same probability, but faults are drawn within missions: they have the weight of the instructions that the golden run
     of their mission executes.  `success` names the column for the success of injected runs: "success" (as flown) or
     "success_if_ended".  Settings without instruction counts and kernels without faults are omitted; faults for which a
-    mission executes no instruction are not counted.  A kernel that executes none in any mission, e.g. recovery without
-    an alarm, has no harm, and the ids of its runs without an instruction.
+    mission executes no instruction are not counted.
     """
     if ("exposed", success) not in runs.memo:
         runs.memo["exposed", success] = _exposed(runs, success)
@@ -61,15 +60,12 @@ def _exposed(runs: Runs, success: str) -> dict[tuple[str, str], dict[str, tuple[
     for (environment, setting, arm), own in faulty.groups("environment", "setting", "arm").items():
         counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
         for (kernel,), part in own.groups("kernel").items():
-            known = [row for row in part if (row["arm"], row["world"]) in golden]
-            known = [row for row in known if row["has_site"] or counts.get(kernel) == 0]
-            if kernel in counts and known:
-                harm = Estimate(0.0, 0.0, 0.0)
-                if counts[kernel]:
-                    worlds, before = [row["world"] for row in known], [golden[arm, row["world"]] for row in known]
-                    weights = _weights(runs, kernel, [one["run_id"] for one in before], worlds)
-                    after = [row[success] for row in known]
-                    harm = Estimate(*paired_difference([one["success"] for one in before], after, worlds, weights))
+            known = [row for row in part if row["has_site"] and (row["arm"], row["world"]) in golden]
+            if counts.get(kernel) and known:
+                worlds, before = [row["world"] for row in known], [golden[arm, row["world"]] for row in known]
+                weights = _weights(runs, kernel, [one["run_id"] for one in before], worlds)
+                after = [row[success] for row in known]
+                harm = Estimate(*paired_difference([one["success"] for one in before], after, worlds, weights))
                 one = Exposed(counts[kernel], harm)
                 found.setdefault((environment, setting), {})[kernel] = [row["run_id"] for row in known], one
     return found
@@ -192,16 +188,6 @@ def uncounted(runs: Runs) -> list[str]:
     return [setting for setting in every if setting not in counted]
 
 
-def idle(runs: Runs) -> list[str]:
-    """Kernels without exposure, in words: they execute no instruction in the golden runs of a setting."""
-    return [
-        f"{kernel} under {setting} in {environment}: 0 instructions in golden runs, so no fault is drawn and none fails"
-        for (environment, setting), kernels in exposed(runs).items()
-        for kernel, (_, one) in kernels.items()
-        if not one.instructions
-    ]
-
-
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
@@ -212,14 +198,14 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
         for kernel, (ids, one) in kernels.items():
             numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
-            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids) if one.instructions else 0, **numbers}
+            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids), **numbers}
         whole = sum(one.instructions for one in parts)
         total = total_failures(parts, upset)
-        harm = total_failures(parts, 1.0).times(1 / whole) if whole else Estimate(0.0, 0.0, 0.0)
+        harm = total_failures(parts, 1.0).times(1 / whole)
         base = every.get((environment, FI))
         alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
         against = total.value / alone if setting != FI and alone > 0 else None
-        every_id = [run_id for ids, one in kernels.values() if one.instructions for run_id in ids]
+        every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
         yield {**own, "kernel": ALL, "run_id": every_id, "n": len(every_id), "against": against,
                **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
 
@@ -238,9 +224,7 @@ def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
     return replace(runs, frame=frame)
 
 
-def _harm(own: Runs) -> Rate | None:
-    if not own.first("n"):
-        return None
+def _harm(own: Runs) -> Rate:
     return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
 
 
@@ -267,10 +251,9 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         for setting in uncounted(runs)
     ]
     return [
-        *left_out, *idle(runs),
-        *verdicts, *([_DIFFERENCE] if verdicts else []),
+        *left_out, *verdicts, *([_DIFFERENCE] if verdicts else []),
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
-        "setting, recomputations, detector and recovery included) x harm; [95 % interval of the harm]; faults alone, "
+        "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, "
         "not the failures without a fault",
         "harm: missions lost by the fault against the golden run of the same setting, in pairs, each mission with the "
         "weight of its instructions, [95 % interval: MOVER], n = faults; coverage, 1 – harm, rewards idle instructions "
@@ -295,7 +278,7 @@ _VIEW = View(
         _estimate("ended", "failures, dead node ends mission"),
     ),
     where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),
-    applies=lambda runs: has(runs.injected, level=INSTRUCTION) and all(w == 1.0 for w in runs.injected["weight"]),
+    applies=lambda runs: has(runs.injected, level=INSTRUCTION),
 )  # fmt: skip
 register(_VIEW)
 

@@ -140,12 +140,12 @@ def _effect(*effects: str) -> pl.Expr:
 
 
 _THREE = (
-    m.rate("masked", "masked", _effect("masked"), weighted=True),
-    m.rate("sdc", "sdc", _effect("sdc"), weighted=True),
-    m.rate("due", "due", _effect(*KERNEL_DUE), weighted=True),
+    m.rate("masked", "masked", _effect("masked")),
+    m.rate("sdc", "sdc", _effect("sdc")),
+    m.rate("due", "due", _effect(*KERNEL_DUE)),
 )
 _FOUND = _effect("detected")
-_GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"), weighted=True)
+_GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"))
 
 
 def _replayable_note(runs: Runs) -> str:
@@ -190,7 +190,7 @@ def _share(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
     def of(own: Runs) -> Rate:
         inside = runs.where(pl.col(kernel) == own.first(kernel))
-        return m.rate_of(inside, pl.col(field) == own.first(field), weighted=True)
+        return m.rate_of(inside, pl.col(field) == own.first(field))
 
     yield Measure("share", "share %", RATE, of)
 
@@ -223,9 +223,9 @@ register(
         "kernel_effects_by_setting", "One fault in one instruction of a kernel, plain and protected",
         ("environment", "kernel", "setting"),
         (
-            m.count("n", "n"), *_THREE, m.rate("found", "detected", _FOUND, weighted=True),
-            m.rate("success", "success", "success", weighted=True),
-            m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE), weighted=True),
+            m.count("n", "n"), *_THREE, m.rate("found", "detected", _FOUND),
+            m.rate("success", "success", "success"),
+            m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE)),
         ),
         where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
         notes=lambda _: (
@@ -238,9 +238,9 @@ register(
         "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),
         (
             Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
-            m.rate("success_restart", "success, restart", "success", weighted=True),
-            m.rate("success_end", "success, end", "success_if_ended", weighted=True),
-            m.rate("changed", "changed", pl.col("effect") != "masked", weighted=True),
+            m.rate("success_restart", "success, restart", "success"),
+            m.rate("success_end", "success, end", "success_if_ended"),
+            m.rate("changed", "changed", pl.col("effect") != "masked"),
             m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
             m.quantile("inflation", 1.0, "worst", "worst"),
             Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
@@ -269,7 +269,7 @@ register(
             Measure("not_finite", "not finite", NUMBER,
                     lambda own: own.frame["error_size"].drop_nulls().len() - _finite(own).len()),
             m.count("changed", "changed", pl.col("effect") != "masked"),
-            m.rate("success", "success", "success", weighted=True),
+            m.rate("success", "success", "success"),
         ),
         where=_silent, most="n",
         notes=lambda _: (

@@ -93,10 +93,10 @@ def quantile_of(values: Iterable[float | None], share: float) -> float | None:
     return float(np.quantile(known, share)) if known else None
 
 
-def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, weighted: bool = False) -> Measure:
+def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str) -> Measure:
     """Share of rows that pass a test, among those that pass `where`, with a cluster-adjusted Wilson interval."""
     return Measure(
-        key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted),
+        key, heading, RATE, lambda own: rate_of(own.where(*where), test),
         counted=lambda own: own.where(*where),
     )  # fmt: skip
 
@@ -111,11 +111,11 @@ def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measu
     return Measure(key, heading, RATE, of)
 
 
-def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
-    """Rate over rows, optionally with the weights of faults, and its interval with missions as clusters."""
+def rate_of(own: Runs, test: pl.Expr | str) -> Rate:
+    """Rate over rows, and its interval with missions as clusters."""
     asked = pl.col(test) if isinstance(test, str) else test
     passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
-    return clustered_rate(passed, own["world"], own["weight"] if weighted else None)
+    return clustered_rate(passed, own["world"])
 
 
 # ---- by population -----------------------------------------------------------------------------------------------

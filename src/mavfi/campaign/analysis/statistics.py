@@ -66,24 +66,18 @@ def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float,
     return low, float(scipy.stats.beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
 
 
-def clustered_rate(
-    success: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
-) -> Rate:  # fmt: skip
+def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
     """Rate with Wilson's interval for the effective number of flights; worlds are the clusters.
 
-    With weights (above 0; None = equal) it is the ratio estimate, sum of weight x success / sum of weights, with a bias
-    of order 1 / n; unequal weights reduce the effective number of flights (Kish 1965).  With one flight per world and
-    equal weights the interval is that of `wilson`.
+    With one flight per world the interval is that of `wilson`.
     """
     if not success:
         return wilson(0, 0)
     y = np.asarray(success, np.float64)
     plain = wilson(int(y.sum()), len(y))
-    part = Part.of(y, np.ones(len(y)) if weight is None else np.asarray(weight, np.float64), world)
+    part = Part.of(y, np.ones(len(y)), world)
     low, high = score_bounds(part.rate, part.effective)
-    if weight is None or len(set(weight)) == 1:
-        return replace(plain, low=low, high=high)
-    return Rate(len(y), part.rate, low, high)
+    return replace(plain, low=low, high=high)
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,18 +76,6 @@ def test_a_detector_adds_its_instructions_times_its_harm_in_the_missions_that_ex
     assert payoff(with_rules(HOUR["acceptance"], IN_RULES, (1,)), "sparse", "dr_gaussian", 1.0).value == 1.0
 
 
-def test_a_detector_that_executes_nothing_has_no_exposure_and_says_so():
-    own = with_rules({"instructions": 0, "calls": 0, "lines": []}, NOWHERE)
-    rows = rows_of(own)
-    rules = rows["dr_gaussian", "acceptance"]
-    assert (rules["instructions"], rules["n"], rules["harm"]) == (0, 0, None)
-    assert (rules["failures"].value, rules["failures"].low, rules["failures"].high) == (0, 0, 0)
-    assert rows["dr_gaussian", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["failures"].value == 0
-    [note] = [note for note in table(own, "failures_per_hour").notes if "0 instructions" in note]
-    assert note.startswith("acceptance under dr_gaussian in sparse: ")
-    assert not any("0 instructions" in note for note in table(campaign(), "failures_per_hour").notes)
-
-
 def test_a_mission_counts_by_the_instructions_that_it_executes():
     many, one = ({"pid": {"instructions": number, "calls": 1, "lines": []}} for number in (99, 1))
     own = [golden(seed, replace(GOLDEN, flight_time_s=1800.0, counts=own)) for seed, own in enumerate((many, one))]

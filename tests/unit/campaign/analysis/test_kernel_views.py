@@ -81,18 +81,6 @@ def test_what_kernels_did(own):
     assert table(own, "kernel_effects_by_value_class").column("value_class") == ["—", "address"]
 
 
-def test_weights_lead_back_to_uniform_instructions(own):
-    faults = [replace(INSTRUCTION, weight=3.0), replace(INSTRUCTION, weight=1.0)]
-    records = (silent(), flown(digest="g", kernel=KernelEffect("masked")))
-    weighted = runs(
-        golden(0), golden(1), *(injected(i, r, f) for i, (r, f) in enumerate(zip(records, faults, strict=True)))
-    )
-    [entry] = table(weighted, "kernel_effects").entries()
-    assert entry["sdc"].rate == 0.75 and entry["sdc"].successes is None
-    assert any("weighted back" in note for note in table(weighted, "kernel_effects").notes)
-    assert not any("weighted back" in note for note in table(own, "kernel_effects").notes)
-
-
 def test_silent_corruptions_by_the_field_that_differed_first():
     infinite = {**FIRST, "largest": "inf"}
     records = [silent(first=FIRST), silent(first=FIRST, digest="g"), silent(first=infinite), silent(first=None)]
@@ -104,13 +92,13 @@ def test_silent_corruptions_by_the_field_that_differed_first():
     assert (second["first_differing_field"], second["size"], second["largest"]) == ("(memory only)", None, None)
 
 
-def test_shares_of_silent_corruptions_are_within_their_kernel_and_weighted_back():
-    faults = [replace(INSTRUCTION, weight=3.0), INSTRUCTION, PLANNING]
+def test_shares_of_silent_corruptions_are_within_their_kernel():
+    faults = [INSTRUCTION, INSTRUCTION, PLANNING]
     records = [silent(first=FIRST), silent(first=None), silent(first=None)]
     faulty = (injected(i, r, f) for i, (r, f) in enumerate(zip(records, faults, strict=True)))
     own = runs(*(golden(seed) for seed in range(3)), *faulty)
     shares = [(row["kernel"], row["share"].rate, row["share"].n) for row in table(own, "kernel_errors").entries()]
-    assert shares == [("pid", 0.75, 2), ("pid", 0.25, 2), ("rrt_connect", 1.0, 1)]
+    assert shares == [("pid", 0.5, 2), ("pid", 0.5, 2), ("rrt_connect", 1.0, 1)]
 
 
 def test_rates_of_kernels_are_shown_with_interval_and_n(own):
