@@ -55,8 +55,9 @@ def main() -> None:
         run(program)
         rows.append(row(name, [run(program) for _ in range(count)]))
     text = (
-        f"Measured by `make airsim`: medians of {count} runs of server and client, without the start of mavfi; load of "
-        f"the machine {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, so CPU time is given as well as wall time."
+        f"Measured by `make bench NAME=airsim`: medians of {count} runs of server and client, without the start of "
+        f"mavfi; load of the machine {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, so CPU time is given as well "
+        "as wall time."
     )
     table = markdown_grid(HEADINGS, rows, left=1)
     fill(DOCS / "airsim.md", {"speed": f"{text}\n\n{table}"})

@@ -198,7 +198,10 @@ def main() -> None:
             sys.stdout.write(f"{costs[-1].row()}\n")
             sys.stdout.flush()
     here = f"{processor()}, {os.cpu_count()} cores"
-    text = f"Measured by `make cluster` on {here}: flights are stand-ins of no length, {RUNS} runs for each mission."
+    text = (
+        f"Measured by `make bench NAME=cluster` on {here}: flights are stand-ins of no length, {RUNS} runs for each "
+        "mission."
+    )
     table = "\n".join([HEAD, *(cost.row() for cost in costs)])
     fill(DOCS / "cluster.md", {"cluster": "\n\n".join([text, table, on_paper(costs)])})
 

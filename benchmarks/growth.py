@@ -17,9 +17,9 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.style import BLUE, GREY, ORANGE, house_style
-from tools.markers import GENERATED
+from tools.results import RESULTS
 
-FIGURE = GENERATED / "growth.png"
+FIGURE = RESULTS / "growth.png"
 SEEDS = range(3)
 BOXES = (10, 30, 100, 300, 1000)
 RESOLUTIONS = (1.0, 0.5, 0.35, 0.25, 0.2)

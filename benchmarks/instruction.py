@@ -17,14 +17,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.instruction import Counting, Injecting, run_in_child
+from mavfi.faults.instruction import run_in_child
 from mavfi.faults.instruction.runtime import NEVER
 from mavfi.faults.instruction.variant import signature_of, variant_for
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.ir.build import name_of
-from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
@@ -143,30 +140,6 @@ def call_rows(args: dict[str, tuple[Any, ...]], fork: float) -> list[Row]:
     return rows
 
 
-def flight_rows() -> list[Row]:
-    """Complete flights: golden, and with an armed injector that never injects."""
-    scenario = resolve(MissionSpec(environment="sparse", seed=7))
-    counting = Counting(pid.track)
-    fly(scenario, functions=replace(PLAIN, track=counting))
-    call = len(counting.counts) // 2
-    fault = InstructionFault(
-        name_of(pid.track), counting.digests[call], NEVER - 1, call=call, bits=(0,), budget=NEVER
-    )  # fmt: skip
-    walls: dict[str, list[float]] = {"golden": [], "armed": []}
-    for _ in range(FLIGHTS):  # alternating, so that the machine's load affects both
-        for name, functions in (("golden", PLAIN), ("armed", None)):
-            table = functions or replace(PLAIN, track=Injecting(pid.track, fault))
-            start = time.process_time()
-            fly(scenario, functions=table)
-            walls[name].append(time.process_time() - start)
-    golden, armed = min(walls["golden"]), min(walls["armed"])
-    same = PLAIN.track is pid.track
-    return [
-        ("golden flights call the compiled kernels themselves", "yes" if same else "no"),
-        ("golden flight / flight with an injector that never injects", f"{golden:.3f} / {armed:.3f} s CPU"),
-    ]
-
-
 def fork_row() -> tuple[float, Row]:
     """CPU time of forking a child that only reports (s), in a process that has flown."""
     flight = fly(resolve(MissionSpec(environment="sparse", seed=7)))
@@ -183,7 +156,7 @@ def instruction_rows() -> list[Row]:
     """All rows of the table."""
     fork, row = fork_row()
     args = recorded()
-    return [row, *call_rows(args, fork), *flight_rows(), warm_start(args)]
+    return [row, *call_rows(args, fork), warm_start(args)]
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ from tools.markers import between
 from tools.processors import with_others
 
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
-HARDENING = PAGE.parent / "generated" / "hardening.md"
+HARDENING = PAGE.with_name("hardening.md")
 MOST_SILENT = 0.04
 """Share of faults that may stay silent in protected code, its upper bound included."""
 ENVIRONMENT, AUTOPILOT, SEED = "sparse", "published", 10_000
@@ -210,9 +210,9 @@ def table(studies: list[Study]) -> str:
         f"numpy {np.__version__}, capstone {capstone.__version__}"
     )
     lines = [
-        f"Measured by `make machine-level`: {date.today()} · {processor()} · {versions}. Arguments of the call "
-        f"in the middle of a golden flight ({ENVIRONMENT}, {AUTOPILOT}, seed {SEED}), of the point cloud {RAYS} rays, "
-        f"of the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in "
+        f"Measured by `make bench NAME=machine_level`: {date.today()} · {processor()} · {versions}. Arguments of the "
+        f"call in the middle of a golden flight ({ENVIRONMENT}, {AUTOPILOT}, seed {SEED}), of the point cloud {RAYS} "
+        f"rays, of the collision check the next {POINTS} points. Percent, with Wilson's 95 % intervals; differences in "
         "points, with Newcombe's. Protected: all instructions duplicated, addresses compared before loads; this code "
         "is for any x86-64 processor, plain code for the present one.",
         "",

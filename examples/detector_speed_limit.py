@@ -7,17 +7,14 @@ run from the folder that holds `examples`, or `detector_speed_limit:SpeedLimit` 
 
 import math
 
-from mavfi.detectors import Alarm
+from mavfi.detectors import Alarm, Detector
 from mavfi.states import State, floats
 
 
-class SpeedLimit:
-    """Recomputes the control stage when a velocity command is not finite or above 5 m/s."""
+class SpeedLimit(Detector):
+    """Recomputes the control stage when a velocity command is not finite or above 5 m/s; it remembers nothing."""
 
     limit = 5.0
-
-    def start(self) -> None:
-        """Called before each flight; this detector remembers nothing."""
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Called with every published state before a consumer sees it."""
@@ -28,6 +25,3 @@ class SpeedLimit:
             return None
         score = speed / self.limit if math.isfinite(speed) else 1e9
         return Alarm("speed_limit", stage="control", score=score)
-
-    def accept(self, state: State, time_us: int) -> None:
-        """Called with the value that was really published."""

@@ -1,36 +1,41 @@
-"""Write the leaderboard, the benefit of each rule in docs/engineers.md, and the frozen faults, from a completed bench.
+"""Publish a completed bench: its fault lists, the rows of its parts, docs/results/leaderboard.md, README, engineers.md.
 
-python -m tools.build_leaderboard out/bench [quick|paper]
+    make results NAME=leaderboard                    # flies mavfi-bench-1 at scale paper, hours
+    python -m tools.build_leaderboard out/bench quick
+    python -m tools.build_leaderboard page           # the page alone, from the rows
 
-Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  Scale quick, and a bench without the
-paper's detectors or without faults in instructions, leave engineers.md and README.md as they are.  Sections of the page
-that were not flown remain, with their date, and count in the summary at the head of the page.
+Rows are kept in configs/bench/mavfi-bench-1/PART-SCALE.rows.csv: `mavfi bench` shows them beside a custom detector.
+Schemes that were not flown keep their rows: all are of the same frozen faults.  Only scale paper has a page.
 """
 
 import csv
+import os
 import re
 import shutil
+import subprocess
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mavfi.api import load, table
 from mavfi.campaign.analysis.flight_views import TOTAL
-from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.bench import FOLDER, ROWS, Bench, load_bench
+from mavfi.campaign.analysis.statistics import Rate, wilson
+from mavfi.campaign.analysis.table import RATE, Column, Table
+from mavfi.campaign.bench import FOLDER, REGIMES, ROWS, SCORES, Bench, Part, level_of, load_bench, published_rows
+from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
-from mavfi.reports.text import rate
-from tools import detector_pages
-from tools.bench_summary import cells, with_summary
-from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, contents, fill
+from mavfi.reports.text import rate, shown
+from tools import results
+from tools.markers import DOCS, IMAGES, ROOT, fill
 
-NAME = "mavfi-bench-1"
-COMMAND = "make bench-detectors"
+NAME, PAGE = "mavfi-bench-1", "leaderboard"
+PUBLISHED = "paper"
+"""The scale that has a page."""
 RULES = {
     "collision flag": 1, "collision counter": 1, "path epoch": 2, "trajectory epochs": 2, "path vertices": 3,
     "way-point": 4,
 }  # fmt: skip
-"""Rule of the page that protects each site of the part `sites`."""
+"""Rule of docs/engineers.md that protects each site of the part `sites`."""
 LEVELS = {
     "state": "a value between kernels, every stage alike",
     "sites": "a value between kernels, fields and bits that lose most",
@@ -41,28 +46,199 @@ LEVELS = {
 """Parts in README.md, and the place of their faults in words."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
-CURVES = "Detection at fixed rates of false alarms"
-SCORED = {CURVES, "False alarms by regime"}
-"""Sections that combine parts."""
+SHOWN = (
+    OURS, "acceptance", "limits", "autoencoder all", "pca", PAPERS, "gaussian tuned", PAPERS_OTHER, "autoencoder tuned",
+    "readback", "random",
+)  # fmt: skip
+"""Schemes on the page; the table has all."""
+GROUPS = ("state", "message", "instruction", "memory")
+OBSERVER = "coupling observer"
+"""A group of its own: no scheme is made for alarms that come after the value was read."""
+LOST_ALONE = {"only it lost": "faults", "of these, only it lost": "same value injected"}
+"""Heading of the missions lost by the scheme alone, and of those that were flown, by the view of a part."""
+BACK = "brought back"
+GOLDEN = "golden_"
+"""What the names of settings with a detector and without a fault begin with."""
+TEXT = (
+    "Rules of physics and protocol (`recommended`) bring back every lost mission at every level without a false alarm; "
+    "learned limits bring back as much at state level, and nothing where a node dies or its memory is hit. Each scheme "
+    "flies the same missions with the same faults. A detector of your own, beside these rows: "
+    "`mavfi bench detectors --detector my_package:MyDetector --scale paper`."
+)
 _OF = re.compile(r"\d of \d")
 _MOVED = 'Where a cell says "of", only faults in the same value count: the scheme\'s false alarms move the others. '
-_FLOWN = "Flown on "
-_KEPT = re.compile(r"^- (.+): flown on (\S+)$", re.MULTILINE)
-_UNSCORED = re.compile(r"^- .+: not scored: .+$", re.MULTILINE)
-_SCORED_PARTS = re.compile(r"^- one golden flight for each mission of these parts, .+$", re.MULTILINE)
-_PAIR = re.compile(r"^- (.+) against (.+): missions that only one of them .+$", re.MULTILINE)
-_HERE = re.compile(r"^- flown here: (.+); the other rows are those published in .+, on the same faults$", re.MULTILINE)
-_CONTENTS = re.compile(r"\n\nParts:\n\n(- \[.+\n?)+")
-_COMMAND = re.compile(r"(mavfi bench detectors)(?: \S+\.yaml)?(?: --(?:part|level) \S+)*")
-FOOTER = (
-    "\nCost of detection, in µs per publication and share of the kernels' time: [models](../models.md#recommended). "
-    "How far the vehicle strays if alarms come late, coupling `inline` and `observer`: [ROS](../ros.md#coupling). "
-    "Faults that last: "
-    "[their table](lasting.md).\n"
-)
-"""End of a page, after its picture."""
+_COUNT = re.compile(r"(\d+)/(\d+)$")
+Row = dict[str, str]
+Counts = dict[str, dict[str, tuple[int, int]]]
+"""Missions of a kind, and all of which they are a part, by scheme and group of parts."""
 
 
+# ---- published rows -------------------------------------------------------------------------------------------------
+def freeze(bench: Path, scale: str) -> None:
+    """Copy the fault lists of a completed bench to the shipped configurations.
+
+    Raises:
+        BadInputError: A different list is already shipped: frozen lists are not overwritten.
+    """
+    frozen = ROOT / "configs" / FOLDER / NAME
+    frozen.mkdir(exist_ok=True)
+    for faults in sorted(bench.glob("*/faults.csv")):
+        kept = frozen / f"{faults.parent.name}-{scale}.csv"
+        if kept.is_file() and kept.read_bytes() != faults.read_bytes():
+            raise BadInputError(f"{faults}: other faults than those of {kept.name}, which is frozen; remove it first")
+        shutil.copy(faults, kept)
+
+
+def text_rows(full: Table) -> list[Row]:
+    """Rows of a table as text by heading."""
+    columns, cells = shown(full)
+    return [dict(zip([column.heading for column in columns], line, strict=True)) for line in cells]
+
+
+def merged(flown: Sequence[Row], published: Sequence[Row], schemes: Sequence[str]) -> list[Row]:
+    """Rows that were flown, and published rows of schemes that were not, in the order of the bench.
+
+    Args:
+        flown: Rows of a part; the scheme is in column `scheme`, or in column `setting` within an environment.
+        published: The rows so far; those of schemes that the bench no longer has are dropped.
+        schemes: Schemes of the bench.
+    """
+    new = {_group_and_scheme(row) for row in flown}
+    rows = [row for row in published if _group_and_scheme(row) not in new and _group_and_scheme(row)[1] in schemes]
+    rows += flown
+    groups = list(dict.fromkeys(_group_and_scheme(row)[0] for row in rows))
+    places = {scheme: place for place, scheme in enumerate(schemes)}
+
+    def order(row: Row) -> tuple[int, int]:
+        group, scheme = _group_and_scheme(row)
+        return groups.index(group), places.get(scheme, len(places))
+
+    return sorted(rows, key=order)
+
+
+def _group_and_scheme(row: Mapping[str, str]) -> tuple[str, str]:
+    """Environment ("" if the rows are not by environment), and scheme."""
+    for heading in ("scheme", "arm"):
+        if heading in row:
+            return "", row[heading]
+    return row["environment"], row["setting"].removeprefix(GOLDEN)
+
+
+def publish(bench: Bench, folder: Path, scale: str) -> None:
+    """Write the rows of all parts that were flown to the shipped configurations."""
+    for name, part in bench.parts.items():
+        if not (folder / name).is_dir():
+            continue
+        rows = merged(
+            text_rows(table(load(folder / name), part.view)), published_rows(bench, name, scale), [*bench.arms]
+        )
+        path = ROOT / "configs" / FOLDER / NAME / f"{name}-{scale}{ROWS}"
+        _write_rows(path, rows)
+
+
+def publish_scores(bench: Bench, folder: Path) -> None:
+    """Write the tables that combine parts, if they were computed; schemes that were not scored keep their rows."""
+    for name in (SCORES, REGIMES):
+        path = results.TABLES / PAGE / f"{name}.csv"
+        if (folder / path.name).is_file():
+            earlier = _read_rows(path) if path.is_file() else []
+            _write_rows(path, merged(_read_rows(folder / path.name), earlier, [*bench.arms]))
+
+
+def _read_rows(path: Path) -> list[Row]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _write_rows(path: Path, rows: Sequence[Row]) -> None:
+    headings = list(dict.fromkeys(heading for row in reversed(rows) for heading in row))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, headings, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+# ---- sums over the parts --------------------------------------------------------------------------------------------
+def group_of(part: Part) -> str:
+    """Group of a part: a level, or the coupling under which alarms come late; "" = it is not counted."""
+    level = level_of(load_campaign(part.campaign))
+    if level not in GROUPS:
+        return ""
+    return OBSERVER if part.mission.get("coupling") == "observer" else level
+
+
+def brought_back(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> Counts:
+    """Missions brought back, and lost, by scheme and group, in parts that were flown with every detector."""
+    by_scheme = {name: {row["scheme"]: row for row in part if "scheme" in row} for name, part in rows.items()}
+    flown = {scheme for part in by_scheme.values() for scheme in part}
+    detectors = {name for name, arm in bench.arms.items() if arm.detector} & flown
+    found: Counts = {}
+    for name, part in by_scheme.items():
+        if detectors <= part.keys():
+            for scheme, row in part.items():
+                if count := _COUNT.search(row.get(BACK, "")):
+                    _add(found, scheme, group_of(bench.parts[name]), (int(count[1]), int(count[2])))
+    return found
+
+
+def lost_alone(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> Counts:
+    """Missions lost by a scheme alone, and flown, by scheme and group, over all parts."""
+    found: Counts = {}
+    for name, part in rows.items():
+        for row in part:
+            for lost, flown in LOST_ALONE.items():
+                if "scheme" in row and row.get(lost, "").isdecimal() and row.get(flown, "").isdecimal():
+                    _add(found, row["scheme"], group_of(bench.parts[name]), (int(row[lost]), int(row[flown])))
+    return found
+
+
+def _add(found: Counts, scheme: str, group: str, more: tuple[int, int]) -> None:
+    before = found.setdefault(scheme, {}).get(group, (0, 0))
+    found[scheme][group] = before[0] + more[0], before[1] + more[1]
+
+
+def false_alarms(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, str]]:
+    """False alarms per hour in all environments, by autopilot profile and scheme."""
+    return {
+        bench.parts[name].mission.get("autopilot", "published"): {
+            row["setting"].removeprefix(GOLDEN): row["per hour"] for row in part if row["environment"] == TOTAL[1]
+        }
+        for name, part in rows.items()
+        if bench.parts[name].view == "false_alarms"
+    }
+
+
+def _sums(name: str, title: str, found: Counts, more: Mapping[str, Mapping[str, str]], notes: Sequence[str]) -> Table:
+    """A row for each scheme, a rate for each group, then further columns as text; the highest sums first."""
+    groups = [group for group in (*GROUPS, OBSERVER) if any(group in own for own in found.values())]
+    columns = [Column("scheme", "scheme"), *(Column(group.replace(" ", "_"), group, RATE) for group in groups)]
+    columns += [Column(re.sub(r"\W+", "_", heading), heading) for heading in more]
+    order = sorted(found, key=lambda scheme: -sum(found[scheme].get(group, (0, 0))[0] for group in GROUPS))
+    rows = []
+    for scheme in order:
+        rates = [wilson(*found[scheme][group]) if group in found[scheme] else None for group in groups]
+        rows.append((scheme, *rates, *(cells.get(scheme) for cells in more.values())))
+    return Table(name, title, tuple(columns), rows, notes=tuple(notes))
+
+
+def summary(bench: Bench, rows: Mapping[str, Sequence[Row]]) -> dict[str, Table]:
+    """Tables of what each scheme brings back, and of what it loses alone, summed over the parts."""
+    alarms = {f"false alarms/h, {profile}": own for profile, own in false_alarms(bench, rows).items()}
+    back = _sums(
+        "summary", "Missions brought back, of those lost to the fault", brought_back(bench, rows), alarms,
+        ["brought back / lost, over the parts that were flown with every detector; per cent, [95 % interval: Wilson, "
+         "flights in one world taken as independent]; false alarms: per hour of flight without a fault, by autopilot "
+         "profile, all environments"],
+    )  # fmt: skip
+    alone = _sums(
+        "lost_alone", "Missions lost by the scheme alone, of those with a fault", lost_alone(bench, rows), {},
+        ["lost alone: success without the scheme, failure with it, over all parts; golden flights lost by the scheme "
+         "alone count as lost; at level instruction only faults in the same value are compared"],
+    )  # fmt: skip
+    return {"summary": back, "lost_alone": alone}
+
+
+# ---- docs -----------------------------------------------------------------------------------------------------------
 def rules(sites: Path, instructions: Path) -> str:
     """Benefit of each rule: missions lost to faults at its site, and recovered by the paper's GAD and by the rules.
 
@@ -73,15 +249,19 @@ def rules(sites: Path, instructions: Path) -> str:
     injected = table(load(sites), "schemes_by_target").entries()
     for target, number in RULES.items():
         own = {entry["arm"]: entry for entry in injected if entry["target"] == target}
-        lines.append(_row(number, target, own[PAPERS]["lost"], own[PAPERS]["back"], own[OURS]["back"]))
+        lines.append(_rule_row(number, target, own[PAPERS]["lost"], own[PAPERS]["back"], own[OURS]["back"]))
     nodes = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
     died, papers = nodes[OURS]["died_back"], nodes[PAPERS]["died_back"]
-    lines.append(_row(5, "the planner's instructions: it dies", died.n, papers, died))
+    lines.append(_rule_row(5, "the planner's instructions: it dies", died.n, papers, died))
     return "\n".join(lines)
 
 
-def headline(bench: Path, page: str = "leaderboard") -> str:
-    """Missions recovered by the paper's detectors and by the recommended scheme, by level; names the page.
+def _rule_row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:
+    return f"| {number} | {target} | {lost} | {rate(papers)} | {rate(ours)} |"
+
+
+def headline(bench: Path) -> str:
+    """Missions recovered by the paper's detectors and by the recommended scheme, by level, for README.md.
 
     Levels that were not flown, or not with all three, are left out.
 
@@ -109,7 +289,7 @@ def headline(bench: Path, page: str = "leaderboard") -> str:
         "them a detector saves:",
         "", *lines, "",
         f"{_alarms(bench)}{moved}`recommended` consists of rules of physics and protocol; nothing is trained. "
-        f"[Leaderboard](docs/generated/{page}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
+        f"[Leaderboard](docs/results/{PAGE}.md), with intervals; [five rules](docs/engineers.md) for a stack of your "
         "own.",
     ])  # fmt: skip
 
@@ -121,7 +301,7 @@ def _alarms(bench: Path) -> str:
     except BadInputError:
         return ""
     rates = {entry["setting"]: entry["per_hour"] for entry in every if entry["environment"] == TOTAL[1]}
-    known = [(arm, rates[f"golden_{arm}"]) for arm in (PAPERS, PAPERS_OTHER, OURS) if f"golden_{arm}" in rates]
+    known = [(arm, rates[f"{GOLDEN}{arm}"]) for arm in (PAPERS, PAPERS_OTHER, OURS) if f"{GOLDEN}{arm}" in rates]
     told = ", ".join(f"{one.per_hour:.1f} [{one.low:.1f}, {one.high:.1f}] (`{arm}`)" for arm, one in known)
     return f"False alarms per hour of flight without a fault: {told}. "
 
@@ -132,252 +312,70 @@ def _share(back: Rate, lost: int) -> str:
     return f"{back.successes}{'' if back.n == lost else f' of {back.n}'} ({share})"
 
 
-def _row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:
-    return f"| {number} | {target} | {lost} | {rate(papers)} | {rate(ours)} |"
-
-
-def freeze(bench: Path, scale: str) -> None:
-    """Copy the fault lists of a completed bench to the shipped configurations.
-
-    Raises:
-        BadInputError: A different list is already shipped: frozen lists are not overwritten.
-    """
-    frozen = ROOT / "configs" / FOLDER / NAME
-    frozen.mkdir(exist_ok=True)
-    for faults in sorted(bench.glob("*/faults.csv")):
-        kept = frozen / f"{faults.parent.name}-{scale}.csv"
-        if kept.is_file() and kept.read_bytes() != faults.read_bytes():
-            raise BadInputError(f"{faults}: other faults than those of {kept.name}, which is frozen; remove it first")
-        shutil.copy(faults, kept)
-
-
-def publish(page: str, scale: str) -> None:
-    """Write the rows of a leaderboard whose faults are frozen to the shipped configurations, one file per part.
-
-    Raises:
-        BadInputError: A shipped row would be lost: the page has neither it nor a newer one.
-    """
-    titles = {part.title: name for name, part in load_bench(NAME).parts.items()}
-    written = {}
-    for section in page.split("\n## ")[1:]:
-        title, *lines = section.splitlines()
-        grid = cells(lines)
-        frozen = ROOT / "configs" / FOLDER / NAME / f"{titles.get(title)}-{scale}.csv"
-        if frozen.is_file() and grid:
-            kept, rows = frozen.with_suffix(ROWS), [grid[0], *grid[2:]]
-            lost = _named(_rows_of(kept)) - _named(rows)
-            if lost:
-                raise BadInputError(
-                    f"{kept}: rows of {', '.join(sorted({key[-1] for key in lost}))}: not on the page; fly them as "
-                    "well, or remove the file first"
-                )
-            written[kept] = rows
-    for kept, rows in written.items():
-        with kept.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
-
-
-def _rows_of(kept: Path) -> list[list[str]]:
-    """Shipped rows of a part, with their headings; none if there are none."""
-    if not kept.is_file():
-        return []
-    with kept.open(encoding="utf-8", newline="") as file:
-        return list(csv.reader(file))
-
-
-def _named(rows: Sequence[Sequence[str]]) -> set[tuple[str, ...]]:
-    """What identifies the rows below the headings: the scheme, or the group and the scheme."""
-    keys = 1 if rows and rows[0][0] == "scheme" else 2
-    return {tuple(row[:keys]) for row in rows[1:]}
-
-
-def with_earlier(page: str, earlier: str, titles: Collection[str]) -> str:
-    """The page in the order of an earlier one, whose sections remain where it lacks them, each with its date.
-
-    Sections of neither the page nor `titles` are dropped: their part has gone, or has another title.  Schemes that the
-    page lacks keep their rows, if faults and columns are the same.  Scores of other parts do not replace those of the
-    earlier page.
-    """
-    top, new = _divided(page)
-    head, old = _divided(earlier.partition("\n![")[0].partition(FOOTER)[0])
-    flown = next((line for line in head.splitlines() if line.startswith(_FLOWN)), "")
-    for title in [title for title in old if title not in titles and title not in new]:
-        print(f"dropped the section {title!r}: no part has this title", file=sys.stderr)
-        del old[title]
-    if has_other_scores(page, earlier):
-        print("kept the scores and curves of the earlier page: they are of other parts", file=sys.stderr)
-        new = {title: rest for title, rest in new.items() if title not in SCORED}
-    for title, rest in old.items():
-        old[title] = rest if _FLOWN in rest else f"\n{flown}\n{rest}"
-    for title in old.keys() & new.keys():
-        if title in SCORED or _faults(new[title]) == _faults(old[title]) != []:
-            new[title] = _with_rows(new[title], old[title])
-        if title not in SCORED:
-            new[title] = _with_pairs(new[title], old[title])
-    return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in (old | new).items())]) + "\n"
-
-
-def _with_rows(section: str, earlier: str) -> str:
-    """A section with the rows of an earlier one whose schemes it lacks, and notes that say when they were flown.
-
-    Rows that were published, not flown, where a section was flown are those of the earlier one, which are newer.  A
-    table in groups, e.g. by environment, has the published rows in its groups already.
-    """
-    if not _is_by_scheme(section):
-        return _with_longer_notes(section, earlier)
-    own, others = _schemes(section), _schemes(earlier)
-    here = _HERE.search(section)
-    flown = here[1].split(", ") if here else list(own)
-    for name in (own.keys() & others.keys()).difference(flown):
-        section = section.replace("\n".join(own[name]), "\n".join(others[name]), 1)
-    own = _schemes(section)
-    rows = {name: lines for name, lines in others.items() if name not in own}
-    if not rows:
-        return section
-    date = next(line for line in earlier.splitlines() if line.startswith(_FLOWN)).removeprefix(_FLOWN).split()[0]
-    dates = {name: date for name in rows} | {
-        name: match[2] for match in _KEPT.finditer(earlier) for name in match[1].split(", ") if name in rows
-    }
-    notes = [found[0] for found in _UNSCORED.finditer(earlier) if found[0] not in section]
-    notes += [
-        f"- {', '.join(name for name in rows if dates[name] == date)}: flown on {date}"
-        for date in dict.fromkeys(dates.values())
+def about(bench: Bench) -> list[str]:
+    """Links to the rows of all parts, and to the curves."""
+    folder = f"../../configs/{FOLDER}/{NAME}"
+    lines = [
+        f"[{part.title}]({folder}/{name}-{PUBLISHED}{ROWS}); its [faults]({folder}/{name}-{PUBLISHED}.csv)"
+        for name, part in bench.parts.items()
+        if (ROOT / "configs" / FOLDER / NAME / f"{name}-{PUBLISHED}{ROWS}").is_file()
     ]
-    table, kept = ("\n".join(line for lines in part.values() for line in lines) for part in (own, rows))
-    return "\n".join([section.replace(table, f"{table}\n{kept}", 1), *notes])
-
-
-def _with_longer_notes(section: str, earlier: str) -> str:
-    """A section whose notes have the additions of an earlier one, which are on rows that were not flown again."""
-    old = [line for line in earlier.splitlines() if line.startswith("- ")]
-    return "\n".join(
-        next((note for note in old if note.startswith(f"{line}; ")), line) for line in section.splitlines()
-    )
-
-
-def has_other_scores(page: str, earlier: str) -> bool:
-    """Whether a page and an earlier one have scores, but of other parts."""
-    own, others = (_SCORED_PARTS.findall(one) for one in (page, earlier))
-    return bool(own and others) and own != others
-
-
-def _faults(section: str) -> list[str]:
-    """Hash of a section's faults, and the headings of its table: rows with the same ones can be in one table."""
-    found = re.search(r"^- \d+ faults, sha256 (\S+):", section, re.MULTILINE)
-    return [found[1], *(line for line in section.splitlines() if line.startswith("| scheme"))] if found else []
-
-
-def _with_pairs(section: str, earlier: str) -> str:
-    """A section with the comparisons of an earlier one between schemes whose rows have not changed."""
-    own, others = _schemes(section), _schemes(earlier)
-    same = {name for name in own if own[name] == others.get(name)}
-    here = {found.groups() for found in _PAIR.finditer(section)}
-    notes = [
-        found[0] for found in _PAIR.finditer(earlier) if set(found.groups()) <= same and found.groups() not in here
+    lines += [
+        f"[detection against false alarms](tables/{PAGE}/{SCORES}.csv) at any threshold, as curves: "
+        "[this project's detectors](../images/curves-paper.png), "
+        "[other libraries' and bounds](../images/curves-paper-others.png); "
+        f"[false alarms by regime](tables/{PAGE}/{REGIMES}.csv)",
+        "cost of detection: [models](../models.md#recommended); alarms that come late: [ROS](../ros.md#coupling); "
+        "faults that last: [their page](lasting.md)",
     ]
-    return "\n".join([section, *notes])
+    return lines
 
 
-def in_order(page: str, bench: Bench) -> str:
-    """A page with the parts, and in its tables the schemes, in the order of a bench, whenever they were flown.
-
-    Sections that combine parts are last; a list of all sections is first.
-    """
-    top, found = _divided(page)
-    titles = [part.title for part in bench.parts.values()]
-    sections = {title: found[title] for title in sorted(found, key=[*titles, *sorted(SCORED), *found].index)}
-    places = {name: place for place, name in enumerate(bench.arms)}
-    for title, section in sections.items():
-        groups = _schemes(section)
-        before = "\n".join(line for rows in groups.values() for line in rows)
-        if _is_by_scheme(section):
-            ordered = [groups[name] for name in sorted(groups, key=lambda name: places.get(name, len(places)))]
-        else:
-            ordered = [_sorted_group(name, rows, places) for name, rows in groups.items()]
-        sections[title] = section.replace(before, "\n".join(line for rows in ordered for line in rows), 1)
-    top = f"{_CONTENTS.sub('', top)}\n\n{contents('Parts', sections)}"
-    return "\n\n".join([top, *(f"## {title}\n{rest}" for title, rest in sections.items())]) + "\n"
+def write_page(bench: Bench) -> Path:
+    """Write the page from the published rows of all parts."""
+    rows = {name: published_rows(bench, name, PUBLISHED) for name in bench.parts}
+    excerpts = [results.Excerpt("summary", lambda row: row["scheme"] in SHOWN)]
+    title = f"Leaderboard of {NAME}"
+    return results.write(PAGE, title, TEXT, summary(bench, rows), excerpts, about(bench), keep=(SCORES, REGIMES))
 
 
-def _is_by_scheme(section: str) -> bool:
-    """Whether the first column of a section's table names schemes, not groups of them."""
-    return next((line for line in section.splitlines() if line.startswith("|")), "").startswith("| scheme |")
+def fly(scale: str, bench: str = NAME) -> Path:
+    """Fly a bench, or resume it; returns its folder."""
+    folder = Path("out") / (f"bench-{scale}" if bench == NAME else f"{bench}-{scale}")
+    command = [sys.executable, "-m", "mavfi", "bench", "detectors", bench, "--scale", scale, "--out", str(folder)]
+    subprocess.run([*command, "--workers", str(os.cpu_count() or 1)], cwd=ROOT, check=True)
+    return folder
 
 
-def _sorted_group(group: str, rows: Sequence[str], places: Mapping[str, int]) -> list[str]:
-    """Rows of a group, whose first one has its name, by the scheme in the second column (its golden flights)."""
-    cells = [row.split("|") for row in rows]
-    cells.sort(key=lambda row: places.get(row[2].strip().removeprefix("golden_"), len(places)))
-    named = [group, *[""] * (len(rows) - 1)]
-    return ["|".join(["", f" {name} ", *row[2:]]) for name, row in zip(named, cells, strict=True)]
-
-
-def _schemes(section: str) -> dict[str, list[str]]:
-    """Rows of a section's table by scheme; a row without one belongs to that above it."""
-    found: dict[str, list[str]] = {}
-    for line in [line for line in section.splitlines() if line.startswith("|")][2:]:
-        name = line.split("|")[1].strip() or next(reversed(found))
-        found.setdefault(name, []).append(line)
-    return found
-
-
-def _divided(page: str) -> tuple[str, dict[str, str]]:
-    """What comes before the sections of a page, and the sections by title."""
-    top, *sections = page.rstrip().split("\n## ")
-    return top.rstrip(), {title: rest.rstrip() for title, _, rest in (one.partition("\n") for one in sections)}
-
-
-def _pictures(bench: Path, name: str, papers: bool, kept: bool) -> str:
-    """Copy the curves of a bench, with the paper's detectors or with others, unless earlier ones are kept; captions."""
-    own, others = (IMAGES / f"{name.replace('leaderboard', 'curves')}{end}.png" for end in ("", "-others"))
-    if (bench / "curves.png").is_file() and not kept:
-        shutil.copy(bench / "curves.png", own if papers else others)
-    captions = {
-        own: "the detectors of this project" if others.is_file() else "the detectors above",
-        others: "detectors from other libraries, and bounds",
-    }
-    hidden = "Of curves that coincide only the last is seen."
-    return "".join(
-        f"\n![Detection against false alarms](../images/{image.name})\n\n"
-        f'The section "{CURVES}" as curves: {of}. {hidden}\n'
-        for image, of in captions.items() if image.is_file()
-    )  # fmt: skip
-
-
-def main(arguments: list[str]) -> int:
-    """Write the pages; returns the exit code."""
-    if len(arguments) not in (1, 2):
-        print("bad input: usage: python -m tools.build_leaderboard DIR [SCALE]", file=sys.stderr)
+def main(arguments: Sequence[str]) -> int:
+    """Publish a bench; returns the exit code."""
+    bench = load_bench(NAME)
+    if list(arguments) == ["page"]:
+        write_page(bench)
+        return 0
+    if len(arguments) not in (0, 2):
+        print("bad input: usage: python -m tools.build_leaderboard [page | DIR SCALE]", file=sys.stderr)
         return 2
-    bench, scale = Path(arguments[0]), arguments[1] if len(arguments) == 2 else "quick"
-    name = "leaderboard" if scale == "quick" else f"leaderboard-{scale}"
+    folder, scale = (Path(arguments[0]), arguments[1]) if arguments else (fly(PUBLISHED), PUBLISHED)
     try:
-        compared = set(load(bench / "sites").values("arm")) if (bench / "sites").is_dir() else set()
-        worth = recovery = ""
-        whole = scale != "quick" and {PAPERS, PAPERS_OTHER, OURS}.issubset(compared)
-        if whole and (bench / "instruction").is_dir():
-            worth, recovery = rules(bench / "sites", bench / "instruction"), headline(bench, name)
-        page, file = (bench / "leaderboard.md").read_text(encoding="utf-8"), GENERATED / f"{name}.md"
-        page = _COMMAND.sub(r"\1", page)  # for a detector of one's own: the page has all parts of the shipped bench
-        known = load_bench(NAME)
-        titles = {part.title for part in known.parts.values()} | SCORED
-        earlier = file.read_text(encoding="utf-8") if file.exists() else ""
-        kept = has_other_scores(page, earlier)
-        page = with_earlier(page, earlier, titles)
-        page = _HERE.sub(r"- flown on this day: \1; the other rows earlier, on the same faults", page)
-        page = with_summary(in_order(page, known), known)
-        freeze(bench, scale)
-        publish(page, scale)
+        compared = set(load(folder / "sites").values("arm")) if (folder / "sites").is_dir() else set()
+        if not any((folder / part).is_dir() for part in bench.parts):
+            raise BadInputError(f"{folder}: no part of {NAME}; run `mavfi bench detectors`")
+        freeze(folder, scale)
+        publish(bench, folder, scale)
+        if scale != PUBLISHED:
+            return 0
+        publish_scores(bench, folder)
+        if (folder / "curves.png").is_file():
+            picture = "curves-paper.png" if PAPERS in compared else "curves-paper-others.png"
+            shutil.copy(folder / "curves.png", IMAGES / picture)
+        print(f"wrote {write_page(bench).relative_to(ROOT)}")
+        if {PAPERS, PAPERS_OTHER, OURS} <= compared and (folder / "instruction").is_dir():
+            fill(DOCS / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})
+            fill(ROOT / "README.md", {"recovery": headline(folder)})
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    file.write_text(
-        banner(COMMAND) + page + _pictures(bench, name, PAPERS in compared, kept) + FOOTER, encoding="utf-8"
-    )
-    (GENERATED / detector_pages.PAGE.name).write_text(detector_pages.page(known), encoding="utf-8")
-    if worth:
-        fill(DOCS / "engineers.md", {"rules": worth})
-        fill(ROOT / "README.md", {"recovery": recovery})
     return 0
 
 

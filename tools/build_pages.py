@@ -7,7 +7,6 @@ from typing import cast
 
 from mavfi.bridges.mavlink.autopilot import TYPES as MAVLINK_TYPES
 from mavfi.bridges.mavlink.autopilot import UNITS as MAVLINK_UNITS
-from mavfi.campaign.bench import load_bench
 from mavfi.errors import BadInputError
 from mavfi.faults.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
 from mavfi.faults.strata import WORD_BITS
@@ -18,8 +17,7 @@ from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.hosts.ros1.definitions import type_name
-from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, WORLD, Graph
-from mavfi.hosts.ros1.mirrors import STANDARDS
+from mavfi.hosts.ros1.graph import WORLD, Graph
 from mavfi.hosts.ros1.session import configure
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
@@ -27,9 +25,9 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
 from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
-from tools import bench_summary, build_leaderboard, build_reference, detector_pages
+from tools import build_reference
 from tools.fault_levels import level_table
-from tools.markers import DOCS, GENERATED, between
+from tools.markers import DOCS, between
 
 _INSTANT_US = 10_000_000
 
@@ -88,27 +86,11 @@ def ros_topics() -> str:
     return "\n".join(lines)
 
 
-def ros_mirrors() -> str:
-    """The table of topics in standard types."""
-    lines = ["| topic | type | frame | what |", "|---|---|---|---|"]
-    for standard in STANDARDS:
-        spec = STATES[standard.state]
-        what = f"`{standard.state}`" + (f", with localization `{spec.only_with}`" if spec.only_with else "")
-        lines.append(f"| `{standard.topic}` | `{standard.kind}` | `{standard.frame}` | {what} |")
-    lines += [
-        "| `/imu/data` | `sensor_msgs/Imu` | `base_link` | specific force and rates, with localization `truth` |",
-        "| `/clock` | `rosgraph_msgs/Clock` | | simulated time; always published |",
-        "| `/tf_static` | `tf2_msgs/TFMessage` | `base_link` | where the camera is |",
-    ]
-    return "\n".join(lines)
-
-
 def ros_graph() -> str:
     """Nodes and topics of a flight as a diagram."""
     arrows: dict[tuple[str, str], list[str]] = {}
     for state, way in _graph().ways.items():
-        readers = [*way.readers, *([WORLD] if state in JUDGED_BY_WORLD else [])]
-        for reader in readers:
+        for reader in way.readers or (WORLD,):
             if reader != way.writer:
                 arrows.setdefault((way.writer, reader), []).append(state.split(".")[1])
     lines = [f"    {writer} -- {', '.join(names)} --> {reader}" for (writer, reader), names in arrows.items()]
@@ -163,18 +145,9 @@ def sensor_table() -> str:
 def ros_page() -> str:
     """The ROS page with its generated parts."""
     page = (DOCS / "ros.md").read_text(encoding="utf-8")
-    for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("mirrors", ros_mirrors())):
+    for name, block in (("graph", ros_graph()), ("topics", ros_topics())):
         page = between(page, name, block)
     return page
-
-
-def leaderboards() -> dict[Path, str]:
-    """The pages of the bench with the summary of their sections."""
-    bench = load_bench(build_leaderboard.NAME)
-    return {
-        page: bench_summary.with_summary(page.read_text(encoding="utf-8"), bench)
-        for page in sorted(GENERATED.glob("leaderboard*.md"))
-    }
 
 
 def pages() -> dict[Path, str]:
@@ -187,8 +160,6 @@ def pages() -> dict[Path, str]:
         DOCS / "ros.md": ros_page(),
         fault_model: between(model, "memory", memory_table()),
         **build_reference.pages(),
-        **leaderboards(),
-        detector_pages.PAGE: detector_pages.page(load_bench(build_leaderboard.NAME)),
     }
 
 

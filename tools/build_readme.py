@@ -1,14 +1,15 @@
 """Copy the results of `mavfi reproduce` to docs/results.md and docs/results/, and their headline to README.md.
 
-    python -m tools.build_readme out/reproduce-paper
+    make results NAME=study SCALE=paper          # after `make reproduce SCALE=paper`
 
 Of a study at another scale than paper, only the digests of its ledgers go to README.md.
 
-The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and `report.html`.  All
-are copied verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
+The reports write `readme_block.md` to their folders; the study writes `study.md`, its figures and tables.  All are
+copied verbatim, and the numbers of the README are parsed from the tables, so that none is entered by hand.
 """
 
 import json
+import os
 import re
 import shutil
 import sys
@@ -18,10 +19,10 @@ from mavfi.reports.study_report import JSON
 from mavfi.reports.text import markdown_grid
 from tools import published_digests
 from tools.markers import DOCS, ROOT, banner, fill
+from tools.results import RESULTS, TABLES
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
 """File of each table, by marker name."""
-PAGE = "report.html"
 PUBLISHED = "paper"
 """The scale whose results are shown."""
 DATE = r"Generated on (\S+) by (mavfi \S+)"
@@ -111,17 +112,12 @@ def compact(block: str) -> str:
 
 
 def copy_study(out: Path) -> None:
-    """Copy the report of a study, its tables, figures and page to docs/results/, in the place of the former ones.
-
-    The digests among them, of all scales, are written afterwards.
-    """
-    results = DOCS / "results"
-    shutil.rmtree(results, ignore_errors=True)
-    for folder in ("figures", "tables"):
-        shutil.copytree(out / folder, results / folder)
-    shutil.copyfile(out / PAGE, results / PAGE)
+    """Copy the report of a study, its tables and figures to docs/results/, in the place of the former ones."""
+    for source, folder in ((out / "figures", RESULTS / "figures"), (out / "tables", TABLES / "study")):
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(source, folder)
     text = (out / "study.md").read_text(encoding="utf-8")
-    (results / "study.md").write_text(banner("make reproduce readme SCALE=paper") + text, encoding="utf-8")
+    (RESULTS / "study.md").write_text(banner("make results NAME=study SCALE=paper") + text, encoding="utf-8")
 
 
 def main(out: Path) -> int:
@@ -137,11 +133,6 @@ def main(out: Path) -> int:
         print(f"{out}: {error}", file=sys.stderr)
         return 2
     if study["scale"] == PUBLISHED:
-        here = str(out.resolve())
-        if here in (out / PAGE).read_text(encoding="utf-8"):
-            print(f"{out / PAGE}: names the folder {here}; write it by a path from the project: mavfi report out/... "
-                  "--html out/.../report.html", file=sys.stderr)  # fmt: skip
-            return 2
         blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
         fill(DOCS / "results.md", blocks)
         table = blocks["instruction_table"]
@@ -153,4 +144,5 @@ def main(out: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/reproduce")))
+    scale = os.environ.get("SCALE") or "quick"
+    sys.exit(main(Path("out/reproduce" if scale == "quick" else f"out/reproduce-{scale}")))

@@ -1,6 +1,6 @@
-"""Write the benefit of each rule alone in docs/engineers.md, from a completed bench `five-rules`.
+"""Fly the bench `five-rules`, and write the benefit of each rule alone in docs/engineers.md.
 
-python -m tools.build_rules out/rules-paper
+make results NAME=five-rules
 """
 
 import sys
@@ -9,7 +9,7 @@ from pathlib import Path
 from mavfi.api import load, table
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.errors import BadInputError
-from tools.build_leaderboard import RULES
+from tools.build_leaderboard import RULES, fly
 from tools.markers import DOCS, fill
 
 SINGLE = tuple(f"rule {number}" for number in range(1, 6))
@@ -49,10 +49,7 @@ def _cell(found: Rate, *, bold: bool) -> str:
 
 def main(arguments: list[str]) -> int:
     """Write the table; returns the exit code."""
-    if len(arguments) != 1:
-        print("bad input: usage: python -m tools.build_rules DIR", file=sys.stderr)
-        return 2
-    bench = Path(arguments[0])
+    bench = Path(arguments[0]) if arguments else fly("paper", "five-rules")
     try:
         written = single_rules(bench / "sites", bench / "instruction")
     except BadInputError as error:

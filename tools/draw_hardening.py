@@ -1,9 +1,6 @@
-"""Draw docs/images/hardening.png: coverage of each kernel against its time, from docs/generated/hardening.md.
+"""Draw docs/images/hardening.png: coverage of each kernel against its time (docs/results/hardening.md)."""
 
-Run as `make pictures`, after `make hardening`.
-"""
-
-import re
+import csv
 from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
@@ -14,13 +11,11 @@ from matplotlib.lines import Line2D
 from mavfi.reports import style
 from mavfi.reports.hardening.drawing import best
 from tools.drawing import save
-from tools.markers import GENERATED, IMAGES
+from tools.markers import IMAGES
+from tools.results import TABLES
 
 COLUMNS = 5
-PREDICTED, CERTIFIED = "SDCs removed, predicted", "SDCs removed"
-"""Headings of columns."""
 NO_COVERAGE = (float("nan"),) * 3
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,26 +28,21 @@ class Step:
 
 
 def curves() -> dict[str, list[Step]]:
-    """Steps of each function, from the page; none where the ledger has no silent corruption of it.
-
-    Raises:
-        ValueError: The page has no such table.
-    """
-    page = (GENERATED / "hardening.md").read_text(encoding="utf-8")
-    heading = "\n| function | step |"
-    if heading not in page:
-        raise ValueError("docs/generated/hardening.md: has no table of curves; allowed: that of `make hardening`")
+    """Steps of each function; those without a silent corruption in the ledger are left out."""
     found: dict[str, list[Step]] = {}
-    headings, _, *lines = (heading + page.split(heading)[1].split("\n\n")[0]).strip().splitlines()
-    for line in lines:
-        row = dict(zip(_cells(headings), _cells(line), strict=True))
-        values = [tuple(map(float, _NUMBER.findall(row[key]))) or NO_COVERAGE for key in (PREDICTED, CERTIFIED)]
-        found.setdefault(row["function"].replace("`", ""), []).append(Step(float(row["time ×"]), *values))
+    with (TABLES / "hardening" / "curves.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            name = f"{row['function']} ({row['kernel']})"
+            step = Step(float(row["time"]), _percents(row, "predicted"), _percents(row, "removed"))
+            found.setdefault(name, []).append(step)
     return {name: steps for name, steps in found.items() if not np.isnan([step.predicted for step in steps]).all()}
 
 
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip("|").split("|")]
+def _percents(row: dict[str, str], key: str) -> tuple[float, ...]:
+    """A rate and the ends of its interval (%)."""
+    if not row[key]:
+        return NO_COVERAGE
+    return tuple(100 * float(row[name]) for name in (key, f"{key}_low", f"{key}_high"))
 
 
 def draw(axes: Axes, name: str, steps: list[Step]) -> None:

@@ -1,20 +1,16 @@
-"""Register faults in a flight controller's firmware: fly them, and write docs/generated/firmware.md.
+"""Register faults in a flight controller's firmware: fly them, and write docs/results/firmware.md.
 
-    python -m tools.firmware_faults fly hover --count 400    # appends to out/firmware/hover.jsonl; resumes
-    python -m tools.firmware_faults check square --count 20  # repeats the last ones, and compares digests
-    python -m tools.firmware_faults golden sparse --count 20 # golden missions in an environment
-    python -m tools.firmware_faults healthy sparse --count 5 # missions without a fault, with other gyro noises
-    python -m tools.firmware_faults write [DIR]              # the page; DIR: ledger of the campaign `firmware`
+    N=400 make results NAME=firmware
 
-Flight i has seed i, so several processes may each fly a part (--first).
+Appends to out/firmware/*.jsonl and resumes; flight i has seed i.  The last faults of each pattern are flown again, and
+their digests compared.
 """
 
-import argparse
 import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +23,7 @@ from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.controller import BetaflightController
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.views import views_for
+from mavfi.campaign.analysis.table import NUMBER, RATE, SIGNED, Column, Table
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.flight_log import FlightLog
@@ -36,15 +32,14 @@ from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
 from mavfi.qof import energy
-from mavfi.reports.campaign_report import markdown_table
-from mavfi.reports.text import markdown_grid
+from mavfi.reports.text import header
 from tools import firmware_patterns as patterns
+from tools import results
 from tools.fault_levels import level_table
-from tools.markers import DOCS, GENERATED, banner, fill
+from tools.markers import DOCS, ROOT, fill
 
-OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
+OUT, PAGE = Path("out/firmware"), "firmware"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
-_MOST_FUNCTIONS = 12
 _FIRST_MISSION = 10_000
 _OTHER_NOISE = 100_000
 _VIEWS = (
@@ -158,179 +153,124 @@ def _append(name: str, row: Row) -> None:
 
 
 # ---- the page ----------------------------------------------------------------------------------------------------
-def shares(title: str, groups: Mapping[str, Sequence[str]], outcomes: Sequence[str]) -> str:
-    """Table of the shares of outcomes by group, with 95 % Wilson intervals; groups: outcomes of each flight."""
-    rows = (
-        [name, str(len(ends)), *(_cell(sum(end == one for end in ends), len(ends)) for one in outcomes)]
-        for name, ends in groups.items()
-    )
-    return markdown_grid((title, "n", *outcomes), rows, left=1)
+TEXT = (
+    "Two of three flipped bits leave the flight bit for bit as it was; one of six ends the firmware's process, nearly "
+    "always one in the stack or a general register, and one of sixteen loses control, mostly one in a floating-point "
+    "register. One bit of a register that an instruction of the main thread reads or writes, uniform over its "
+    "instructions. How it is done: [firmware](../firmware.md)."
+)
+NOTES = (
+    f"flights of {patterns.LENGTH_S:g} s without the pipeline, the fault between {patterns.FIRST_S:g} and "
+    f"{patterns.LAST_S:g} s; slight: at most {100 * patterns.SLIGHT_M:g} cm from the golden flight; loss of control: "
+    f"contact, more than {patterns.LOST_M:g} m off, or tilt above {np.degrees(LOST_TILT):.0f} degrees; 95 % "
+    "intervals: Wilson",
+)
 
 
-def _cell(count: int, total: int) -> str:
-    rate = wilson(count, total)
-    if rate.low is None or rate.high is None:
-        return "–"
-    return f"{count} ({100 * count / total:.0f} %) [{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
-
-
-def grouped(rows: Iterable[Row], key: Callable[[Row], str], most: int = 99) -> dict[str, list[str]]:
-    """Outcomes by group, the largest groups first; the rest is one group."""
+def grouped(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[str]]:
+    """Outcomes by group, the largest groups first."""
     rows = list(rows)
-    names = [name for name, _ in Counter(map(key, rows)).most_common(most)]
-    found: dict[str, list[str]] = {name: [] for name in names}
+    found: dict[str, list[str]] = {name: [] for name, _ in Counter(map(key, rows)).most_common()}
     for row in rows:
-        name = key(row)
-        found.setdefault(name if name in names else "all others", []).append(row["outcome"])
+        found[key(row)].append(row["outcome"])
     return found
 
 
-def page(campaign: Path | None) -> str:
-    """The page, from the ledgers."""
-    drawn = {name: rows_of(name) for name in patterns.PATTERNS}
-    short = {name: [row for row in part if row["activated"]] for name, part in drawn.items()}
-    missed = sum(map(len, drawn.values())) - sum(map(len, short.values()))
-    rows = [row for name in short for row in short[name]]
-    lines = [
-        banner("make firmware").strip(), "", "# Register faults in a flight controller's firmware", "",
-        f"{installed().version}, unmodified, in lock-step.  One bit of a register that an instruction of its main "
-        "thread reads or writes, uniform over the thread's instructions.  Count, share, 95 % Wilson interval.  "
-        "How it is done: [firmware.md](../firmware.md).", "", "## Hover and square", "",
-        f"Flights of {patterns.LENGTH_S:g} s without the pipeline; the fault comes between {patterns.FIRST_S:g} and "
-        f"{patterns.LAST_S:g} s.  Slight: at most {100 * patterns.SLIGHT_M:g} cm from the golden flight.  Loss of "
-        f"control: contact, more than {patterns.LOST_M:g} m off, or tilt above {np.degrees(LOST_TILT):.0f} "
-        f"degrees.  Not activated: {missed} of {sum(map(len, drawn.values()))}.", "",
-    ]  # fmt: skip
-    flown = {name: [row["outcome"] for row in part] for name, part in short.items()}
-    tables = {
-        "flight": {**flown, "both": [end for part in flown.values() for end in part]},
+def pattern_table() -> Table:
+    """Outcomes of the short flights: by flight, register, phase and function."""
+    rows = [row for name in patterns.PATTERNS for row in rows_of(name) if row["activated"]]
+    groups = {
+        "all": {"both": [row["outcome"] for row in rows]},
+        "flight": {name: [row["outcome"] for row in rows_of(name) if row["activated"]] for name in patterns.PATTERNS},
         "register": grouped(rows, lambda row: row["register_class"]),
         "phase": grouped(rows, lambda row: row["phase"]),
-        "function": grouped(rows, lambda row: row["function"], _MOST_FUNCTIONS),
+        "function": grouped(rows, lambda row: row["function"]),
     }
-    for title, groups in tables.items():
-        lines += [shares(title, groups, patterns.OUTCOMES), ""]
-    lost = Counter(row["lost"][1] for row in rows if row["lost"][0] == "crash")
-    lines += [f"Ends of the process: {', '.join(f'{name} {count}' for name, count in lost.most_common())}.", ""]
-    for row in rows_of("check"):
-        lines.append(f"Replay ({row['seed']}): flown again, {row['same']} of {row['n']} flights gave the same bytes.")
-    walls = [row["wall_s"] for row in rows]
-    lines += ["", f"Wall time per flight: median {np.median(walls):.1f} s (load of the machine "
-              f"{np.median([row['load'] for row in rows]):.1f} on {os.cpu_count()} cores).", ""]  # fmt: skip
-    return "\n".join([*lines, *_golden_lines(), *_mission_lines(campaign), *_healthy_lines()]).rstrip() + "\n"
+    columns = [Column("by", "by"), Column("group", "group"), Column("n", "n", NUMBER)]
+    columns += [Column(outcome.replace(" ", "_"), outcome, RATE) for outcome in patterns.OUTCOMES]
+    cells = [
+        (title, name, len(ends), *(wilson(ends.count(outcome), len(ends)) for outcome in patterns.OUTCOMES))
+        for title, parts in groups.items()
+        for name, ends in parts.items()
+    ]
+    return Table("patterns", "Hover and square, by flight, register, phase, function", tuple(columns), cells, 2, NOTES)
+
+
+def golden_table() -> Table:
+    """Golden missions by environment, with their times and those whose second flight had the same digest."""
+    columns = (
+        Column("environment", "environment"), Column("success", "success", RATE),
+        Column("flight_s", "flight time, median (s)", "number .1f"),
+        Column("wall_s", "wall time, median (s)", "number .1f"), Column("same", "flown twice, same digest", NUMBER),
+    )  # fmt: skip
+    cells = []
+    for environment in ENVIRONMENTS:
+        own = [row for row in rows_of("golden") if row["environment"] == environment]
+        success = wilson(sum(row["status"] == "success" for row in own), len(own))
+        medians = (float(np.median([row[name] for row in own])) for name in ("flight_s", "wall_s"))
+        cells.append((environment, success, *medians, sum(row.get("same", False) for row in own)))
+    return Table("golden", "Golden missions", columns, cells)
+
+
+def healthy_table() -> Table:
+    """Classes, distances and largest errors of missions without a fault and with other gyro noise."""
+    errors = ("tilt", "attitude", "velocity", "yaw_rate")
+    columns = (
+        Column("seeds", "seeds"), Column("flights", "flights", NUMBER),
+        *(Column(one.value.replace(" ", "_"), one.value, NUMBER) for one in Control),
+        Column("apart_m", "from the golden run, max (m)", "number .1f"),
+        Column("time", "longer, max", SIGNED), Column("energy", "more energy, max", SIGNED),
+        *(Column(name, f"{name} error, max (rad, m/s, rad/s)", "number .2f") for name in errors),
+    )  # fmt: skip
+    parts: dict[str, list[Row]] = {"evaluation": [], "design, from which the limits are": []}
+    for row in rows_of("healthy"):
+        parts[list(parts)[row["mission"] < _FIRST_MISSION]].append(row)
+    cells = []
+    for seeds, rows in parts.items():
+        classes = Counter(row["control"] for row in rows)
+        every = [found for row in rows for found in row["errors"]]
+        largest = (max((row[name] for row in rows), default=None) for name in ("distance_m", "time", "energy"))
+        worst = (max((found[name] for found in every), default=None) for name in errors)
+        cells.append((seeds, len(rows), *(classes[one.value] for one in Control), *largest, *worst))
+    return Table("healthy", "Missions without a fault, other gyro noise, classified", columns, cells)
+
+
+def write_page(campaign: Path) -> Path:
+    """Write the page from the ledgers of the patterns, and of the campaign `firmware`."""
+    runs = load(campaign)
+    tables = {"patterns": pattern_table(), "golden": golden_table(), "healthy": healthy_table()}
+    tables |= {view: table_of(runs, view) for view in _VIEWS}
+    about = [f"{installed().version}, unmodified, in lock-step"]
+    about += [
+        f"flown again ({row['seed']}): {row['same']} of {row['n']} gave the same bytes" for row in rows_of("check")
+    ]
+    about += header(runs.campaign)
+    excerpts = [
+        results.Excerpt("patterns", lambda row: row["by"] in ("all", "register")),
+        results.Excerpt("firmware_faults", lambda row: row["registers"] == "in all"),
+    ]
+    return results.write(PAGE, "Register faults in a flight controller's firmware", TEXT, tables, excerpts, about)
 
 
 def headline() -> str:
     """The table of both patterns, for docs/fault-model.md."""
-    ends = {name: [row["outcome"] for row in rows_of(name) if row["activated"]] for name in patterns.PATTERNS}
-    return shares("register, firmware", ends, patterns.OUTCOMES)
-
-
-def _golden_lines() -> list[str]:
-    rows = rows_of("golden")
-    if not rows:
-        return []
-    lines = []
-    for environment in ENVIRONMENTS:
-        own = [row for row in rows if row["environment"] == environment]
-        if own:
-            good = sum(row["status"] == "success" for row in own)
-            medians = (f"{np.median([row[name] for row in own]):.1f}" for name in ("flight_s", "wall_s"))
-            lines.append([environment, str(len(own)), _cell(good, len(own)), *medians])
-    headings = ("environment", "n", "success", "flight time, median (s)", "wall time, median (s)")
-    twice = [row["same"] for row in rows if "same" in row]
-    load = np.median([row["load"] for row in rows])
-    repeated = f"Flown twice: {len(twice)}, with the same digest: {sum(twice)}."
-    return [
-        "## Golden missions",
-        "",
-        markdown_grid(headings, lines, left=1),
-        "",
-        f"{repeated}  Load of the machine meanwhile: {load:.1f} on {os.cpu_count()} cores.",
-        "",
-    ]
-
-
-def _mission_lines(campaign: Path | None) -> list[str]:
-    if campaign is None:
-        return []
-    runs = load(campaign)
-    lines = [
-        "## Whole missions", "", "`mavfi campaign run firmware`: the whole pipeline flies, the instant is uniform over "
-        f"the golden flight.  {len(runs.injected.where('judged'))} runs.", "",
-    ]  # fmt: skip
-    held = {view.name for view in views_for(runs)}  # ledgers of older versions have no classes of control
-    for view in (view for view in _VIEWS if view in held):
-        found = table_of(runs, view)
-        lines += [markdown_table(found).rstrip().replace("## ", "### ", 1), ""]
-    return lines
-
-
-def _healthy_lines() -> list[str]:
-    """What the classes say of missions without a fault, and why the distance from the golden run is none of them."""
-    rows = rows_of("healthy")
-    parts = {
-        "": [row for row in rows if row["mission"] >= _FIRST_MISSION],
-        "Design seeds, from which the limits are: ": [row for row in rows if row["mission"] < _FIRST_MISSION],
-    }
-    found = [f"{title}{_healthy(part)}" for title, part in parts.items() if part]
-    return [
-        "### Without a fault", "", "The same missions without a fault and with other gyro noise, classified from "
-        "take-off on.  Replanning amplifies any difference: the distance from the golden run is no measure of control, "
-        "the tracking errors are ([limits](../firmware.md#classes-of-control)).", "",
-        *(f"- {line}" for line in found), "",
-    ] if found else []  # fmt: skip
-
-
-def _healthy(rows: Sequence[Row]) -> str:
-    """Classes, distances and largest errors of missions without a fault."""
-    classes = Counter(row["control"] for row in rows)
-    shown = ", ".join(f"{one.value} {_cell(classes[one.value], len(rows))}" for one in Control if classes[one.value])
-    apart = [row["distance_m"] for row in rows]
-    time, joule = (100 * max(row[name] for row in rows) for name in ("time", "energy"))
-    every = [errors for row in rows for errors in row["errors"]]
-    tilt, attitude, velocity, yaw_rate = (
-        max(errors[name] for errors in every) for name in ("tilt", "attitude", "velocity", "yaw_rate")
-    )
-    return (
-        f"{len(rows)} flights: {shown}.  Up to {max(apart):.1f} m from the golden run (median {np.median(apart):.2f} "
-        f"m), {time:.0f} % longer and with {joule:.0f} % more energy.  Largest tilt {np.degrees(tilt):.0f} degrees, "
-        f"attitude error {np.degrees(attitude):.1f} degrees, velocity error {velocity:.2f} m/s, yaw rate error "
-        f"{yaw_rate:.2f} rad/s."
-    )
+    excerpt = results.Excerpt("patterns", lambda row: row["by"] == "flight", ("group", "n", *patterns.OUTCOMES))
+    return excerpt.markdown(pattern_table())
 
 
 def main() -> None:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    for verb, names in (
-        ("fly", tuple(patterns.PATTERNS)),
-        ("check", tuple(patterns.PATTERNS)),
-        ("golden", ENVIRONMENTS),
-        ("healthy", ENVIRONMENTS),
-    ):
-        one = verbs.add_parser(verb)
-        one.add_argument("name", choices=names)
-        one.add_argument("--count", type=int, default=20)
-        if verb in ("fly", "healthy"):
-            one.add_argument("--first", type=int, default=0 if verb == "fly" else _FIRST_MISSION)
-        if verb == "healthy":
-            one.add_argument("--noises", type=int, default=1)
-    verbs.add_parser("write").add_argument("campaign", nargs="?", type=Path)
-    asked = parser.parse_args()
-    if asked.verb == "fly":
-        fly_faults(asked.name, asked.first, asked.count)
-    elif asked.verb == "check":
-        check(asked.name, asked.count)
-    elif asked.verb == "golden":
-        golden_missions(asked.name, asked.count)
-    elif asked.verb == "healthy":
-        healthy_missions(asked.name, asked.first, asked.count, asked.noises)
-    else:
-        PAGE.write_text(page(asked.campaign), encoding="utf-8")
-        fill(DOCS / "fault-model.md", {"firmware": headline(), "levels": level_table()})
-        print(f"wrote {PAGE}")
+    """Fly what the ledgers lack, and write the page."""
+    count = int(os.environ.get("N") or 400)
+    for pattern in patterns.PATTERNS:
+        fly_faults(pattern, 0, count)
+        check(pattern, 20)
+    for environment in ENVIRONMENTS:
+        golden_missions(environment, 20)
+        healthy_missions(environment, _FIRST_MISSION, 10, 1)
+        healthy_missions(environment, 1, 4, 3)
+    page = write_page(results.fly("firmware", scale=""))
+    fill(DOCS / "fault-model.md", {"firmware": headline(), "levels": level_table()})
+    print(f"wrote {page.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":

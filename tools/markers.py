@@ -1,8 +1,5 @@
 """Folders of the documentation, and functions to write whole pages or the parts between their markers."""
 
-import re
-from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -30,21 +27,6 @@ def between(page: str, name: str, block: str) -> str:
     if page.count(begin) != 1 or page.count(end) != 1 or page.index(begin) > page.index(end):
         raise ValueError(f"must hold {begin} and {end} once each, in this order")
     return f"{page.split(begin)[0]}{begin}\n{block.strip()}\n{end}{page.split(end)[1]}"
-
-
-def contents(heading: str, titles: Iterable[str]) -> str:
-    """A list with a link to each section of a page."""
-    return "\n".join([f"{heading}:", "", *(f"- [{title}](#{anchor})" for title, anchor in anchors(titles).items())])
-
-
-def anchors(titles: Iterable[str]) -> dict[str, str]:
-    """Names of a page's sections in links, by title: those that would be the same are numbered."""
-    found, before = {}, Counter[str]()
-    for title in titles:
-        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
-        found[title] = f"{anchor}-{before[anchor]}" if before[anchor] else anchor
-        before[anchor] += 1
-    return found
 
 
 def fill(path: Path, blocks: dict[str, str]) -> None:

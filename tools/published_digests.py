@@ -1,20 +1,19 @@
 """Digests of the study of the paper, by scale: kept in docs/results/digests.json, shown in README.md.
 
-With them is stored a fingerprint of the campaigns and of the golden flights of the tests, and the source lines that
-golden records count, with a hash of their text.  Tests compare both with the program: outdated digests fail.
+With them is stored a fingerprint of the campaigns and of the golden flights of the tests.  Tests compare it with the
+program: outdated digests fail.
 """
 
 import hashlib
 import json
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.mission import scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import identity_of
-from mavfi.campaign.store import Store, held
+from mavfi.campaign.store import held
 from mavfi.campaign.study import load_study
 from mavfi.flight_record import canonical
 from mavfi.reports.text import markdown_grid, short
@@ -27,7 +26,7 @@ COMMANDS = {"quick": "make reproduce", "paper": "make reproduce SCALE=paper"}
 
 
 def known(docs: Path = DOCS) -> dict[str, Any]:
-    """By scale: program, fingerprint, ledgers with name, what they need, and digest, and `counted_lines`."""
+    """By scale: program, fingerprint, ledgers with name, what they need, and digest."""
     path = docs / FILE
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     return found
@@ -46,30 +45,6 @@ def fingerprint(scale: str) -> str:
     """Hash of campaigns and golden flights."""
     golden = (ROOT / "tests" / "golden" / "digests.json").read_text(encoding="utf-8")
     return hashlib.sha256(canonical([identities(scale), golden]).encode()).hexdigest()[:16]
-
-
-def counted_lines(ledgers: Iterable[Path]) -> dict[str, list[str]]:
-    """Source lines whose instructions golden flights of ledgers count: by file, their numbers and `text_of` them.
-
-    They are part of the records: a line that moves in its file changes the digest.
-    """
-    numbers: dict[str, set[int]] = defaultdict(set)
-    for ledger in ledgers:
-        with Store.open(ledger) as store:
-            for run in store.runs(done=True):
-                counted = run.record.counts.values() if run.record else ()
-                for file, number, _ in (line for kernel in counted for line in kernel["lines"]):
-                    numbers[file].add(number)
-    own = {
-        file: " ".join(map(str, sorted(numbers[file]))) for file in sorted(numbers) if (ROOT / "src" / file).is_file()
-    }
-    return {file: [lines, text_of(file, lines)] for file, lines in own.items()}
-
-
-def text_of(file: str, numbers: str) -> str:
-    """Hash of lines of a source file, by their numbers from 1, as in "3 4"; those beyond its end are empty."""
-    lines = dict(enumerate((ROOT / "src" / file).read_text(encoding="utf-8").splitlines(), start=1))
-    return hashlib.sha256("\n".join(lines.get(int(n), "") for n in numbers.split()).encode()).hexdigest()[:16]
 
 
 def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,10 +66,7 @@ def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
     if not study.get("programs"):
         raise ValueError("does not say which program flew it; needed: a study of `mavfi reproduce`")
     ledgers = [[one["name"], needs(one), short(one["digest"])] for one in study["campaigns"].values()]
-    return {
-        "program": "; then ".join(study["programs"]), "fingerprint": fingerprint(scale), "ledgers": ledgers,
-        "lines": counted_lines(out / folder for folder in study["campaigns"]),
-    }  # fmt: skip
+    return {"program": "; then ".join(study["programs"]), "fingerprint": fingerprint(scale), "ledgers": ledgers}
 
 
 def needs(campaign: Mapping[str, Any]) -> str:

@@ -1,22 +1,24 @@
-"""Judge recorded flights of real and simulated vehicles, and write docs/generated/real-logs.md.
+"""Judge recorded flights of real and simulated vehicles, and write docs/results/real-logs.md.
 
-    python -m tools.real_logs FOLDER
+    make results NAME=real-logs LOGS=FOLDER
 
 The folder holds logs of PX4 (`px4_sample.ulg`), of RflyMAD (`rflymad_*.ulg`) and of EuRoC (`euroc_*.csv`); they are not
 part of this project.
 """
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from mavfi.campaign.analysis.table import Table
 from mavfi.flight_logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, judge_rest, read_recording, select
 from mavfi.reports.log_watch import Rates, rate_text
-from mavfi.reports.text import ABSENT, markdown_grid, rate
+from mavfi.reports.text import ABSENT, rate
+from tools import results
 from tools.markers import ROOT
 
-PAGE = ROOT / "docs" / "generated" / "real-logs.md"
-BANNER = "<!-- Written by `make real-logs`; do not edit. -->\n\n"
+PAGE = "real-logs"
 FAULT = "rfly_ctrl_lxl:mode"
 FLIPS = 300
 SETTINGS = [(kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("tuned", "paper")]
@@ -26,6 +28,25 @@ SETS = {
                 "flights, judged on the part before the fault of each; then the fault"),
     "EuRoC": ("euroc_*.csv", "ground truth of indoor flights, 200 Hz: trained on the other flights, judged on each"),
 }  # fmt: skip
+
+HEADINGS = (
+    "logs", "detector", "exposure", "false alarm events", "per hour [95 %]", "messages with an alarm",
+    *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES), "faults with an alarm (%)", "delays (s)",
+)  # fmt: skip
+TEXT = (
+    "On flights that mavfi neither flew nor simulated, GAD and AAD find every motor fault within 0.2 s, a third to "
+    "four fifths of flipped signs and exponents, and a flipped mantissa hardly ever. **The exposure is minutes, not "
+    "hours**: a row without any alarm excludes only rates above the upper bound, and few flights of few vehicles do "
+    "not represent others. How: [logs](../logs.md)."
+)
+NOTES = (
+    "alarms within one second count as one event; a detector that raises alarms all the time has few events, so the "
+    "share of messages with an alarm stands next to them",
+    f"{FLIPS} bits per recording, equally many in sign, exponent and mantissa of floating-point fields, each alone; "
+    "detected: an alarm on the message, or on the next one of its topic, that the recording itself does not have; a "
+    "value near 0 stays small, whichever bit flips",
+    "intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights",
+)
 
 
 def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> list[Judged]:
@@ -40,56 +61,41 @@ def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> lis
     return found
 
 
-def rows(name: str, recordings: Sequence[Recording]) -> list[list[str]]:
+def rows(name: str, recordings: Sequence[Recording]) -> list[tuple[str, ...]]:
     """One row per detector and profile."""
     found = []
     for kind, profile in SETTINGS:
         rates = Rates(judge_apart(recordings, kind, profile))
-        cells = [
+        cells = (
             name, f"{kind}, {profile}", f"{rates.exposure_s / 60:.1f} min", str(rates.alarms.events),
             rate_text(rates.alarms), f"{rates.alarm_percent:.2g} %",
             *(rate(rates.flips.get(bits)) for bits in BIT_CLASSES), rate(rates.faults),
             ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or ABSENT,
-        ]  # fmt: skip
+        )  # fmt: skip
         found.append(cells)
     return found
 
 
-def page(folder: Path) -> str:
-    """The page."""
-    parts = []
+def write_page(folder: Path) -> Path:
+    """Judge the recordings, and write the page."""
+    cells: list[tuple[str, ...]] = []
     for name, (pattern, _) in SETS.items():
         fault = FAULT if name == "RflyMAD" else ""
         recordings = [read_recording(path, fault) for path in sorted(folder.glob(pattern))]
         if not recordings:
             raise SystemExit(f"{folder}: no {pattern}")
-        parts += rows(f"{name}, {len(recordings)} log{'s' if len(recordings) > 1 else ''}", recordings)
-    head = ["logs", "detector", "exposure", "false alarm events", "per hour [95 %]", "messages with an alarm",
-            *(f"flips detected, {bits} (%)" for bits in BIT_CLASSES), "faults with an alarm (%)",
-            "delays (s)"]  # fmt: skip
-    notes = "\n".join(f"- {name}: {text}." for name, (_, text) in SETS.items())
-    return (
-        f"{BANNER}# Detectors on recorded flights\n\n"
-        "GAD and AAD on flights that mavfi neither flew nor simulated ([how](../logs.md)). **The exposure is minutes, "
-        "not hours**: a row without any alarm excludes only rates above the upper bound, and few flights of few "
-        "vehicles do not represent others. Alarms within one second count as one event; a detector that raises alarms "
-        "all the time has few events, so the share of messages with an alarm stands next to them.\n\n"
-        f"{notes}\n\n"
-        f"{FLIPS} bits per recording, equally many in sign, exponent and mantissa of floating-point fields, each "
-        "alone; detected: an alarm on the message, or on the next one of its topic, that the recording itself does not "
-        "have. "
-        "Intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights. A value "
-        "near 0 stays small, whichever bit flips, so many flips in the exponent pass.\n\n"
-        f"{markdown_grid(head, parts)}\n"
-    )
+        cells += rows(f"{name}, {len(recordings)} log{'s' if len(recordings) > 1 else ''}", recordings)
+    full = Table.of_text("Alarms and detected flips, by set of logs and detector", HEADINGS, cells, NOTES)
+    about = [f"{name}: {text}" for name, (_, text) in SETS.items()]
+    return results.write(PAGE, "Detectors on recorded flights", TEXT, {"logs": full}, [results.Excerpt("logs")], about)
 
 
 def main() -> None:
     """Write the page."""
-    if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
-        raise SystemExit("usage: python -m tools.real_logs FOLDER")
-    PAGE.write_text(page(Path(sys.argv[1])), encoding="utf-8")
-    sys.stdout.write(f"wrote {PAGE}\n")
+    folder = os.environ.get("LOGS", "")
+    if not Path(folder).is_dir():
+        raise SystemExit(f"LOGS: {folder or 'not given'}; allowed: LOGS=folder of recorded flights")
+    sys.stdout.write(f"wrote {write_page(Path(folder)).relative_to(ROOT)}\n")
 
 
 if __name__ == "__main__":

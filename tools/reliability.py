@@ -1,19 +1,31 @@
-"""Runs the long-running tests of ledgers, workers and readers, and writes docs/generated/reliability.md.
+"""Runs the long-running tests of ledgers, workers and readers, and writes docs/results/reliability.md.
 
-python -m tools.reliability        (SHARE=0.1 = a tenth of the tries; ONLY="chaos damage")
+make results NAME=reliability        (SHARE=0.1 = a tenth of the tries; ONLY="chaos damage")
 """
 
+import csv
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
 
+from mavfi.campaign.analysis.table import Table
 from mavfi.hosts.ros1 import finder
-from tools.markers import GENERATED, banner
+from tools import results
+from tools.markers import ROOT
 
-PAGE = GENERATED / "reliability.md"
-LAST_LINES = 24
+PAGE = "reliability"
+HEADINGS = ("test", "asks", "tries", "result", "minutes", "date", "last line")
+TEXT = (
+    "Long tests of ledgers, workers and readers: none found a wrong ledger, a damaged one that was read as sound, or a "
+    "file that did anything but be read or refused. Short versions run with `make test`. What they found, and what "
+    "became of it: [reliability](../reliability.md)."
+)
+Row = dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -66,45 +78,52 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
     return output, process.returncode, time.monotonic() - started
 
 
-def section(test: Long, share: float) -> str:
-    """The test's section of the page."""
-    output, code, seconds = run(test, share)
+def row_of(test: Long, share: float) -> Row:
+    """Run a test; returns its row."""
     tries = max(1, round(test.tries * share))
-    last_lines = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
-    return (
-        f"## {test.name}: {'passed' if code == 0 else 'FAILED'}\n\n{test.asks} {tries:,} {test.unit} "
-        f"(of {test.tries:,} in a full run), {seconds / 60:.1f} min.\n\n{last_lines}\n"
+    output, code, seconds = run(test, share)
+    lines = [line.strip() for line in output.rstrip().splitlines() if "Done." not in line]
+    return {
+        "test": test.name, "asks": test.asks, "tries": f"{tries:,} {test.unit}",
+        "result": "passed" if code == 0 else "FAILED", "minutes": f"{seconds / 60:.1f}", "date": str(date.today()),
+        "last line": lines[-1] if lines else "",
+    }  # fmt: skip
+
+
+def _written() -> dict[str, Row]:
+    """Rows of the existing table, by test."""
+    path = results.TABLES / PAGE / "tests.csv"
+    if not path.is_file():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        return {row["test"]: row for row in csv.DictReader(file)}
+
+
+def write_page(rows: Mapping[str, Row]) -> Path:
+    """Write the page from the rows of all tests."""
+    full = Table.of_text(
+        "Long tests", HEADINGS, [tuple(row[heading] for heading in HEADINGS) for row in rows.values()], []
     )
-
-
-def _written() -> dict[str, str]:
-    """Sections of the existing page, by test."""
-    text = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
-    parts = [f"## {part.rstrip()}\n" for part in text.split("\n## ")[1:]]
-    return {part[3:].partition(":")[0]: part for part in parts}
+    shown = results.Excerpt("tests", columns=("asks", "tries", "result", "minutes"))
+    return results.write(PAGE, "Reliability", TEXT, {"tests": full}, [shown])
 
 
 def main() -> int:
     """Run the tests sequentially, and write the page."""
-    share = float(os.environ.get("SHARE", "1"))
+    share = float(os.environ.get("SHARE") or "1")
     wanted = os.environ.get("ONLY", "").split()
-    sections = {}
+    rows = {}
     for test in TESTS:
         if test.only == "ros" and finder.missing():
             sys.stdout.write(f"{test.name}: ROS is not installed\n")
         elif not wanted or test.name in wanted:
             sys.stdout.write(f"{test.name} ...\n")
             sys.stdout.flush()
-            sections[test.name] = section(test, share)
-    sections = _written() | sections  # read now: another run may have written its own
-    PAGE.write_text(
-        banner("make reliability") + "# Reliability\n\nLong tests of ledgers, workers and readers, each with the last "
-        "lines that it printed. Short versions of all run with `make test`. What they found, and what became of it: "
-        "[reliability](../reliability.md).\n\n" + "\n".join(sections.values()),
-        encoding="utf-8",
-    )
-    failed = [text for text in sections.values() if ": FAILED" in text]
-    sys.stdout.write(f"wrote {PAGE.name}, {len(failed)} of {len(sections)} failed\n")
+            rows[test.name] = row_of(test, share)
+    rows = _written() | rows  # read now: another run may have written its own
+    page = write_page(rows)
+    failed = [name for name, row in rows.items() if row["result"] == "FAILED"]
+    sys.stdout.write(f"wrote {page.relative_to(ROOT)}, {len(failed)} of {len(rows)} failed\n")
     return 1 if failed else 0
 
 

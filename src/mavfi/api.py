@@ -11,7 +11,7 @@
 Names are imported from `mavfi`, not from this module.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +19,11 @@ from typing import TYPE_CHECKING, Any
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
 from mavfi.hosts.host import ArmSetup, Flight, Host, host_for
-from mavfi.hosts.isolated import in_child
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
@@ -44,7 +43,8 @@ if TYPE_CHECKING:
 
 def fly(
     mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
-    detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None, **options: Any,
+    detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None,
+    detector_options: Mapping[str, Any] | None = None, **options: Any,
 ) -> FlightResult:  # fmt: skip
     """Fly one mission; with a fault, also its golden run; with a fault and a detector, also the fault without detector.
 
@@ -56,6 +56,7 @@ def fly(
             memory of the flight afterwards; one that is named and not part of mavfi, in a child process.
         profile: Profile of a named detector.
         models: Folder of trained models; None = the shipped ones.
+        detector_options: Options of a named detector, e.g. {"rules": [1, 3]} of acceptance.
         options: Keys of `MissionSpec`, e.g. environment, seed, wind; they override those of `mission`.
 
     Returns:
@@ -66,21 +67,17 @@ def fly(
     """
     if fault_seed and not isinstance(fault, str):
         raise BadInputError(f"fault_seed: {fault_seed}: no fault to draw; allowed: with the text of a fault")
-    if not (detector is None or isinstance(detector, str) or callable(getattr(detector, "check", None))):
-        raise BadInputError(f"detector: {detector!r:.60}: allowed: a name, or an object with start, check and accept")
+    if not (detector is None or isinstance(detector, str)):
+        require_detector(detector)
     asked = _spec(mission, options)
     spec = asked if detector is None else with_keys_of(asked, detector)
     scenario = resolve(spec)
-    watching, label = _watching(scenario, detector, profile, models, spec.trained_for)
+    watching, label = _watching(scenario, detector, profile, models, spec.trained_for, detector_options)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
     bare, request = resolve(asked), parse(fault, spec.localization) if isinstance(fault, str) else None
-
-    def fly_all() -> FlightResult:
-        if isinstance(fault, str):
-            return fly_request(own, request, fault_seed, label, bare)
-        return _fly_fault(own, fault, label, bare)
-
-    return in_child(watching, fly_all) if isinstance(detector, str) else fly_all()
+    if isinstance(fault, str):
+        return fly_request(own, request, fault_seed, label, bare)
+    return _fly_fault(own, fault, label, bare)
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -240,11 +237,15 @@ def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
 
 
 def _watching(
-    scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None, trained_for: str
-) -> tuple[Detector | None, str]:
+    scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None, trained_for: str,
+    options: Mapping[str, Any] | None,
+) -> tuple[Detector | None, str]:  # fmt: skip
     allow_typed([detector])
     if not isinstance(detector, str):
+        if options:
+            raise BadInputError(f"detector_options: {options!r}: allowed: with the name of a detector")
         return detector, "" if detector is None else type(detector).__name__
-    loaded, model = detector_for(scenario, detector, profile, None if models is None else Path(models), trained_for)
+    models_dir = None if models is None else Path(models)
+    loaded, model = detector_for(scenario, detector, profile, models_dir, trained_for, options)
     label = f"{detector} ({profile})" if model else detector
     return loaded, f"{label}, trained for {trained_for}" if model and trained_for else label

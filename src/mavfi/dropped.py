@@ -17,7 +17,8 @@ VALUES: Mapping[tuple[str, str], str] = {
 """Values of keys, by key and value, with the value to use instead."""
 
 NAMES: Mapping[tuple[str, str], str] = {
-    **{("detectors", f"rule_{number}"): f"use acceptance with the option rules: [{number}]" for number in range(1, 6)},
+    **{("detectors", f"rule_{number}"): f"use acceptance, options: {{rules: [{number}]}}" for number in range(1, 6)},
+    ("kernels", "recovery"): "no fault in recovery lost a mission; inject a detector, e.g. acceptance",
     ("campaigns", "replicas"): "use detector_instructions: copies of a detector made no difference",
     ("campaigns", "recovery_memory"): "use detector_memory: no fault in the memory of recovery lost a mission",
     ("campaigns", "recovery_instructions"): "use detector_instructions: no fault in recovery lost a mission",
@@ -26,6 +27,9 @@ NAMES: Mapping[tuple[str, str], str] = {
 
 OPTIONS: Mapping[str, str] = {
     "--copies": KEYS["copies"],
+    "--free-running": "use --pace 1: the flight in lock-step, paced by the wall clock",
+    "--new-interpreters": "no replacement: nodes are processes forked from their supervisor",
+    "--point-cloud-node": "no replacement: attach with mavfi ros corrupt or mavfi inject --ros-node",
     "--stack": "use --autopilot",
     "--strike": "use --register-fault",
     "--strike-seed": "use --register-seed",

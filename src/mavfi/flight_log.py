@@ -119,7 +119,7 @@ class KernelEffect:
         effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception", "detected" or
             "not_activated".
         detail: Signal, budget or exception; of "detected" by repetition "rerun" or "vote"; "" = none.
-        first_difference: The first published field that differs, as plain data (see `hosts.instruction.output`); None =
+        first_difference: The first published field that differs, as plain data (see `hosts.local.case`); None =
             all published fields are equal.
     """
 

@@ -29,8 +29,8 @@ AFTERMATH = 1.0
 
 LIMITED, SILENCED = "detector_limited", "detector_silenced"
 """Kinds of events: alarms get no response for a while, or no longer, since too many of them changed nothing."""
-STUCK, CRASHED = "detector_stuck", "detector_crashed"
-"""Kinds of events: a detector is disabled since a call of it did not return, or crashed."""
+CRASHED = "detector_crashed"
+"""Kind of the event when a custom detector is disabled after an exception."""
 CONTROLLER_LOST = "controller_lost"
 """Kind of the event when a flight controller that is a program of its own ends or hangs."""
 
@@ -150,6 +150,28 @@ class FlightRecord:
 
 
 _DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) for f in fields(FlightRecord)}
+
+
+_FOR_READERS = ("file", "line"), ("inlined", "line_is_near", "variable")
+"""Where in the source an injected instruction is: of its injection, and of the injection's details."""
+
+
+def without_source(text: str) -> str:
+    """The text of a record in a ledger, without what is looked up in the source: files, lines, names of variables.
+
+    Two records of one flight are equal without it, also if code was moved, renamed or commented in between.
+    """
+    if '"instruction"' not in text and '"lines"' not in text:
+        return text  # most records: they need not be parsed
+    record = json.loads(text)
+    for injection in record.get("injections", ()):
+        if injection["level"] == "instruction":
+            for part, names in zip((injection, injection["details"]), _FOR_READERS, strict=True):
+                for name in names:
+                    part.pop(name, None)
+    for counted in record.get("counts", {}).values():
+        counted.pop("lines", None)
+    return canonical(record)
 
 
 def record_of(log: FlightLog) -> FlightRecord:

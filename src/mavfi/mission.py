@@ -33,10 +33,8 @@ LARGEST_SEED = 2**63 - 1
 TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
-DeadNode = Literal["end", "fresh", "latched", "readback", "recompute", "checkpoint", "standby"]
+DeadNode = Literal["end", "fresh", "readback"]
 """Restart policy of a node that dies, see `hosts.loop.restarts`."""
-FROM_MEMORY: tuple[DeadNode, ...] = ("recompute", "checkpoint", "standby")
-"""Policies that continue from the node's memory before the step that died."""
 
 
 class MissionStatus(Enum):
@@ -119,20 +117,14 @@ class MissionSpec(Config):
     same_twice: Literal["accept", "escalate", "limit"] = Field(
         "accept",
         description="A recomputation that breaks a rule again: accept, escalate to a restart of the node (inline), or "
-        "limit: accept, and recompute without a change at most 5 times in 10 s; default of a detector of one's own.",
+        "limit: accept, and recompute without a change at most 5 times in 10 s; default of a custom detector.",
     )
     answer_s: float = Field(
         0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."
     )
-    degraded: Literal["none", "hover", "hold", "back"] = Field(
-        "none",
-        description="Where restarts do not help: none (fly on), hover, hold (the position), or back (along the path).",
+    degraded: Literal["none", "hold"] = Field(
+        "none", description="Where restarts do not help: none (fly on), or hold (the position)."
     )
-    copies: int = Field(
-        1, ge=1, le=3,
-        description="Copies of the detector, each with its own memory: of two, the alarm of either counts; of three, "
-        "that of two.",
-    )  # fmt: skip
     trained_for: str = Field(
         "",
         pattern=r"^([^/\s]+/[^/\s]+)?$",
@@ -141,9 +133,8 @@ class MissionSpec(Config):
     )
     dead_node: DeadNode = Field(
         "fresh",
-        description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
-        "(fresh, gets an unanswered alarm again), readback (latched, reads its last outputs), recompute (the step), "
-        "checkpoint (continues from the memory before the step), standby (as checkpoint, after 20 ms).",
+        description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), or "
+        "readback (restarted, gets an unanswered alarm again, and reads its last outputs back).",
     )
     protection: str = Field("", description="Plan of protected kernels: a name, or a YAML file; none by default.")
     alarm: Literal["one_shot", "repeated"] | None = Field(
@@ -163,8 +154,8 @@ class MissionSpec(Config):
         return "fresh"
 
 
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "copies")
-"""Mission keys that define the recovery from a detector's alarms, and how many copies vote on these."""
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
+"""Mission keys that define the recovery from a detector's alarms."""
 OF_A_DETECTOR = (*RECOVERY, "trained_for")
 """Mission keys without effect on a flight without a detector."""
 _OPTIONS = ("wind", "localization", "dead_node", "flight_controller", "protection")

@@ -107,12 +107,7 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     "checksum": ("crc32c",),
 }
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""
-RECOVERY = "recovery"
-"""Recovery as a target of faults, in flights with any detector: its functions, and what it remembers between alarms."""
-_LIMITS = ("escalate", "series_start", "frequency", "down_time", "left_after")
-GUARDS = {**DETECTORS, RECOVERY: ("respond", *_LIMITS, "distance", "closing_rate", "wait_for_path")}
-"""Injectable functions of detectors and of recovery."""
-WATCHING = tuple(name for name in GUARDS if name != "checksum")
+WATCHING = tuple(name for name in DETECTORS if name != "checksum")
 """Targets of memory faults that exist only in flights with a detector; a checksum is not kept."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}

@@ -9,7 +9,7 @@ import typer
 from mavfi.cli.commands import app
 from mavfi.detectors.registry import detector_names
 from tests.architecture.source import ROOT
-from tools import build_pages
+from tools import build_pages, results
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 DOCS = ROOT / "docs"
@@ -25,10 +25,21 @@ def test_written_pages_say_what_the_code_says():
     assert stale == [], "run `make docs`"
 
 
-@pytest.mark.parametrize("page", sorted((DOCS / "generated").glob("*.md")), ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", sorted([*(DOCS / "generated").glob("*.md"), *(DOCS / "results").glob("*.md")]), ids=lambda page: page.name
+)
 def test_generated_pages_name_the_command_that_writes_them(page):
-    banner, target = re.match(r"(<!-- Written by `make ([a-z-]+)`; do not edit\. -->)\n\n# ", text(page)).groups()
+    command = r"(<!-- Written by `make ([a-z-]+)(?: NAME=([a-z-]+))?(?: SCALE=paper)?`; do not edit\. -->)\n\n# "
+    banner, target, name = re.match(command, text(page)).groups()
     assert f"\n{target}: " in text(ROOT / "Makefile"), banner
+    assert name is None or name == page.stem and name in {*results.CAMPAIGNS, *results.MODULES}, banner
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda page: page.name)
+def test_a_page_of_results_links_all_of_its_tables(page):
+    tables = {path.relative_to(page.parent).as_posix() for path in (results.TABLES / page.stem).glob("*.csv")}
+    if page.stem != "study":  # copied from the study, which writes its tables beside it
+        assert tables and tables <= set(re.findall(r"\]\(([^)#]+)", text(page)))
 
 
 def test_every_detector_is_listed():
@@ -38,7 +49,11 @@ def test_every_detector_is_listed():
 
 def test_every_page_is_listed():
     listed = set(re.findall(r"\]\(([^)#]+)", text(DOCS / "README.md")))
-    pages = {path.relative_to(DOCS).as_posix() for folder in (DOCS, DOCS / "generated") for path in folder.glob("*.md")}
+    pages = {
+        path.relative_to(DOCS).as_posix()
+        for folder in (DOCS, DOCS / "generated", DOCS / "results")
+        for path in folder.glob("*.md")
+    }
     assert pages - {"README.md"} <= listed
 
 
@@ -49,7 +64,11 @@ def test_links_lead_somewhere(page):
     assert [target for target in local if not (page.parent / target).exists()] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+PRESENT = [page for page in PAGES if page.name != "CHANGELOG.md"]
+"""Pages of what there is; the changelog names what there was."""
+
+
+@pytest.mark.parametrize("page", PRESENT, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_make_targets_that_are_named_exist(page):
     targets = set(re.findall(r"^([a-z-]+):", text(ROOT / "Makefile"), flags=re.MULTILINE))
     named = set(re.findall(r"`make ([a-z-]+)", text(page))) | set(

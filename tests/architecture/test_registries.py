@@ -9,12 +9,13 @@ import pytest
 
 from mavfi import config
 from mavfi.campaign.analysis.failure_rate import UpsetConfig
+from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.registry import (
     DetectorConfig,
+    contains,
     detector_names,
     of_all_fields,
     of_monitored_fields,
-    settings_of,
     trainable,
 )  # fmt: skip
 from mavfi.mission import MissionStatus
@@ -132,11 +133,10 @@ def test_detectors_that_learn_are_entry_points_with_a_file_each():
     assert list(of_monitored_fields()) == ["gaussian", "autoencoder"]
     assert {"limits", "autoencoder_all", "cusum", "conformal"} <= set(of_all_fields())
     others = {"recommended", "checksum", "checksum_large", "duplicate", "oracle", "random"}
-    others |= {f"rule_{number}" for number in range(1, 6)}
     assert set(config.names("detectors")) == {*trainable(), *others} <= set(detector_names())
-    assert all(settings_of(name, "tuned").gate for name in (*of_monitored_fields(), "another"))
+    assert all(contains(name, "tuned", GATE) for name in of_monitored_fields())
     assert set(of_all_fields(["bench"])) - set(of_all_fields()) == set(BASELINES)
-    assert not any(settings_of(name, "tuned").gate for name in of_all_fields(["bench"]))
+    assert not any(contains(name, "tuned", GATE) for name in of_all_fields(["bench"]))
 
 
 @pytest.mark.parametrize("name", config.names("environments"))

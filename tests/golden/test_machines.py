@@ -25,7 +25,7 @@ from mavfi.bridges.airsim.program import run_program
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 

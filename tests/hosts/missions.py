@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from mavfi.detectors import Alarm
+from mavfi.detectors import Alarm, Detector
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
@@ -41,7 +41,7 @@ def ends_as_its_status_says(flight):
     return expected.get(status, not (home or outside or late))
 
 
-class Scripted:
+class Scripted(Detector):
     """A detector that alarms at the n-th publication of one state, and remembers what it was shown."""
 
     def __init__(self, state="", n=10, stage="control", times=1, **alarm):

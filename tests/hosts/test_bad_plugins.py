@@ -11,11 +11,11 @@ from mavfi.hosts.local import fly
 from tests.hosts.missions import mission
 
 _MODULE = """
-from mavfi.detectors import Alarm
+from mavfi.detectors import Alarm, Detector
 from mavfi.numerics.random import seed_generator
 
 
-class Raises:
+class Raises(Detector):
     def start(self):
         pass
 

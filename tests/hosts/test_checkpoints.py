@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mavfi.detectors import Alarm
+from mavfi.detectors import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.local import checkpoints, fly
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import Watch
+from mavfi.hosts.loop.recovery import DetectorTap
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.watching import detector_for
 from mavfi.pipeline.memory import Foreign, Memory
@@ -24,7 +24,7 @@ from tests.hosts.missions import AUTOPILOTS, Scripted, fault, mission
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 
 
-class Nervous:
+class Nervous(Detector):
     """Alarms at every n-th publication of some states, so that every stage is run again at times."""
 
     pitch = {"perception.collision_status": 3, "planning.path": 2, "planning.waypoint": 9, "control.command": 97}
@@ -66,7 +66,7 @@ class Stop:
         loop.taps.injector = None if self.injector is None else self.injector.copy()
         self.keeper.restore(self.detector)
         if self.keeper.content is not None:
-            loop.taps.detector = Watch(loop, self.keeper.content)
+            loop.taps.detector = DetectorTap(loop, self.keeper.content)
         with np.errstate(all="ignore"):
             loop.run()
         return loop.flight().log
@@ -75,7 +75,7 @@ class Stop:
 def fly_with_stops(scenario, detector=None, injected=None, pitch=20):
     loop = new_loop(scenario, rewindable=True)
     loop.taps.injector = None if injected is None else StateInjector(injected)
-    keeper = checkpoints.keeper_of(detector)
+    keeper = checkpoints.DetectorKeeper(detector)
     watch(loop, detector)
     loop.begin()
     stops = []

@@ -10,17 +10,16 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, arms_of
 from mavfi.detectors.detector import Alarm
-from mavfi.detectors.duplicate import Duplicate
-from mavfi.detectors.sealed import Checksum, Oracle
+from mavfi.detectors.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.local import branch, fast_forward, fly
+from mavfi.hosts.local import fast_forward, fly
 from mavfi.hosts.local.checkpoints import take
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.decide import History
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.loop.recovery import Remembered
 from mavfi.hosts.loop.sensing import SensorMemory
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
@@ -140,7 +139,7 @@ def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched)
     forward, taken = FastForward(mission()), []
     forward.watched = watched
     forward.fly()
-    monkeypatch.setattr(branch, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
+    monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
     assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
     assert bool(taken) is watched
 
@@ -155,13 +154,13 @@ def test_a_masked_fault_costs_a_second_of_flight():
 
 @pytest.mark.slow
 def test_to_stop_too_early_is_noticed(monkeypatch):
-    monkeypatch.setattr(branch, "is_at", lambda *_: True)
+    monkeypatch.setattr(fast_forward, "is_at", lambda *_: True)
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
 @pytest.mark.slow
 def test_a_start_at_the_wrong_place_is_noticed(monkeypatch):
-    monkeypatch.setattr(branch.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
+    monkeypatch.setattr(fast_forward.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
     assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
 
 
@@ -230,10 +229,10 @@ def test_detectors_share_flights_between_their_alarms():
 def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
     stored = FastForward._injected
 
-    def silent(forward, injected, detector, arm):
-        track = stored(forward, injected, detector, arm)
+    def silent(forward, injected, arm):
+        track = stored(forward, injected, arm)
         places = {rows: replace(place, alarms=()) for rows, place in track.checkpoints.items()}
-        forward._tracks(injected)[arm] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
+        forward._tracks(injected)[arm.name] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
         return track
 
     monkeypatch.setattr(FastForward, "_injected", silent)
@@ -278,7 +277,7 @@ TAKING_PART = {
     "duplicate": (lambda: Duplicate(), INLINE),
     "recommended": (lambda: detector_of("recommended", "paper", mission()), escalating()),
     "restarts": (lambda: Scripted("perception.map_update", n=25, stage="perception", times=3, hard=True), escalating()),
-    "hover": (lambda: Scripted("control.command", n=300, times=200, hard=True), escalating(degraded="hover")),
+    "hold": (lambda: Scripted("control.command", n=300, times=200, hard=True), escalating(degraded="hold")),
 }
 """Detectors that act on flights without an alarm, or answer one depending on earlier events."""
 
@@ -303,15 +302,15 @@ STRUCK = [None, *(FAULTS[number] for number in (0, 3, 8, 9, 13, 20, 16, 17))]
 )
 def test_detectors_that_take_part_are_fast_forwarded_too(name):
     forward = FastForward(mission())
-    faults = STRUCK[:3] if name == "hover" else STRUCK  # which hovers to the time limit
+    faults = STRUCK[:3] if name == "hold" else STRUCK  # which holds its position to the time limit
     other, logs = under(name, forward, faults)
     assert other == []
     assert forward.share.flights == len(faults) and forward.share.flown < forward.share.ticks
     if name in ("checksum", "oracle", "recommended"):  # a message that is sent again leaves no trace
         assert forward.share.converged > 0
-    if name in ("restarts", "hover"):
+    if name in ("restarts", "hold"):
         kinds = {alarm.action for log in logs for alarm in log.alarms}
-        assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hover": {"hover"}}[name]
+        assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hold": {"hold"}}[name]
 
 
 @pytest.mark.slow
@@ -327,20 +326,19 @@ def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not(
 @pytest.mark.parametrize(
     ("name", "mutant"),
     [
-        ("checksum", (branch, "takes_part", lambda *_: False)),
-        ("duplicate", (branch, "takes_part", lambda *_: False)),
-        ("silent", (branch, "takes_part", lambda *_: False)),
-        ("restarts", (branch.Branch, "begin_empty", lambda _: None)),
-        ("hover", (Remembered, "copy", lambda _: Remembered())),
+        ("checksum", (fast_forward, "takes_part", lambda *_: False)),
+        ("duplicate", (fast_forward, "takes_part", lambda *_: False)),
+        ("silent", (fast_forward, "takes_part", lambda *_: False)),
+        ("restarts", (fast_forward.Branch, "begin_empty", lambda _: None)),
+        ("hold", (History, "copy", lambda _: History())),
     ],
 )
 def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, name, mutant):
     monkeypatch.setattr(*mutant)
-    monkeypatch.setattr(fast_forward, "takes_part", branch.takes_part)
     forward = FastForward(mission())
     try:
         forward.fly()
-        assert under(name, forward, [STRUCK[5]] if name == "hover" else STRUCK[:7])[0] != []
+        assert under(name, forward, [STRUCK[5]] if name == "hold" else STRUCK[:7])[0] != []
     except Exception as error:  # the flight from take-off would decide
         assert not isinstance(error, AssertionError), error
 

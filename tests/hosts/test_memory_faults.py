@@ -10,7 +10,6 @@ import pytest
 import mavfi
 from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import part_of
-from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.faults.fault import MemoryFault
@@ -19,12 +18,11 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.local.memory_faults import DetectorMemory, MemoryInjector, flip_bit
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.loop.recovery import Watch
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import BASELINES, KERNELS, RECOVERY, WATCHING, new_state
+from mavfi.states import BASELINES, KERNELS, WATCHING, new_state
 from tests.hosts.missions import golden, mission
 
 pytestmark = pytest.mark.slow
@@ -171,22 +169,22 @@ def test_there_is_no_word_before_the_first():
     assert not fly(mission(), fault).log.injections[0].activated
 
 
-# ---- detectors and recovery --------------------------------------------------------------------------------------
+# ---- detectors --------------------------------------------------------------------------------------
 WATCHED = {"acceptance": ("acceptance", "paper"), "gaussian": ("gaussian", "paper"),
            "autoencoder": ("autoencoder", "paper"), "physics_gate": ("gaussian", "tuned")}  # fmt: skip
 """A detector with each part, and its profile."""
 LAST_COMMAND = MemoryFault("acceptance", "last_command.vx", None, "f8", AT, 62)
 
 
-def detector(name, profile="paper", copies=1):
-    return replicated(detector_for(mission(), name, profile)[0], copies)
+def detector(name, profile="paper"):
+    return detector_for(mission(), name, profile)[0]
 
 
 def content(part):
     return {name: array.tobytes() for name, array in part.arrays().items()}
 
 
-@pytest.mark.parametrize("name", [name for name in WATCHING if name not in (RECOVERY, *BASELINES)])
+@pytest.mark.parametrize("name", [name for name in WATCHING if name not in BASELINES])
 def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name):
     watching = detector(*WATCHED.get(name, (name, "paper")))
     fly(mission(), None, watching)
@@ -229,13 +227,11 @@ def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
     assert [alarm.state for alarm in log.alarms] == ["control.command"], "it compares with what it remembers"
     assert log.status is MissionStatus.SUCCESS and clean.alarms == []
     assert fly(mission(), None, watching, recovery=recovery).log.digest() == clean.digest()
-    assert fly(mission(), LAST_COMMAND, detector("acceptance", copies=3), recovery=recovery).log.alarms == []
     assert fly(mission(), LAST_COMMAND).log.injections[0].activated is False, "there is no detector"
 
 
-@pytest.mark.parametrize("copies", [1, 2])
-def test_a_detector_that_raises_dies_and_comes_back_without_the_fault(copies):
-    watching = detector("acceptance", copies=copies)
+def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
+    watching = detector("acceptance")
     part, spoilt, calls = part_of(watching, "acceptance"), [], []
     judge = part._at_ticks["control.command"]
 
@@ -252,20 +248,9 @@ def test_a_detector_that_raises_dies_and_comes_back_without_the_fault(copies):
     assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS
     missed = round(0.57 / 0.02)
     flown = round(log.column("time")[-1] / 0.02)
-    if copies == 1:  # until then, the fault is not there, and a publication takes one call of other code
-        flown -= round(AT / 20_000)
+    flown -= round(AT / 20_000)  # until then, a publication takes one call of other code
     assert flown - missed - 3 <= len(calls) <= flown - missed + 3, "it returns after its restart"
     assert not {"check", "accept"} & set(vars(part)) and not part._stepwise
-
-
-def test_what_recovery_remembers_can_be_struck():
-    watching, recovery = detector("acceptance"), Recovery(grain="message", same_twice="escalate", degraded="hold")
-    names = {words.name for words in words_of(Watch(new_loop(mission()), watching, recovery))}
-    assert {"restarts_left", "degraded", "silenced", "first_us", "last_us", "waiting.asked"} <= names
-    fault = MemoryFault("recovery", "degraded", None, "?", AT, 0)
-    log = fly(mission(), fault, watching, recovery=recovery).log
-    assert log.injections[0].after is True and log.status is MissionStatus.TIMEOUT, "a false belief ends the mission"
-    assert fly(mission(), fault, watching, recovery=Recovery(grain="message")).log.status is MissionStatus.SUCCESS
 
 
 def test_faults_in_detectors_are_drawn_from_flights_with_them():
@@ -273,10 +258,9 @@ def test_faults_in_detectors_are_drawn_from_flights_with_them():
     fault, flown = draw_memory(mission(), MemoryRequest("acceptance", "last_command", None, AT), 3, watching)
     assert fault.kernel == "acceptance" and fault.field.startswith("last_command.") and fault.time_us == AT
     assert flown.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
-    assert draw_memory(mission(), MemoryRequest("recovery", "restarts_left"), 3, watching)[0].dtype == "i4"
     with pytest.raises(BadInputError, match=r"memory:acceptance.nothing: no such word.*allowed: .*last_command.vx"):
         draw_memory(mission(), MemoryRequest("acceptance", "nothing"), 3, watching)
     gated = r"autoencoder \(profile tuned\), gaussian \(profile tuned\)"
-    for target, allowed in (("gaussian", "gaussian"), ("physics_gate", gated), ("recovery", "a det")):
+    for target, allowed in (("gaussian", "gaussian"), ("physics_gate", gated)):
         with pytest.raises(BadInputError, match=f"{target}.*is not part of this mission; allowed: with {allowed}"):
-            draw_memory(mission(), MemoryRequest(target), 3, None if target == "recovery" else watching)
+            draw_memory(mission(), MemoryRequest(target), 3, watching)

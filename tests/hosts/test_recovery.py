@@ -5,8 +5,8 @@ import pytest
 from mavfi import api
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
+from mavfi.hosts.loop.decide import MAX_UNCHANGED
 from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.loop.recovery import MOST_UNCHANGED
 from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.platforms.compute import stage_latency
@@ -208,8 +208,8 @@ def test_a_detector_of_ones_own_that_always_alarms_keeps_no_mission_from_its_goa
     assert flight.log.status is MissionStatus.SUCCESS
     if coupling == "inline":  # the next value after one that was consumed differs
         times = [alarm.time_s for alarm in flight.log.alarms if alarm.outcome == "accepted"]
-        assert len(times) > MOST_UNCHANGED
-        assert all(later - time > 9.999 for time, later in zip(times, times[MOST_UNCHANGED:], strict=False))
+        assert len(times) > MAX_UNCHANGED
+        assert all(later - time > 9.999 for time, later in zip(times, times[MAX_UNCHANGED:], strict=False))
 
 
 def test_keys_of_a_mission_hold_against_those_of_a_detector_only_if_they_are_set():

@@ -2,14 +2,13 @@
 
 import pytest
 
-from mavfi.detectors.detector import Alarm
-from mavfi.detectors.duplicate import Duplicate
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.random_alarms import RandomAlarms
-from mavfi.detectors.sealed import Checksum, Oracle
+from mavfi.detectors.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import StateFault
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import Recovery
@@ -40,7 +39,7 @@ def test_a_message_that_is_sent_again_leaves_the_golden_flight(state, field, bit
     assert sum(struck.meta["recompute_us"].values()) == 0
 
 
-class AlarmsOnce:
+class AlarmsOnce(Detector):
     states = frozenset({"control.command"})
 
     def start(self):

@@ -1,4 +1,4 @@
-"""A sample of `make fuzz`, every input that it found, places that are no files, and bad readers that it must notice."""
+"""A sample of `make reliability ONLY=fuzz`, its corpus, places that are no files, and bad readers to be noticed."""
 
 import copy
 import itertools

@@ -12,7 +12,6 @@ from mavfi.pipeline.functions import KernelFunctions
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.platforms.compute import latency, stage_latency
 from mavfi.states import (
-    GUARDS,
     INJECTABLE,
     INJECTED_KERNEL,
     KERNEL_STAGES,
@@ -22,7 +21,6 @@ from mavfi.states import (
     PERIODIC,
     PLANNERS,
     PPC_STAGES,
-    RECOVERY,
     STAGE_KERNELS,
     STATES,
     Stage,
@@ -100,10 +98,10 @@ def test_nodes_partition_the_kernels():
     assert in_node("trajectory") == in_node("planner") == ("planner", "trajectory")
 
 
-def test_every_function_that_a_host_can_swap_belongs_to_one_kernel_or_to_recovery():
+def test_every_function_that_a_host_can_swap_belongs_to_one_kernel():
     attributes = [field.name for field in fields(KernelFunctions)]
     named = list(dict.fromkeys(chain.from_iterable(INJECTABLE.values())))
-    assert sorted([*named, *GUARDS[RECOVERY]]) == sorted(attributes)
+    assert sorted(named) == sorted(attributes)
     owners = {name: {INJECTED_KERNEL[kernel] for kernel in INJECTABLE if name in INJECTABLE[kernel]} for name in named}
     assert all(len(kernels) == 1 for kernels in owners.values())
 

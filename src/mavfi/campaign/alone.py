@@ -1,15 +1,14 @@
-"""Injected runs of a mission that has crashed a worker, each in a child process."""
+"""Runs of a mission that has crashed a worker, or exceeded its time limit: each is flown in a child process."""
 
 import pickle
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from mavfi.campaign.plan import Flown, RunSpec
-from mavfi.detectors.bounded import LONGEST_S
+from mavfi.detectors.custom import CustomCallError, split_noting_calls
 from mavfi.errors import MachineError
 from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.isolated import run_again
-from mavfi.ir.forked import WALL_CLOCK
+from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
 
 ATTEMPTS_ALONE = 3
 """Attempts in separate child processes before an injected run that crashes its process counts as `due`."""
@@ -18,40 +17,57 @@ LONGEST_ALONE = 180.0
 
 
 def fly_alone(
-    specs: Sequence[RunSpec], fly: Callable[[RunSpec], Flown], fly_golden: Callable[[str], None],
-    isolated: Collection[str],
+    specs: Sequence[RunSpec], fly: Callable[[RunSpec], Flown], fly_golden: Callable[[str], None]
 ) -> Iterator[Flown]:  # fmt: skip
     """Runs, each in a separate child process: `due` if every attempt dies, `unknown` if one exceeds the time limit.
 
     A process that dies without its fault, too, dies of the machine: before a `due`, `fly_golden` flies the golden run
-    of the arm in a child.  The limit is longer for `isolated` arms, whose detectors may not return.
+    of the arm in a child.  A run in which a call of a custom detector does not return, or ends the process, is
+    `unknown` at once, and its note names class and call.
 
     Raises:
         MachineError: A child was killed from outside, or the golden run died, too.
     """
     for spec in specs:
-        late, limit = False, LONGEST_ALONE + (LONGEST_S if spec.arm in isolated else 0.0)
-        for _ in range(ATTEMPTS_ALONE):
-            ended = run_again(partial(_pickled, spec, fly), limit)
-            if ended.how == "done":
-                yield _unpickled(ended.payload)
-                break
-            late |= ended.detail == WALL_CLOCK
-        else:
-            if not late:
-                _check_machine(spec, fly_golden, limit)
-            end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
-            yield Flown.of(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
+        try:
+            yield _fly_one(spec, fly, fly_golden)
+        except CustomCallError as error:
+            yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error=type(error).__name__), str(error))
 
 
-def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None], limit: float) -> None:
+def _fly_one(spec: RunSpec, fly: Callable[[RunSpec], Flown], fly_golden: Callable[[str], None]) -> Flown:
+    """A run, after several attempts if necessary; raises a `CustomCallError` if one ends in a custom detector."""
+    is_late = False
+    for _ in range(ATTEMPTS_ALONE):
+        ended = _run_in_child(partial(_pickled, spec, fly))
+        if ended.how == "done":
+            return _unpickled(ended.payload)
+        is_late = is_late or ended.detail == WALL_CLOCK
+    note = f"{ended.how} {ended.detail}".strip()
+    if is_late:
+        return Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="took too long"), note)
+    _check_machine(spec, fly_golden)
+    return Flown.of(spec.run_id, FlightRecord(End.DUE, error="the process died each time"), note)
+
+
+def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
     def fly() -> bytes:
         fly_golden(spec.arm)
         return b""
 
-    ended = run_again(fly, limit)
+    ended = _run_in_child(fly)
     if ended.how != "done":
         raise MachineError(f"{spec.run_id}: the process died, and that of its golden run, too ({ended.detail})")
+
+
+def _run_in_child(work: Callable[[], bytes]) -> Ended:
+    """Run `work`, which returns the report, in a forked child with the wall-time limit."""
+    point = ForkPoint()
+    with point.guard():
+        ended = split_noting_calls(point, LONGEST_ALONE)
+        if ended is None:
+            point.finish(work())
+    return ended
 
 
 def _pickled(spec: RunSpec, fly: Callable[[RunSpec], Flown]) -> bytes:

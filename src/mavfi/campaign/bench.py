@@ -185,7 +185,7 @@ def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None)
             scenario = next(iter(scenarios_of(campaign, [arm]).values()))
             spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
             try:
-                detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for)
+                detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
             except (NotInstalledError, SpecMismatchError) as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.campaign.sampling import (
@@ -19,13 +19,13 @@ from mavfi.campaign.sampling import (
     check_strata,
     label_of,
 )
-from mavfi.config import Config, Name, config_root, load, parse
+from mavfi.config import STORED, Config, Name, config_root, load, parse
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
-from mavfi.states import GUARDS, INJECTABLE, MONITORED_SETS, PLANNERS
+from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
@@ -41,12 +41,14 @@ _RENAMED = {
 """Keys of campaign schema 1, with their replacements."""
 _SETTINGS = ("golden", "fi", "dr", "null")
 """Settings, and the beginnings of their names."""
+_STORED_SCHEME = "uniform"
+"""Value of the key `scheme` in the identities of ledgers with faults in instructions; there was another one once."""
 _UNDER_TEST = {"node": "node", "airsim_program": "program"}
 """Hosts where something other than our pipeline is under test, with the key that names it."""
 
 
 class MemorySampling(Config):
-    """Faults in memory of kernels, detectors or recovery: one bit, uniform over bits and instants of a golden run."""
+    """Faults in memory of kernels or detectors: one bit, uniform over bits and instants of a golden run."""
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["memory"]
@@ -73,10 +75,7 @@ class InstructionSampling(Config):
 
     null_runs: ClassVar[int] = 0
     level: Literal["instruction"]
-    scheme: Literal["uniform", "stratified"] = Field(
-        "uniform", description="over dynamic instructions, or by value class and source line with weights"
-    )
-    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm; recovery")
+    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm")
     share: Literal["kernel", "stage"] = Field(
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
     )
@@ -84,9 +83,17 @@ class InstructionSampling(Config):
     model: Model = Field("one_bit", description="what becomes of the value")
     restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _without_scheme(cls, data: Any, info: ValidationInfo) -> Any:
+        """Ledgers store `_STORED_SCHEME`, which users may no longer write."""
+        if info.context != STORED or not isinstance(data, dict) or data.get("scheme") != _STORED_SCHEME:
+            return data
+        return {key: value for key, value in data.items() if key != "scheme"}
+
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *GUARDS))
+        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
         check_distinct("sampling.kernels", self.kernels)
         return self
 
@@ -135,6 +142,9 @@ class ArmConfig(Config):
     also_accepts: ClassVar = tuple(key for key in MissionSpec.model_fields if key not in ("environment", "seed"))
     detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
     profile: str = Field("paper", description="of the detector: paper or tuned")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="of the detector, e.g. rules: [1, 3]; over those of its file and profile"
+    )
     mission: dict[str, Any] = Field(default_factory=dict, description="keys that differ; also allowed in the arm")
 
     @model_validator(mode="before")
@@ -292,6 +302,9 @@ class Campaign(Config):
     def to_json(self) -> dict[str, Any]:
         """Plain data; unset keys of later versions are omitted, so that older campaigns keep their identity."""
         data = self.model_dump(mode="json")
+        for arm in data["arms"].values():
+            if not arm["options"]:
+                del arm["options"]
         if not self.parts:
             del data["parts"]
         if self.program is None:
@@ -304,6 +317,13 @@ class Campaign(Config):
         for group in sampling.get("groups", ()):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)
+        return data
+
+    def identity(self) -> dict[str, Any]:
+        """Plain data in the identity of a ledger; it keeps the key `scheme` of faults in instructions."""
+        data = self.to_json()
+        if self.sampling.level == "instruction":
+            data["sampling"]["scheme"] = _STORED_SCHEME
         return data
 
 

@@ -10,6 +10,7 @@ from mavfi.campaign.session import Status
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
+from mavfi.flight_record import without_source
 
 _ROWS = 1000  # per transaction
 
@@ -54,7 +55,8 @@ def _copy(source: Store, target: Store) -> None:
     while rows := list(islice(every, _ROWS)):
         flown = [item for _, item in rows if item is not None]
         for item in flown:
-            if target.record_text(item.run_id) not in (None, item.text):
+            known = target.record_text(item.run_id)
+            if known is not None and without_source(known) != without_source(item.text):
                 raise BadInputError(
                     f"{source.directory}: run {item.run_id!r}: has another record than in {target.directory}"
                 )

@@ -9,25 +9,22 @@ Exceptions of mavfi itself are recorded as `unknown`, never as an effect of a fa
 import json
 import time
 import traceback
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from mavfi.campaign.alone import fly_alone
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.copies import lead_of
 from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
-from mavfi.detectors.bounded import is_foreign
+from mavfi.detectors.custom import is_custom
 from mavfi.detectors.detector import Detector
-from mavfi.detectors.replicas import replicated
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
-from mavfi.hosts.isolated import IsolatedFlights
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
@@ -97,15 +94,14 @@ def model_hashes(
     Campaigns with parts, which may differ in what detectors are trained for, have keys "environment/arm".
 
     Raises:
-        BadInputError: A detector is unknown or cannot be copied, or a model is absent or does not match.
+        BadInputError: A detector is unknown, or a model is absent or does not match.
     """
     found = {}
     for arm in (arm for arm in arms_of(campaign) if arm.detector):
         spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
         for environment in campaign.environments:
             scenario = scenarios[environment, arm.name]
-            detector, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for)
-            replicated(detector, spec.copies)  # refuses what it cannot copy
+            _, model = detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
             found[f"{environment}/{arm.name}" if campaign.parts else arm.name] = model
     return found
 
@@ -115,7 +111,7 @@ def flights_of(plan: Plan, environment: str) -> dict[str, str]:
     campaign = plan.campaign
     return {
         arm.name: json.dumps([
-            campaign.host, campaign.under_test, arm.detector, arm.profile,
+            campaign.host, campaign.under_test, arm.detector, arm.profile, dict(arm.options),
             model_of(plan.models, environment, arm.name), plan.scenarios[environment, arm.name],
             campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
         ], sort_keys=True)
@@ -151,7 +147,9 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host, scenario: Scenario | None 
     scenario = scenario or host.resolve(spec)
 
     def make() -> Detector:
-        detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for)
+        detector, model = detector_for(
+            scenario, arm.detector, arm.profile, plan.models_dir, spec.trained_for, arm.options
+        )
         planned = model_of(plan.models, plan.environment, arm.name)
         if model != planned:
             raise SpecMismatchError(
@@ -183,15 +181,16 @@ class _Ready:
         host = host_of(campaign)
         return _Ready(mission, plan, host, {arm.name: setup_of(mission, arm, host) for arm in plan.arms})
 
-    def foreign(self) -> dict[str, ArmSetup]:
-        """The arms whose detector is not part of mavfi, and called in this process."""
-        arms = self.setups.items() if self.host.in_process else ()
-        return {name: setup for name, setup in arms if is_foreign(setup.detector())}
+    def custom_arms(self) -> frozenset[str]:
+        """The arms with a custom detector that is called in this process, which it may block or end."""
+        if not self.host.in_process:
+            return frozenset()
+        return frozenset(name for name, setup in self.setups.items() if is_custom(setup.detector()))
 
 
-def foreign_arms(mission: MissionPlan) -> Collection[str]:
-    """Arms of a mission whose detector is not part of mavfi, and called in this process."""
-    return _Ready.of(mission).foreign()
+def has_custom_detectors(mission: MissionPlan) -> bool:
+    """Whether an arm has a custom detector that is called in this process."""
+    return bool(_Ready.of(mission).custom_arms())
 
 
 def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
@@ -238,10 +237,12 @@ def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Plan
     golden = plan.golden(*mission.world)
     yield Planned.of(golden, last=False)
     sampled: dict[str, Sampled] = {}
-    foreign = ready.foreign() if mission.alone else {}
-    isolated = {arm: IsolatedFlights(ready.host, {arm: setup}) for arm, setup in foreign.items()}
+    alone = _Alone(ready, flights) if mission.alone else None
     for spec in golden:
-        flown = _golden(plan, spec, isolated.get(spec.arm, flights), ready.setups[spec.arm], sampled)
+        if alone is not None and spec.arm in alone.custom_arms:  # no fault is drawn from it
+            flown = alone.golden(spec)
+        else:
+            flown = _golden(plan, spec, flights, ready.setups[spec.arm], sampled)
         if spec.run_id not in mission.done:
             yield flown
     runs = _draw(plan, mission, sampled)
@@ -253,20 +254,51 @@ def _fly(ready: _Ready, flights: MissionFlights, known: _Known) -> Iterator[Plan
         else:
             left.append(spec)
 
-    def from_take_off(arm: str) -> MissionFlights:
-        return ready.host.mission({arm: ready.setups[arm]}, fast_forward=False)
-
-    def fly_one(spec: RunSpec) -> Flown:
-        return next(_injected([spec], from_take_off(spec.arm) if spec.arm in isolated else flights))
-
-    def fly_golden(arm: str) -> None:
-        from_take_off(arm).golden(arm)
-
     places = {spec.run_id: (spec.arm, spec.fault) for spec in left}
-    for flown in fly_alone(left, fly_one, fly_golden, isolated) if mission.alone else _injected(left, flights):
+    for flown in _injected(left, flights) if alone is None else alone.injected(left):
         if not flown.unknown:
             known[places[flown.run_id]] = flown
         yield flown
+
+
+class _Alone:
+    """Runs of a mission that has crashed a worker, or exceeded its time limit: each is flown in a child process.
+
+    Args:
+        ready: The mission.
+        flights: Its flights in this process.
+
+    Attributes:
+        custom_arms: Arms with a custom detector, whose golden runs are flown in a child process, too.
+    """
+
+    def __init__(self, ready: _Ready, flights: MissionFlights) -> None:
+        self._ready, self._flights = ready, flights
+        self.custom_arms = ready.custom_arms()
+
+    def golden(self, spec: RunSpec) -> Flown:
+        """A golden run of an arm with a custom detector."""
+
+        def fly(spec: RunSpec) -> Flown:
+            return _guarded(spec.run_id, lambda: self._from_take_off(spec.arm).golden(spec.arm).record())
+
+        return next(fly_alone([spec], fly, self._fly_golden))
+
+    def injected(self, specs: Sequence[RunSpec]) -> Iterator[Flown]:
+        """Injected and null runs in order."""
+
+        def fly(spec: RunSpec) -> Flown:
+            flights = self._from_take_off(spec.arm) if spec.arm in self.custom_arms else self._flights
+            return next(_injected([spec], flights))
+
+        return fly_alone(specs, fly, self._fly_golden)
+
+    def _fly_golden(self, arm: str) -> None:
+        self._from_take_off(arm).golden(arm)
+
+    def _from_take_off(self, arm: str) -> MissionFlights:
+        """Flights of an arm that share nothing with those of this process."""
+        return self._ready.host.mission({arm: self._ready.setups[arm]}, fast_forward=False)
 
 
 def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
@@ -279,17 +311,12 @@ def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
 
 
 def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
-    """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`.
-
-    Faults in a detector are drawn in the first of the arms that differ in its copies; all of these are counted.
-    """
+    """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`."""
     arm = next(arm for arm in plan.arms if arm.name == spec.arm)
-    lead = lead_of(plan.campaign.arms, arm.name)
 
     def fly() -> FlightRecord:
-        shared = [draw for _, draw in plan.places(*spec.world) if draw.variant == lead and draw.target != NULL]
-        draws = shared if lead == arm.name else []
-        if arm.name and not arm.is_variant and not shared:
+        draws = [draw for _, draw in plan.places(*spec.world) if draw.variant == arm.name and draw.target != NULL]
+        if arm.name and not arm.is_variant and not draws:
             return flights.golden(arm.name).record()
         found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
         sampled[arm.name] = found

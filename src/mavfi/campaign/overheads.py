@@ -19,11 +19,11 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import arms_of
-from mavfi.detectors.detector import Detector, admission
+from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, writing
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.decision import SCANNING, Action
+from mavfi.hosts.loop.decide import SCANNING, Action
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec
@@ -106,7 +106,10 @@ class _Clock:
         return self.seconds[key] / self.calls[key] if self.calls[key] else 0.0
 
 
-def cost(mission: MissionSpec, name: str, profile: str, models_dir: Path | None = None) -> Cost:
+def cost(
+    mission: MissionSpec, name: str, profile: str, models_dir: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Cost:  # fmt: skip
     """Fly a golden mission with a detector, then replay its publications to the detector.
 
     Raises:
@@ -122,7 +125,7 @@ def cost(mission: MissionSpec, name: str, profile: str, models_dir: Path | None 
         return built
 
     scenario = resolve(mission)
-    detector = detector_for(scenario, name, profile, models_dir, mission.trained_for)[0]
+    detector = detector_for(scenario, name, profile, models_dir, mission.trained_for, options).detector
     loop = new_loop(scenario, make_kernels=build)
     watch(loop, detector, Recovery.of(mission))
     if loop.verify is not None:
@@ -184,16 +187,14 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
     """
     detector.start()
     spent, clock = 0.0, time.perf_counter
-    at_once, otherwise = admission(detector, limit=False)  # which is no cost of a detector
-    seal: Callable[[State, int], None] | None = getattr(detector, "seal", None)
     for first in range(0, len(publications), _BLOCK):
         block = publications[first : first + _BLOCK]
         for state, _ in block:
             state.header.tobytes(), state.elements.tobytes()
         start = clock()
-        for state, now in block if seal is None else _sealed(block, seal):
-            if at_once[state.spec.name](state.header) and otherwise(state, now) is not None:
-                detector.accept(state, now)
+        for state, now in _sealed(block, detector.seal) if detector.seals else block:
+            detector.check(state, now)  # after a false alarm, the value is assumed to be published, too
+            detector.accept(state, now)
         middle = clock()
         for state, now in block:  # noqa: B007 - as above
             pass
@@ -248,10 +249,10 @@ def measure(
         for arm in arms:
             flown = [campaign.spec(environment, seed, arm.overrides) for seed in seeds]
             if not rows:  # warm-up: compiles, or reads the cache
-                cost(flown[0], arm.detector, arm.profile, models_dir)
+                cost(flown[0], arm.detector, arm.profile, models_dir, arm.options)
             costs = []
             for mission in flown:
-                costs.append(cost(mission, arm.detector, arm.profile, models_dir))
+                costs.append(cost(mission, arm.detector, arm.profile, models_dir, arm.options))
                 done += 1
                 progress(done, total)
             rows += [{"environment": environment, "arm": arm.name, "stage": stage, **_shares(costs, stage)}

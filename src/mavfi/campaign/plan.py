@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.copies import lead_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
 from mavfi.campaign.sampling import label_of
@@ -97,6 +96,7 @@ class Arm:
     overrides: Mapping[str, Any] = field(default_factory=dict)
     detector: str = ""  # "" = none
     profile: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the detector
     is_variant: bool = False  # required by the sampling scheme; flown only with the faults drawn in it
 
 
@@ -198,7 +198,7 @@ class Plan:
         else:
             kind = "injected"
             variant = self._arm(draw.variant)
-            again = self.copies_of(variant.name) if variant.detector else self.watching
+            again = (variant,) if variant.detector else self.watching
             settings = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in again]
             settings = settings if variant.detector else [(variant, FI), *settings]
         return [
@@ -217,7 +217,7 @@ class Plan:
             first = (shard.number - 1 - place * campaign.missions) % shard.of
             for block in self.sampler.blocks(name):
                 variant = block.draw(0).variant if block.count else ""
-                runs = len(self.copies_of(variant)) if self._arm(variant).detector else each
+                runs = 1 if self._arm(variant).detector else each
                 total += _of_shard(block.count, campaign.missions, first, shard.of) * runs
             total += _of_shard(campaign.nulls, campaign.missions, first, shard.of)
         return total
@@ -229,11 +229,6 @@ class Plan:
     def keys(self, environment: str) -> dict[str, str]:
         """Scenario keys of an environment, by arm."""
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
-
-    def copies_of(self, arm: str) -> tuple[Arm, ...]:
-        """The arms that differ from an arm with a detector at most in its copies, itself included."""
-        arms = self.campaign.arms
-        return tuple(one for one in self.watching if lead_of(arms, one.name) == lead_of(arms, arm))
 
     def _arm(self, name: str) -> Arm:
         return next(arm for arm in self.arms if arm.name == name)
@@ -265,6 +260,7 @@ def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
             {**mission_keys(config.detector), **config.mission},
             config.detector,
             config.profile if config.detector else "",
+            config.options,
         )
         for name, config in campaign.arms.items()
     ]

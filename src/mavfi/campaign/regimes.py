@@ -11,7 +11,7 @@ import numpy as np
 
 from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, Column, Table
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.field_codes import FieldCodes
 from mavfi.states import State
 
 NAMES = ("same way-point", "new way-point", "new trajectory", "cloud, map")
@@ -28,16 +28,16 @@ class RegimeClock:
     """
 
     def __init__(self, autopilot: str) -> None:
-        self._everything = Everything(autopilot)
-        self._codes = np.zeros(len(self._everything.fields), np.int16)
+        self._field_codes = FieldCodes(autopilot)
+        self._codes = np.zeros(len(self._field_codes.fields), np.int16)
 
     def __call__(self, state: State) -> int:
         """Index in `NAMES`."""
-        slot = self._everything.slots.get(state.spec.name)
+        slot = self._field_codes.slots.get(state.spec.name)
         if slot is None:
-            self._everything.note(state)
+            self._field_codes.note(state)
             return _NONE
-        found = self._everything.measure(state, slot, self._codes, keep=True)
+        found = self._field_codes.measure(state, slot, self._codes, keep=True)
         return found if found >= 0 else -1 - found  # not finite
 
 

@@ -26,7 +26,6 @@ from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.faults.fault import Fault
 from mavfi.flight_record import End, FlightRecord, record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
-from mavfi.hosts.isolated import IsolatedFlights, in_child
 from mavfi.hosts.local import recorded
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.protection import check_plan
@@ -82,7 +81,7 @@ def flight_again(store: Store, spec: RunSpec) -> Flight:
 def fly_again(store: Store, spec: RunSpec) -> Recorded:
     """Replay a run of a ledger in full, without fast-forward; raises the errors of `replay`."""
     host, setup = setup_of_run(store, spec)
-    flights = IsolatedFlights(host, {spec.arm: setup})
+    flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
     if spec.fault is None:
         flown = flights.golden(spec.arm)
@@ -202,10 +201,7 @@ def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
 
 def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
     """Fly one mission on the deterministic host and record its publications, in order."""
-    detector = setup.detector()
-    flight, published = in_child(
-        detector, lambda: recorded.fly_recorded(setup.scenario, fault, detector, setup.recovery)
-    )
+    flight, published = recorded.fly_recorded(setup.scenario, fault, setup.detector(), setup.recovery)
     return flight, [Publication(time_us, state) for state, time_us in published]
 
 

@@ -142,13 +142,13 @@ def identity_of(
     """Identity of a ledger's campaign, as plain data."""
     arms = campaign.arms.items()
     keys = {name: dict(own) for name, arm in arms if (own := mission_keys(arm.detector))}
-    options = {name: dict(own) for name, arm in arms if (own := detector_options(arm.detector))}
+    options = {name: {**detector_options(arm.detector), **arm.options} for name, arm in arms}
     return {
-        "campaign": campaign.to_json(),
+        "campaign": campaign.identity(),
         "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
         "models": dict(models),
         **({"mission_keys": keys} if keys else {}),
-        **({"detector_options": options} if options else {}),
+        **({"detector_options": used} if (used := {name: own for name, own in options.items() if own}) else {}),
     }
 
 

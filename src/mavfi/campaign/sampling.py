@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from mavfi.config import Config, names
+from mavfi.dropped import dropped_name
 from mavfi.faults.sensor.fault import FAILING, UNITS
 from mavfi.faults.strata import STRATA
 from mavfi.sim.environments import SCAN_ENDINGS
@@ -24,6 +25,8 @@ NULL_RUNS = 3  # default number of null runs per environment, except for instruc
 def check_known(key: str, given: Iterable[str], allowed: Collection[str]) -> None:
     """Raise a ValueError for a name that is not allowed."""
     for name in given:
+        if key.endswith("kernels") and dropped_name("kernels", name):
+            raise ValueError(f"{key}: {dropped_name('kernels', name)}")
         if name not in allowed:
             raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
 

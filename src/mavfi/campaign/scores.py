@@ -8,7 +8,7 @@ above the threshold count as alarms.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,12 +23,9 @@ from mavfi.campaign.regimes import Exposure, RegimeClock
 from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
-from mavfi.detectors.bounded import StuckError, is_foreign, limited
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
 from mavfi.faults.state import StateInjector
-from mavfi.flight_log import FlightLog
-from mavfi.hosts.isolated import in_child
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for
@@ -143,15 +140,10 @@ class _Kept:
 
 
 class _Scorer:
-    """Recorder in which detectors score each publication, and its corrupted copies at fault sites.
-
-    One of which a call does not return, or ended the process, raises no alarm from then on, as in a flight.
-    """
+    """Recorder in which detectors score each publication, and its corrupted copies at fault sites."""
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault], autopilot: str) -> None:
-        self._calls = {
-            name: (limited(detector, "score"), limited(detector, "accept")) for name, detector in detectors.items()
-        }
+        self._detectors: Mapping[str, Any] = detectors  # those that have `score`
         self._regime_of = RegimeClock(autopilot)
         self._injectors = {place: StateInjector(fault) for place, fault in enumerate(faults)}
         self.kept = {name: _Kept() for name in detectors}
@@ -162,27 +154,21 @@ class _Scorer:
         corrupted = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
         changed = [(place, other) for place, other in corrupted if other is not state]
         regime = self._regime_of(state)
-        for name in list(self._calls):
-            try:
-                self._judge(name, state, time_us, changed, regime)
-            except StuckError:
-                del self._calls[name]
-        for kept in self.kept.values():
-            for place, _ in changed:
-                kept.corrupted.setdefault(place, 0.0)
+        for name in self._detectors:
+            self._judge(name, state, time_us, changed, regime)
         for place, _ in changed:
             del self._injectors[place]
 
     def _judge(self, name: str, state: State, time_us: int, changed: Changed, regime: int) -> None:
-        kept, (score, accept) = self.kept[name], self._calls[name]
+        kept, detector = self.kept[name], self._detectors[name]
         for place, other in changed:
-            kept.corrupted[place] = 0.0 if other is None else score(other, time_us) or 0.0
-        found = score(state, time_us)
+            kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
+        found = detector.score(state, time_us)
         if found is not None:
             kept.exposure.add(regime, found)
             if found > 0.0:
                 kept.golden.append(found)
-        accept(state, time_us)
+        detector.accept(state, time_us)
 
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
@@ -212,21 +198,17 @@ def _score(task: _Task) -> dict[str, _Kept]:
             arm.profile,
             task.models_dir,
             arm.overrides.get("trained_for", task.mission.trained_for),
-        )[0]
+            arm.options,
+        ).detector
         for arm in task.arms
     }
-    judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}
-
-    def fly_judged() -> tuple[dict[str, _Kept], FlightLog]:
-        scorer = _Scorer(judging, task.faults, scenario.autopilot.name)
-        log = fly(scenario, recorders=[scorer]).log
-        return scorer.kept, log
-
-    found, log = in_child(next(filter(is_foreign, judging.values()), None), fly_judged)
+    judging = {name: detector for name, detector in loaded.items() if not detector.seals}
+    scorer = _Scorer(judging, task.faults, scenario.autopilot.name)
+    log = fly(scenario, recorders=[scorer]).log
     hours = quality_of_flight(log).flight_time_s / 3600
-    for kept in found.values():
+    for kept in scorer.kept.values():
         kept.exposure.environment, kept.exposure.hours = task.mission.environment, hours
-    return found
+    return scorer.kept
 
 
 def scores(

@@ -12,12 +12,10 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.samplers.smaller import can_be_smaller, fewer, lower, narrower
 from mavfi.campaign.store import Store
-from mavfi.detectors.bounded import is_foreign
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import Injection
 from mavfi.hosts.host import Flight, MissionFlights
-from mavfi.hosts.isolated import IsolatedFlights
 from mavfi.mission import MissionStatus
 
 _BATCH = 8
@@ -81,9 +79,7 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
             f"{directory}: run {spec.run_id}: no fault to make smaller; allowed: runs with a fault in a state, a "
             "memory or an instruction"
         )
-    arms = {spec.arm: setup}
-    flights = IsolatedFlights(host, arms) if is_foreign(setup.detector()) else host.mission(arms)
-    trials = _Trials(flights, spec.arm, report or (lambda _: None))
+    trials = _Trials(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
     golden = trials.flights.golden(spec.arm)
     assert isinstance(golden, Flight)  # as hosts of faults that can be smaller do
     original = next(trials.of([fault]))

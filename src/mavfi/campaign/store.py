@@ -34,7 +34,7 @@ from mavfi.campaign.integrity import (
 from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
-from mavfi.flight_record import FlightRecord, canonical
+from mavfi.flight_record import FlightRecord, canonical, without_source
 from mavfi.mission import MissionStatus
 
 SCHEMA = 3
@@ -391,11 +391,12 @@ class Store:
     def digest(self) -> str:
         """SHA-256 over plan and records, independent of order of completion, workers, stops and resumes.
 
-        It identifies the campaign only if the ledger is `complete`.
+        Source lines in the records are not part of it, see `flight_record.without_source`.  It identifies the campaign
+        only if the ledger is `complete`.
         """
         content = hashlib.sha256(canonical(self.meta("identity")).encode())
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
-            content.update(f"{run_id}\n{spec}\n{record}\n".encode())
+            content.update(f"{run_id}\n{spec}\n{None if record is None else without_source(record)}\n".encode())
         return content.hexdigest()
 
 

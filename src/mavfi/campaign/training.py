@@ -21,7 +21,7 @@ from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import code, versions
 from mavfi.detectors import features
-from mavfi.detectors.everything import CodeRecorder, Codes, codes_are_whole
+from mavfi.detectors.field_codes import CodeRecorder, Codes, codes_are_whole
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
@@ -133,13 +133,13 @@ def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environmen
 
 def record_flight(task: _Task) -> Recording | None:
     """Fly one error-free mission; returns None if it misses its goal."""
-    recorder, everything = Recorder(), CodeRecorder(task.scenario.autopilot.name) if task.codes else None
-    accept = [recorder.accept] if everything is None else [recorder.accept, everything.accept]
+    recorder, code_recorder = Recorder(), CodeRecorder(task.scenario.autopilot.name) if task.codes else None
+    accept = [recorder.accept] if code_recorder is None else [recorder.accept, code_recorder.accept]
     if fly(task.scenario, recorders=accept).log.status is not MissionStatus.SUCCESS:
         return None
-    if everything is None:
+    if code_recorder is None:
         return recorder.recording()
-    codes = everything.codes()
+    codes = code_recorder.codes()
     return replace(recorder.recording(), slots=codes.slots, regimes=codes.regimes, codes=codes.own)
 
 
@@ -252,7 +252,7 @@ def record(
         BadInputError: A name is unknown, too few flights arrive, or the folder cannot be written.
     """
     for detector in of_all_fields(extras).values():
-        getattr(detector, "check_installed", lambda: None)()
+        detector.check_installed()
 
     _check_writable(folder)
     codes = only is None or any((name, ONLY_PROFILE) in only for name in of_all_fields(extras))

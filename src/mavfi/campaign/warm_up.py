@@ -2,10 +2,11 @@
 
 import fcntl
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
@@ -14,7 +15,7 @@ from mavfi.campaign.mission import (
     MissionPlan,
     fly_mission,
     fly_missions,
-    foreign_arms,
+    has_custom_detectors,
     host_of,
     model_hashes,
     scenarios_of,
@@ -25,16 +26,17 @@ from mavfi.errors import BadInputError
 from mavfi.hosts.loop.compiling import STAGES, compile_stage
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
+from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder
-from mavfi.states import DETECTORS, GUARDS, PLANNERS, RECOVERY
+from mavfi.states import DETECTORS, PLANNERS
 
 
 def warm_up(mission: MissionPlan) -> None:
     """Fly golden runs and draw faults to compile the required code; results are discarded.
 
-    With a detector that is not part of mavfi, only those without a detector: it may not return, or end this process.
+    With a custom detector, only those without a detector: it may not return, or end this process.
     """
-    if foreign_arms(mission):
+    if has_custom_detectors(mission):
         mission = replace(mission, campaign=_bare(mission.campaign), scenarios={})
     for item in fly_mission(mission):
         if isinstance(item, Planned) and item.last:
@@ -60,10 +62,13 @@ class _Detector:
     name: str
     profile: str
     trained_for: str
+    options: Mapping[str, Any]
 
     def compile(self) -> None:
         with suppress(BadInputError):
-            detector_for(self.scenario, self.name, self.profile, trained_for=self.trained_for)
+            detector_for(
+                self.scenario, self.name, self.profile, trained_for=self.trained_for, options=self.options
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,11 +183,8 @@ def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
         for kernel in campaign.sampling.kernels
     ]
     order = {name: place for place, name in enumerate([*DETECTORS, *PLANNERS])}
-    last = len(order)  # recovery calls the code of its arms' detectors
-    return [
-        _Mission(campaign)
-        for _, campaign in sorted(found, key=lambda one: order.get(one[0], last + (one[0] == RECOVERY)))
-    ]
+    last = len(order)
+    return [_Mission(campaign) for _, campaign in sorted(found, key=lambda one: order.get(one[0], last))]
 
 
 def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
@@ -192,15 +194,15 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
         for arm, scenario in _scenarios(campaign):
             if arm.detector:
                 spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
-                task = _Detector(scenario, arm.detector, arm.profile, spec.trained_for)
-                found[arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for] = task
+                task = _Detector(scenario, arm.detector, arm.profile, spec.trained_for, arm.options)
+                found[arm.detector, arm.profile, scenario.autopilot.name, spec.trained_for, str(arm.options)] = task
     return list(found.values())
 
 
 def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
     if isinstance(campaign.sampling, InstructionSampling):
-        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in GUARDS))
+        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in DETECTORS))
     return _with_arms(campaign, ())
 
 
@@ -215,7 +217,7 @@ def _with_arms(campaign: Campaign, detectors: tuple[str, ...]) -> Campaign:
     arms = {
         name: arm
         for name, arm in campaign.arms.items()
-        if not arm.detector or RECOVERY in detectors or any(is_named(arm.detector, one) for one in detectors)
+        if not arm.detector or any(is_named(arm.detector, one) for one in detectors)
     }
     return campaign.model_copy(update={"arms": arms})
 
@@ -244,4 +246,5 @@ def _done(campaign: Campaign) -> Path:
     """File that exists if the code of a campaign is in the cache."""
     folder = code_folder()
     folder.mkdir(parents=True, exist_ok=True)
-    return folder / f"{hashlib.sha256(campaign.model_dump_json().encode()).hexdigest()[:16]}.warm"
+    campaign_digest = hashlib.sha256(campaign.model_dump_json().encode()).hexdigest()[:16]
+    return folder / f"{campaign_digest}-{packages_digest()}.warm"

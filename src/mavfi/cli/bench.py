@@ -91,7 +91,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     if detector or scheme:
         tables = {name: _beside(chosen, name, found, out / name, scale) for name, found in own.items()}
     command = _command(bench, level or (), part or (), scale)
-    _write(scored, leaderboard(tables, chosen.name, scale, command), out)
+    _write(own, scored, leaderboard(tables, chosen.name, scale, command), out)
     if as_json:
         write_json({name: table.to_json() for name, table in own.items()})
         return
@@ -183,11 +183,11 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
     return replace(found, name=name, title=entry.part.title, notes=(drawn, *left_out, *found.notes))
 
 
-def _write(scored: "Mapping[str, Scores]", page: str, out: Path) -> None:
+def _write(own: "Mapping[str, Table]", scored: "Mapping[str, Scores]", page: str, out: Path) -> None:
     from mavfi.campaign.scores import curves_csv
     from mavfi.reports.leaderboard import draw_curves
 
-    texts = {"leaderboard.md": page}
+    texts = {"leaderboard.md": page, **{f"{name}.csv": table.to_csv() for name, table in own.items()}}
     if scored:
         texts["curves.csv"] = curves_csv(scored)
         draw_curves(scored, out / "curves.png")

@@ -10,7 +10,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.hosts.loop.degraded import MODES
+from mavfi.hosts.loop.decide import Response
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.qof import QoF, quality_of
@@ -58,7 +58,7 @@ def _verdict(status: MissionStatus) -> Text:
 
 def _given_up(result: FlightResult) -> list[RenderableType]:
     """When recovery gave the mission up, and what the vehicle did from then on."""
-    begun = next((alarm for alarm in result.log.alarms if alarm.action in MODES), None)
+    begun = next((alarm for alarm in result.log.alarms if alarm.action == Response.HOLD), None)
     return [] if begun is None else [Text(f"  degraded mode {begun.action!r} from {begun.time_s:.1f} s on")]
 
 

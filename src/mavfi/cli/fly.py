@@ -68,7 +68,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
-        from mavfi.hosts.isolated import in_child
         from mavfi.hosts.loop.compose import resolve
         from mavfi.hosts.loop.policy import Recovery
         from mavfi.hosts.watching import with_keys_of
@@ -79,12 +78,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
             _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario, mission)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-
-        def fly_all() -> FlightResult:
-            with observing.observing(live, live_port, mavlink, pace) as views:
-                return fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
-
-        result = in_child(watching, fly_all)
+        with observing.observing(live, live_port, mavlink, pace) as views:
+            result = fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
@@ -195,7 +190,7 @@ def _is_chosen(mission: MissionSpec, key: str) -> bool:
 def load_watcher(
     name: str, profile: str | None, models: Path | None, scenario: Scenario, mission: MissionSpec
 ) -> tuple[Detector | None, str]:
-    """Load a detector; return it with its label (name, profile if it has one, and number of copies that vote)."""
+    """Load a detector; return it with its label (name, and profile if it has one)."""
     if name == "none":
         return None, ""
     from mavfi.hosts.watching import detector_for
@@ -208,4 +203,4 @@ def load_watcher(
         raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
     label = f"{name} ({profile or DEFAULT_PROFILE})" if model else name
     label += f", trained for {mission.trained_for}" if mission.trained_for else ""
-    return detector, f"{label}, {mission.copies} copies" if mission.copies > 1 else label
+    return detector, label

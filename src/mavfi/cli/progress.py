@@ -147,11 +147,12 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
     Yields:
         Whether plain kernels are still to be compiled.
     """
+    from mavfi.numerics.dependencies import packages_digest
     from mavfi.numerics.jit import code_folder
 
     folder, out = code_folder(), console(error=True)
     empty = not any(folder.rglob("*.nbc"))
-    cold = not any(folder.glob("*.warm")) if flight else empty
+    cold = not any(folder.glob(f"*-{packages_digest()}.warm")) if flight else empty
     if not (cold if out.is_terminal else empty) and not (instrumented and not any(folder.rglob("*.bin"))):
         yield cold
     else:
@@ -161,23 +162,27 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
     if flight:
         with suppress(OSError):  # a cache that cannot be written stays as it is
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / "flight.warm").touch()
+            (folder / f"flight-{packages_digest()}.warm").touch()
 
 
 @contextmanager
 def _telling(text: str, folder: Path, out: Console) -> Iterator[None]:
-    """Show a text, in a terminal with the growing number of compiled functions in a folder."""
+    """Show a text, in a terminal with the growing number of functions that were compiled into a folder."""
+
+    def count() -> int:
+        return sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
+
     if not out.is_terminal:
         out.print(f"{text} ...")
         yield
         return
     stop = threading.Event()
+    before = count()
     with out.status(f"{text} ...") as shown:
 
         def follow() -> None:
             while not stop.wait(0.5):
-                count = sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
-                shown.update(f"{text}: {count} functions")
+                shown.update(f"{text}: {count() - before} functions")
 
         watcher = threading.Thread(target=follow, daemon=True)
         watcher.start()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options, ros_attach, ros_nodes
-from mavfi.cli.console import FLIGHTS, check_file, console, write_json
+from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_json
 from mavfi.cli.fly import check_company, load_watcher
 from mavfi.cli.stopping import stoppable
 from mavfi.mission import MissionSpec
@@ -45,35 +45,31 @@ def fly(  # noqa: PLR0913 - one parameter per option
     detector: options.Detector = "none",
     profile: options.Profile = None,
     models: options.Models = None,
-    free_running: Annotated[
-        bool, typer.Option("--free-running", help="Time passes as on the wall, for rviz and rosbag.")
-    ] = False,
+    pace: Annotated[
+        float, typer.Option(help="Flight time per wall time, to look at it; 0 = as fast as possible.")
+    ] = 0.0,
     kill: ros_nodes.KillOption = None,
-    point_cloud_node: ros_nodes.CloudOption = "mavfi",
     register_fault: ros_nodes.FaultOption = None,
     registers: ros_nodes.RegistersOption = None,
     register_seed: ros_nodes.SeedOption = None,
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,
-    new_interpreters: Annotated[
-        bool, typer.Option("--new-interpreters", help="roslaunch starts every node as a new program; slower by far.")
-    ] = False,
     as_json: options.AsJson = False,
     save: options.Save = None,
 ) -> None:
     """Fly one mission with every kernel, the world, the injector and the detector as separate ROS nodes.
 
-    In lock-step the flight is bit-identical to that of `mavfi fly`.
+    Bit-identical to the flight of `mavfi fly`.
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
-    mission = ros_nodes.mission_with(mission, detector, free_running=free_running)
+    mission = ros_nodes.mission_with(mission, detector)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
+    check_number("--pace", pace, 0, 1000)
     request = ros_nodes.request_of(fault, mission)
     kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
-    cloud = ros_nodes.cloud_node(point_cloud_node)
     faults = ros_nodes.register_faults(register_fault or (), registers, register_seed)
     from mavfi.hosts.ros1 import finder
 
@@ -87,7 +83,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     watching, label = load_watcher(detector, profile, models, scenario, mission)
     plan = Plan(
         scenario, configure(scenario), ros_nodes.drawn(scenario, request, fault_seed), watching, Recovery.of(mission),
-        free_running, kills, cloud_node=cloud, register_faults=faults, forked=not new_interpreters,
+        kills, register_faults=faults, pace=pace,
     )  # fmt: skip
     ros_nodes.check(plan)
     with stoppable("Stopped; every process of the flight has ended."):
@@ -96,16 +92,14 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
 
 def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:
-    """Fly the plan; the result includes the golden run if the flight is comparable to it."""
+    """Fly the plan; the result includes the golden run if there is a fault."""
     from mavfi.hosts.ros1.session import fly as fly_there
     from mavfi.reports.flight_result import FlightResult
 
-    tell = _invite if plan.free_running and not quiet else None
+    tell = _invite if plan.pace > 0 and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
-    comparable = plan.fault is not None and not plan.free_running
-    golden = ros_nodes.without_registers(plan, with_fault=False) if comparable else None
-    fault = plan.fault if comparable else None
-    return FlightResult(plan.scenario, flight.flight, golden, fault, label), flight
+    golden = None if plan.fault is None else ros_nodes.without_registers(plan, with_fault=False)
+    return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight
 
 
 def _invite(folder: Path) -> None:
@@ -122,7 +116,7 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
     if as_json:
         ros = {
             "nodes": list(plan.nodes), "coupling": plan.recovery.coupling if plan.detector is not None else None,
-            "free_running": plan.free_running, "wall_s": flight.times,
+            "wall_s": flight.times,
             "lives": [{"time_s": 1e-6 * event.time_us, "event": event.kind, **event.data} for event in nodes],
             **ros_nodes.to_json(plan, log),
         }  # fmt: skip
@@ -139,6 +133,6 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
     for line in ros_nodes.lines(plan, log):
         out.print(line, markup=False)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in flight.times.items())
-    out.print(f"[dim]{1 + len(plan.nodes) + len(plan.foreign)} nodes · wall clock: {spent}[/dim]")
+    out.print(f"[dim]{1 + len(plan.nodes)} nodes · wall clock: {spent}[/dim]")
     if written is not None:
         out.print(f"[dim]wrote[/dim] {written}")

@@ -1,9 +1,9 @@
-"""Options of `mavfi ros fly` about nodes: point cloud node, killed nodes, and register faults in nodes."""
+"""Options of `mavfi ros fly` about nodes: killed nodes, and register faults in nodes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mavfi.faults.spec import Request
     from mavfi.flight_log import FlightLog, Injection
     from mavfi.hosts.host import Flight
-    from mavfi.hosts.ros1.plan import CloudNode, Plan
+    from mavfi.hosts.ros1.plan import Plan
     from mavfi.mission import MissionSpec, Scenario
 
 _LONGEST_S = 1e6
@@ -23,12 +23,9 @@ _LONGEST_S = 1e6
 KillOption = Annotated[
     list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch restarts it.")
 ]
-CloudOption = Annotated[
-    str, typer.Option(help="Who computes the point cloud: mavfi, or depth_image_proc, Debian's C++ nodelet.")
-]
 FaultOption = Annotated[
     list[str] | None,
-    typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. point_cloud_xyz@5."),
+    typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. octomap@5."),
 ]
 RegistersOption = Annotated[
     str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
@@ -38,20 +35,19 @@ SeedOption = Annotated[
 ]
 
 
-def mission_with(mission: MissionSpec, detector: str, *, free_running: bool = False) -> MissionSpec:
+def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
     """Add the mission keys of a detector; raises `BadInputError` if the mission is not supported on ROS.
 
-    A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages; in free-running mode all
-    become `stage`.
+    A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
     """
     from mavfi.hosts.ros1.plan import check_supported
     from mavfi.hosts.watching import with_keys_of
 
-    found = with_keys_of(mission, detector)
-    if "grain" not in mission.model_fields_set and (free_running or found.grain == "message"):
-        found = found.model_copy(update={"grain": "stage" if free_running else "kernel"})
-    check_supported(found)
-    return found
+    resolved = with_keys_of(mission, detector)
+    if "grain" not in mission.model_fields_set and resolved.grain == "message":
+        resolved = resolved.model_copy(update={"grain": "kernel"})
+    check_supported(resolved)
+    return resolved
 
 
 def request_of(text: str | None, mission: MissionSpec) -> Request | None:
@@ -67,14 +63,6 @@ def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:
     from mavfi.campaign.samplers.request import draw_request
 
     return None if request is None else draw_request(scenario, request, seed or 0)[0]
-
-
-def cloud_node(text: str) -> CloudNode:
-    """The node that computes the point cloud; raises `BadInputError` for an unknown name."""
-    from mavfi.hosts.ros1.plan import CloudNode
-
-    check_name("--point-cloud-node", text, get_args(CloudNode))
-    return cast("CloudNode", text)
 
 
 def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, int]:
@@ -106,62 +94,56 @@ def register_faults(texts: Sequence[str], registers: str | None, seed: int | Non
 
 def check(plan: Plan) -> None:
     """Refuse nodes that are not part of the flight."""
-    allowed = (*plan.nodes, *plan.foreign)
     named = [("--kill", node) for node, _ in plan.kills]
     named += [("--register-fault", fault.node) for fault in plan.register_faults]
     for option, node in named:
-        if node not in allowed:
-            raise BadInputError(f"{option}: no node {node!r} in this flight; allowed: {', '.join(allowed)}")
+        if node not in plan.nodes:
+            raise BadInputError(f"{option}: no node {node!r} in this flight; allowed: {', '.join(plan.nodes)}")
 
 
 def without_registers(plan: Plan, with_fault: bool) -> Flight:
     """The flight in this process, without faults in registers, with or without the fault in a state.
 
-    In lock-step its digest is that of the flight on ROS.
+    Its digest is that of the flight on ROS.
     """
     from mavfi.hosts.local import fly
-    from mavfi.hosts.ros1.pinhole import functions_of
 
-    fault = plan.fault if with_fault else None
-    return fly(plan.scenario, fault, plan.detector, recovery=plan.recovery, functions=functions_of(plan))
+    return fly(plan.scenario, plan.fault if with_fault else None, plan.detector, recovery=plan.recovery)
 
 
 def effect(plan: Plan, log: FlightLog) -> str | None:
     """Effect of the faults in registers; None without an injection.
 
     "crash" or "hang": an injected node died, or was killed because it did not respond; "masked" or "sdc": the flight is
-    bit-identical to that without the injection, or not; "unknown": no reference flight (free-running, or nodes killed).
+    bit-identical to that without the injection, or not; "unknown": no reference flight (nodes were killed).
     """
     from mavfi.hosts.ros1.register_injector import end_of_nodes
 
     end = end_of_nodes(log.injections, log.events)
     if end != "alive":
         return end
-    if plan.free_running or plan.kills:
+    if plan.kills:
         return "unknown"
     return "masked" if without_registers(plan, with_fault=True).log.digest() == log.digest() else "sdc"
 
 
 def to_json(plan: Plan, log: FlightLog) -> dict[str, Any]:
     """Keys of `--json` about nodes; register injections are listed with those of the flight."""
-    return {"point_cloud_node": plan.cloud_node, "register_effect": effect(plan, log)}
+    return {"register_effect": effect(plan, log)}
 
 
 def lines(plan: Plan, log: FlightLog) -> list[str]:
-    """Injections as lines of text, and the effect of register faults.
-
-    In lock-step, the state fault is shown in the flight's panel instead.
-    """
-    injections = [_line(one) for one in log.injections if plan.free_running or "node" in one.details]
-    found = effect(plan, log)
-    return injections if found is None else [*injections, f"           effect: {found}"]
+    """Injections into registers as lines of text, and their effect; the other fault is in the flight's panel."""
+    injections = [_line(injection) for injection in log.injections if "node" in injection.details]
+    register_effect = effect(plan, log)
+    return injections if register_effect is None else [*injections, f"           effect: {register_effect}"]
 
 
 def _line(injection: Injection) -> str:
     """One injection in one line, or the reason for its absence."""
     details = injection.details
-    place = f"register of {details['node']}:" if "node" in details else "fault in"
-    within = f" of {details['instruction']!r}" if "instruction" in details else ""
-    bit = "" if injection.bit is None else f" bit {injection.bit}"
-    what = f"{injection.site}{bit}{within}: {injection.before} → {injection.after}"
-    return f"{injection.time_s:8.3f} s  {place} {details.get('why') or what}"
+    what = details.get("why")
+    if what is None:
+        instruction = f" of {details['instruction']!r}" if "instruction" in details else ""
+        what = f"{injection.site} bit {injection.bit}{instruction}: {injection.before} → {injection.after}"
+    return f"{injection.time_s:8.3f} s  register of {details['node']}: {what}"

@@ -1,4 +1,4 @@
-"""Detectors of all fields (`everything`): limits per residual, and an autoencoder; both learned from golden runs."""
+"""Detectors of all fields (`field_codes`): limits per residual, and an autoencoder; both learned from golden runs."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -6,29 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import book
-from mavfi.detectors.autoencoder import (
-    INPUT_LIMIT,
-    NETWORK,
-    Network,
-    Recent,
-    fit_autoencoder,
-    network_of,
-    no_recent,
-    recall,
-    row_of,
-)
-from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.autoencoder import INPUT_LIMIT, Network, fit_autoencoder, network_of
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
+from mavfi.detectors.field_codes import FieldCodes
+from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
+from mavfi.detectors.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
 from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.detectors.scoring import ScoringDetector, Threshold, find_policy
 from mavfi.numerics.elementary import quick_tanh
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.jit import kernel_jit
 
 
 @kernel_jit
@@ -39,36 +26,19 @@ def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np
 
 
 @kernel_jit
-def judge_limits(own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray) -> float:
+def judge_limits(measured: ResidualState, judged: Judged, limit: np.ndarray, centre: np.ndarray) -> float:
     """Score of the distances from the centre of each field and regime, shape (n, regimes)."""
-    first, last = own.spans[own.place[book.SLOT]]
-    regime = own.place[book.REGIME]
+    first, last = measured.spans[measured.place[SLOT]]
+    regime = measured.place[REGIME]
     if regime >= 0:
-        from_centre(own.codes[first:last], centre[first:last], regime, judged.distance[first:last])
-    return conclude(first, last, own, judged, limit)
-
-
-_LIMITS = kind_with(np.zeros((1, 1)))
-
-
-@kernel_jit
-def _limits_at(address: int) -> float:
-    own, judged, limit, centre = load(address, _LIMITS)
-    return judge_limits(own, judged, limit, centre)
-
-
-@short_jit
-def _admit_limits(address: int, header: Any) -> bool:
-    own, judged, limit, centre = load(address, _LIMITS)
-    book.measure(header_of(header), own)
-    return book.accept_unless_alarm(judge_limits(own, judged, limit, centre), own)
+        from_centre(measured.codes[first:last], centre[first:last], regime, judged.distance[first:last])
+    return conclude(first, last, measured, judged, limit)
 
 
 class LimitScorer(CodeScorer):
     """Distances from the centre of each field and regime, shape (n, regimes), passed as its table."""
 
-    judge, judge_at, kind = staticmethod(judge_limits), staticmethod(_limits_at), _LIMITS
-    admit_at = staticmethod(_admit_limits)
+    judge = staticmethod(judge_limits)
 
 
 class Holding(NamedTuple):
@@ -127,110 +97,60 @@ def residuals_of_part(
 
 
 @kernel_jit
-def hold(own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding) -> None:
+def hold(measured: ResidualState, judged: Judged, limit: np.ndarray, network: Network, holding: Holding) -> None:
     """Hold the codes of a normal publication; 0 for an anomalous one."""
-    if own.place[book.LEARNED] == book.NEVER:
+    if measured.place[LEARNED] == NEVER:
         return
-    first, last = own.spans[own.place[book.LEARNED]]
+    first, last = measured.spans[measured.place[LEARNED]]
     for index in range(first, last):
         holding.held[index] = holding.vector[index] if judged.score[0] <= 1.0 else 0
-    own.place[book.LEARNED] = book.NEVER
+    measured.place[LEARNED] = NEVER
 
 
 @kernel_jit
 def judge_reconstruction(
-    own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding
+    measured: ResidualState, judged: Judged, limit: np.ndarray, network: Network, holding: Holding
 ) -> float:  # fmt: skip
     """Score of the reconstruction errors of the latest codes; see `hold`."""
-    hold(own, judged, limit, network, holding)
-    first, last = own.spans[own.place[book.SLOT]]
+    hold(measured, judged, limit, network, holding)
+    first, last = measured.spans[measured.place[SLOT]]
     holding.vector[:] = holding.held
-    holding.vector[first:last] = own.codes[first:last]
-    if own.place[book.REGIME] >= 0:
+    holding.vector[first:last] = measured.codes[first:last]
+    if measured.place[REGIME] >= 0:
         residuals_of_part(holding.vector, network, first, last, judged.distance)
-    return conclude(first, last, own, judged, limit)
-
-
-_RECONSTRUCTION = kind_with(NETWORK, Holding(*np.zeros((2, 1), np.int16)))
-
-
-@kernel_jit
-def _reconstruction_at(address: int) -> float:
-    own, judged, limit, network, holding = load(address, _RECONSTRUCTION)
-    return judge_reconstruction(own, judged, limit, network, holding)
-
-
-_REMEMBERED = 16
-"""Vectors of each state whose errors are remembered."""
-_ADMISSION = kind_with(NETWORK, Holding(*np.zeros((2, 1), np.int16)), no_recent(1, 1))
-
-
-@kernel_jit
-def _judge_again(
-    own: Book, judged: Judged, limit: np.ndarray, network: Network, holding: Holding, recent: Recent
-) -> float:  # fmt: skip
-    """`judge_reconstruction`, which is not built of this function, since faults are drawn in its instructions.
-
-    More than half of the publications have the codes of their predecessor, and so have the other states.
-    """
-    hold(own, judged, limit, network, holding)
-    slot = own.place[book.SLOT]
-    first, last = own.spans[slot]
-    holding.vector[:] = holding.held
-    holding.vector[first:last] = own.codes[first:last]
-    if own.place[book.REGIME] >= 0:
-        row = slot * _REMEMBERED + row_of(holding.vector, _REMEMBERED)
-        if not recall(holding.vector, recent, row):
-            residuals_of_part(holding.vector, network, first, last, recent.errors[row])
-        judged.distance[first:last] = recent.errors[row, first:last]
-    return conclude(first, last, own, judged, limit)
-
-
-@short_jit
-def _admit_reconstruction(address: int, header: Any) -> bool:
-    own, judged, limit, network, holding, recent = load(address, _ADMISSION)
-    book.measure(header_of(header), own)
-    return book.accept_unless_alarm(_judge_again(own, judged, limit, network, holding, recent), own)
+    return conclude(first, last, measured, judged, limit)
 
 
 class ReconstructionScorer(CodeScorer):
     """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
-    judge, judge_at, learns = staticmethod(judge_reconstruction), staticmethod(_reconstruction_at), staticmethod(hold)
-    admit_at, kind, admission = staticmethod(_admit_reconstruction), _RECONSTRUCTION, _ADMISSION
+    judge, learns = staticmethod(judge_reconstruction), staticmethod(hold)
 
-    def __init__(self, everything: Everything, network: Network) -> None:
-        holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
-        recent = no_recent(_REMEMBERED * len(everything.slots), len(everything.fields))
-        super().__init__(everything, network, holding, recent=recent)
+    def __init__(self, field_codes: FieldCodes, network: Network) -> None:
+        holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
+        super().__init__(field_codes, network, holding)
         self.kept = {**self.kept, "held": holding.held}
 
 
-class AllFieldsDetector(ScoringDetector):
+class AllFieldsDetector(ScoringDetector, TrainedDetector):
     """A learned detector of all fields, with a limit for each distance and regime.
 
     Args:
         model: A model of the detector's kind.
-        policy: "paper" or "keyed", see `parts.POLICIES`.
+        policy: "paper" or "keyed", see `scoring.POLICIES`.
     """
 
-    model_kind: str
     watches_all = True
 
     def __init__(self, model: Model, policy: str = "keyed") -> None:
-        scorer = self.scorer_of(model, Everything(model.provenance["stack"]))
+        scorer = self.scorer_of(model, FieldCodes(model.provenance["stack"]))
         limit = model.numbers("limit", len(scorer.fields), REGIMES, least=SMALLEST_LIMIT)
         super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)), find_policy(policy))
 
     @classmethod
     @abstractmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """The scorer with the parameters of a model."""
-
-    @classmethod
-    @abstractmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, from error-free flights and the settings in configs/detectors."""
 
 
 class LimitsDetector(AllFieldsDetector):
@@ -239,14 +159,14 @@ class LimitsDetector(AllFieldsDetector):
     model_kind = "limits"
 
     @classmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scorer of distances from the centres."""
-        return LimitScorer(everything, model.numbers("centre", len(everything.fields), REGIMES))
+        return LimitScorer(field_codes, model.numbers("centre", len(field_codes.fields), REGIMES))
 
     @classmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """See `fit_limits`."""
-        return fit_limits(sample, everything, **figures)
+        return fit_limits(sample, features, **figures)
 
 
 class AutoencoderAllDetector(AllFieldsDetector):
@@ -255,35 +175,35 @@ class AutoencoderAllDetector(AllFieldsDetector):
     model_kind = "autoencoder_all"
 
     @classmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scorer of reconstruction errors."""
-        return ReconstructionScorer(everything, network_of(model, len(everything.fields)))
+        return ReconstructionScorer(field_codes, network_of(model, len(field_codes.fields)))
 
     @classmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """See `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
 
 
-def fit_limits(sample: Sample, everything: Everything, margin: float, smallest_regime: int) -> dict[str, Any]:
+def fit_limits(sample: Sample, field_codes: FieldCodes, margin: float, smallest_regime: int) -> dict[str, Any]:
     """Centre and limit of each field and regime; a distance of one code never raises an alarm.
 
     Args:
         sample: Error-free flights.
-        everything: Codes from which the sample was made.
+        field_codes: Codes from which the sample was made.
         margin: Limit / largest distance in training.
         smallest_regime: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
-    centre, peaks, counts = centre_and_peaks(sample, everything)
+    centre, peaks, counts = centre_and_peaks(sample, field_codes)
     return {"centre": centre.tolist(), "limit": regime_limits(peaks, counts, margin, smallest_regime)}
 
 
-def centre_and_peaks(sample: Sample, everything: Everything) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def centre_and_peaks(sample: Sample, field_codes: FieldCodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre, largest distance (at least 1) and number of samples of each field and regime. Shapes (n, regimes)."""
-    shape = len(everything.fields), REGIMES
+    shape = len(field_codes.fields), REGIMES
     centre, peaks, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
-    for slot in range(len(everything.slots)):
-        own = slice(*everything.range_of(slot))
+    for slot in range(len(field_codes.slots)):
+        own = slice(*field_codes.range_of(slot))
         for regime in range(REGIMES):
             values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own].astype(np.float64)
             counts[own, regime] = len(values)

@@ -8,16 +8,15 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.features import Scratch, Watch
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
+from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.detectors.scoring import ScoringDetector, Threshold, find_policy
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import content_of
+from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.portable import call_portably
-from mavfi.numerics.stored import Stored, load
+from mavfi.numerics.stored import load
 
 if TYPE_CHECKING:
     from sklearn.neural_network import MLPRegressor
@@ -27,8 +26,6 @@ INPUT_LIMIT = 10.0
 """Inputs are clamped to this many training peaks: otherwise one huge input would disturb all outputs."""
 WEIGHT_DIGITS = 8
 """Significant digits of the stored weights; further digits may depend on the version of the linear algebra library."""
-REMEMBERED = 64
-"""Vectors whose reconstruction errors are remembered."""
 _TRAINING_STREAM = 4
 _WIDEST = 10_000
 
@@ -47,46 +44,6 @@ class Network(NamedTuple):
     sizes: np.ndarray
     weights: np.ndarray
     work: np.ndarray
-
-
-class Recent(NamedTuple):
-    """Reconstruction errors that are known: the same vector has the same ones.
-
-    Attributes:
-        vector: Vectors whose errors were computed last, one per row. Shape (rows, n), int16.
-        errors: Their errors. Shape (rows, n).
-        known: Whether a row is filled. Shape (rows,).
-    """
-
-    vector: np.ndarray
-    errors: np.ndarray
-    known: np.ndarray
-
-
-def no_recent(rows: int, fields: int) -> Recent:
-    """Before the first vector."""
-    return Recent(np.zeros((rows, fields), np.int16), np.zeros((rows, fields)), np.zeros(rows, np.bool_))
-
-
-@kernel_jit
-def row_of(vector: np.ndarray, rows: int) -> int:
-    """Row for a vector, of a power of two: the same for the same vector."""
-    found = np.int64(0)
-    for index in range(len(vector)):
-        found = found * 31 + vector[index]
-    return int((found ^ (found >> 7)) & (rows - 1))
-
-
-@kernel_jit
-def recall(vector: np.ndarray, recent: Recent, row: int) -> bool:
-    """Whether a row has the errors of this vector; if not, the caller fills them in: the row is for this vector now."""
-    same = recent.known[row]
-    for index in range(len(vector)):
-        same &= recent.vector[row, index] == vector[index]
-    if not same:
-        recent.vector[row] = vector
-        recent.known[row] = True
-    return bool(same)
 
 
 @kernel_jit
@@ -166,47 +123,15 @@ def judge_network(
     return conclude(regime, watch.places[slot], scratch, limit)
 
 
-NETWORK = Network(np.zeros(1), np.zeros(1, np.int64), np.zeros(1), np.zeros((3, 1)))
-"""An example."""
-_TABLES = features.kind_with(NETWORK, np.zeros(1, np.int16))
+_TABLES = features.kind_with(
+    Network(np.zeros(1), np.zeros(1, np.int64), np.zeros(1), np.zeros((3, 1))), np.zeros(1, np.int16)
+)
 
 
 @kernel_jit
 def _network_at(content: np.ndarray, slot: int, address: int) -> float:
     watch, scratch, limit, network, held = load(address, _TABLES)
     return judge_network(content, slot, watch, scratch, limit, network, held)
-
-
-_ADMISSION = features.kind_with(NETWORK, np.zeros(1, np.int16), no_recent(1, 1))
-
-
-@kernel_jit
-def _judge_again(
-    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network,
-    held: np.ndarray, recent: Recent,
-) -> float:  # fmt: skip
-    """`judge_network`, which is not built of this function, since faults are drawn in its instructions.
-
-    Nine of ten publications have the deltas of the one before, half of the others those of an earlier one: then the
-    network does not run.
-    """
-    if scratch.place[features.ACCEPTED] != 0:
-        settle_network(watch, scratch, limit, network, held)
-    features.propose(content, slot, scratch)
-    scratch.deltas[:] = held
-    regime = features.measure(content, slot, watch, scratch.deltas)
-    row = row_of(scratch.deltas, REMEMBERED)
-    if not recall(scratch.deltas, recent, row):
-        residuals(scratch.deltas, network, recent.errors[row])
-    scratch.distance[:] = recent.errors[row]
-    return conclude(regime, watch.places[slot], scratch, limit)
-
-
-@short_jit
-def _admit_network(address: int, slot: int, header: Any) -> bool:
-    watch, scratch, limit, network, held, recent = load(address, _ADMISSION)
-    score = _judge_again(content_of(header), slot, watch, scratch, limit, network, held, recent)
-    return features.accept_unless_alarm(score, scratch)
 
 
 class AutoencoderScorer(DeltaScorer):
@@ -216,27 +141,23 @@ class AutoencoderScorer(DeltaScorer):
     """
 
     judge, settle = staticmethod(judge_network), staticmethod(settle_network)
-    judge_at, admit_at, kind = staticmethod(_network_at), staticmethod(_admit_network), _TABLES
+    judge_at, kind = staticmethod(_network_at), _TABLES
 
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
         held = np.zeros(len(preprocessor.fields), np.int16)
         super().__init__(preprocessor, network, held)
         self.kept = {**self.kept, "held": held}
 
-    def admitted(self) -> Stored:
-        """See `DeltaScorer.admitted`."""
-        return Stored(_ADMISSION, *self._tables, no_recent(REMEMBERED, len(self.fields)))
 
+class AutoencoderDetector(ScoringDetector, TrainedDetector):
+    """AAD.
 
-class AutoencoderDetector(ScoringDetector):
-    """AAD in either profile.
-
-    `paper`: mean squared error against its upper bound on error-free flights.  `tuned`: residual of each output against
-    its training maximum, per regime.
+    With a model of the paper's codes: mean squared error against its upper bound on error-free flights.  With one of
+    predictions: residual of each output against its training maximum, per regime.
 
     Args:
         model: A model of kind "autoencoder".
-        policy: "paper" or "keyed", see `parts.POLICIES`.
+        policy: "paper" or "keyed", see `scoring.POLICIES`.
         preprocessor: For the fields that the model was trained on, unless these are a monitored set.
 
     Raises:
@@ -254,8 +175,8 @@ class AutoencoderDetector(ScoringDetector):
         threshold = Threshold(limit, count, model.numbers("key", count, least=SMALLEST_LIMIT))
         super().__init__(SOURCE, AutoencoderScorer(deltas, network), threshold, find_policy(policy))
 
-    @staticmethod
-    def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
+    @classmethod
+    def fit(cls, sample: Sample, features: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model, see `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
 

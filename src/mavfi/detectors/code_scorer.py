@@ -1,31 +1,26 @@
-"""Scorers of the codes of all fields (`everything`), in compiled code."""
+"""Scorers of the codes of all fields (`field_codes`), in compiled code."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import book
-from mavfi.detectors.autoencoder import Recent
-from mavfi.detectors.book import Book
-from mavfi.detectors.everything import COMPILED, Everything
-from mavfi.detectors.parts import FREQUENT, Reading, Scorer, Threshold, Verdict, score_of
-from mavfi.numerics.jit import entry, is_compiled, kernel_jit
-from mavfi.numerics.lent import lent
-from mavfi.numerics.stored import Stored, kind_of
-from mavfi.states import ODOMETRY, State, new_state
-
-_UNPICKLED = ("_own", "_judge", "_admitted", "at_once")
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.field_codes import COMPILED, FieldCodes
+from mavfi.detectors.residual_state import REGIME, SLOT, ResidualState
+from mavfi.detectors.samples import Sample
+from mavfi.detectors.scoring import Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.states import STATES, State
 
 
 class Judged(NamedTuple):
     """Score of the publication judged last.
 
     Attributes:
-        distance: See `parts.Reading`. Shape (n,).
-        unit: See `parts.Reading`. Shape (n,).
-        ratios: See `parts.Verdict`. Shape (n,).
+        distance: See `scoring.Reading`. Shape (n,).
+        unit: See `scoring.Reading`. Shape (n,).
+        ratios: See `scoring.Verdict`. Shape (n,).
         score: Shape (1,).
     """
 
@@ -35,15 +30,10 @@ class Judged(NamedTuple):
     score: np.ndarray
 
 
-def kind_with(*tables: Any) -> Any:  # noqa: ANN401 - arrays, tuples of them, numbers
-    """`kind_of` a book, scores, the limits of a threshold, and examples of further tables."""
-    return kind_of(book.BOOK, Judged(*np.zeros((4, 1))), np.zeros((1, 1)), *tables)
-
-
 @kernel_jit
-def conclude(first: int, last: int, own: Book, judged: Judged, limit: np.ndarray) -> float:
+def conclude(first: int, last: int, measured: ResidualState, judged: Judged, limit: np.ndarray) -> float:
     """Score of the distances [first, last), also stored."""
-    reading = Reading(judged.distance, judged.unit, first, last, own.place[book.REGIME])
+    reading = Reading(judged.distance, judged.unit, first, last, measured.place[REGIME])
     judged.score[0] = score_of(reading, limit, judged.ratios)
     return float(judged.score[0])
 
@@ -54,81 +44,50 @@ class CodeScorer(Scorer):
     Each call commits what the publication before it left, if that was accepted.
 
     Args:
-        everything: Computes the codes.
+        field_codes: Computes the codes.
         tables: Further tables and memory of the compiled functions.
-        recent: Scores that `admit_at` remembers; the same inputs have the same ones.  None: it remembers none.
 
     Attributes:
-        judge: Compiled: book, `Judged`, limits of the threshold, then the tables; returns the score of the publication
-            measured last.
-        judge_at: Compiled: the same of the address of these.
-        admit_at: Compiled: measures the publication, judges it, and accepts it if there is no alarm; arguments:
-            address of these, and of `recent` if given, header of the publication.
+        judge: Compiled: residual state, `Judged`, limits of the threshold, then the tables; returns the score of the
+            publication measured last.
         learns: Compiled: adapts to an accepted publication; same arguments as `judge`. None: nothing is learned.
-        kind: `kind_with` the tables.
-        admission: `kind_with` the tables and `recent`, if given.
     """
 
     judge: ClassVar[Callable[..., float]]
-    judge_at: ClassVar[Callable[..., float]]
-    admit_at: ClassVar[Callable[..., bool]]
     learns: ClassVar[Callable[..., None] | None] = None
-    kind: ClassVar[Any]
-    admission: ClassVar[Any]
 
-    def __init__(self, everything: Everything, *tables: Any, recent: Recent | None = None) -> None:  # noqa: ANN401
-        self.everything, self.kept = everything, {"known": everything.book.known}
-        self.fields, self.stages, self.states = everything.fields, everything.stages, everything.states
+    def __init__(self, field_codes: FieldCodes, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
+        self.field_codes, self.kept = field_codes, {"known": field_codes.measured.known}
+        self.fields, self.stages, self.states = field_codes.fields, field_codes.stages, field_codes.states
         self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
         self._tables: tuple[Any, ...] = tables
-        self._recent, self._slots = recent, everything.slots
+        self._slots = field_codes.slots
 
     def span(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of the distances that a publication of a state updates."""
-        return self.everything.range_of(slot)
+        return self.field_codes.range_of(slot)
 
     def use(self, threshold: Threshold) -> None:
         """Set the threshold; called before the first flight."""
         super().use(threshold)
         judged = Judged(self._distance, self._unit, threshold.ratios, np.zeros(1))
         self._judged_last = judged
-        self._tables = (self.everything.book, judged, threshold.limit, *self._tables)
+        self._tables = (self.field_codes.measured, judged, threshold.limit, *self._tables)
         self.instrument({})
 
     @property
-    def compiled(self) -> dict[str, Callable[..., Any]]:
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
         """See `Scorer.compiled`."""
         return {**COMPILED, "judge": self.judge}
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """See `Scorer.instrument`."""
-        self.everything.instrument(made)
-        self._own = Stored(self.kind, *self._tables)
-        given: Callable[..., Any] = made.get("judge", self.judge)
-        if is_compiled(given):
-            self._judge: Callable[[int], float] = entry(self.judge_at, 0)
-        else:
-            self._judge = lambda _: given(*self._tables)
-        self.at_once = {} if made else self._admissions()
-
-    def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
-        """See `Scorer.at_once`."""
-        found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(
-            ODOMETRY.values(), self.everything.vehicles.add
-        )
-        if not is_compiled(self.admit_at):
-            return found
-        # held as long as its address is used
-        own, recent = self._own, self._recent
-        self._admitted = own if recent is None else Stored(self.admission, *self._tables, recent)
-        for name in self.everything.states.intersection(FREQUENT):
-            call = partial(entry(self.admit_at, 0, lent(new_state(name).header)), self._admitted.address)
-            found[name] = self.everything.vehicles.settled(call) if self.everything.from_vehicle(name) else call
-        return found
+        self.field_codes.instrument(made)
+        self._judge: Callable[..., float] = entry(made.get("judge", self.judge), *self._tables)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code and addresses, which are valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in _UNPICKLED}
+        return {name: value for name, value in self.__dict__.items() if name != "_judge"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -138,14 +97,8 @@ class CodeScorer(Scorer):
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
         super().start()
-        self.everything.forget()
+        self.field_codes.forget()
         self.candidate = None
-        if self._recent is not None:
-            self._recent.known[:] = False
-
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        return None if self.score(state) is None else self.judged()[0]
 
     def score(self, state: State) -> float | None:
         """Score of a publication."""
@@ -153,26 +106,27 @@ class CodeScorer(Scorer):
         if slot is None:
             return None
         self.candidate = state
-        self.everything.read(state, slot)
-        return self._judge(self._own.address)
+        self.field_codes.read(state, slot)
+        return float(self._judge(*self._tables))
 
     def judged(self) -> tuple[Reading, Verdict]:
         """Reading and verdict of the publication scored last."""
-        own, place = self._judged_last, self.everything.book.place
-        reading = Reading(own.distance, own.unit, *self.span(int(place[book.SLOT])), int(place[book.REGIME]))
-        return reading, Verdict(float(own.score[0]), own.ratios)
+        judged, place = self._judged_last, self.field_codes.measured.place
+        first, last = self.span(int(place[SLOT]))
+        reading = Reading(judged.distance, judged.unit, first, last, int(place[REGIME]))
+        return reading, Verdict(float(judged.score[0]), judged.ratios)
 
     def accept(self, state: State) -> None:
         """Record a published value."""
         if state is not self.candidate:
             if state.spec.name not in self._slots:
-                self.everything.note(state)
+                self.field_codes.note(state)
                 return
             self.score(state)
-        self.everything.accept()
+        self.field_codes.accept()
 
     def _settle(self) -> None:
-        self.everything.settle()
+        self.field_codes.settle()
         if self.learns is not None:
             self.learns(*self._tables)
 
@@ -190,9 +144,47 @@ class CodeScorer(Scorer):
     def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
         super().restore(memory)
-        self.everything.forget()
+        self.field_codes.forget()
         self.candidate = None
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the watched fields of a publication that are not finite."""
-        return self.everything.not_finite(state)
+        return self.field_codes.not_finite(state)
+
+
+class StateScorer(CodeScorer):
+    """A scorer with one distance per state instead of one per field: its fields are the states.
+
+    Args:
+        field_codes: See `CodeScorer`.
+        tables: See `CodeScorer`.
+    """
+
+    def __init__(self, field_codes: FieldCodes, *tables: Any) -> None:  # noqa: ANN401 - see `CodeScorer`
+        super().__init__(field_codes, *tables)
+        self.fields = tuple(field_codes.slots)
+        self.stages = tuple(STATES[name].stage.value for name in self.fields)
+        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
+
+    def span(self, slot: int) -> tuple[int, int]:
+        """See `CodeScorer.span`."""
+        return slot, slot + 1
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """The state itself."""
+        return np.array([self.field_codes.slots[state.spec.name]])
+
+
+def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest score in training and number of samples, by state and regime. Shapes (slots, regimes).
+
+    Args:
+        scores: Score of each publication of a sample, >= 0. Shape (m,).
+        sample: The publications.
+        slots: Number of states.
+    """
+    place = sample.slots * REGIMES + sample.regimes
+    peaks = np.full(slots * REGIMES, 1e-9)
+    np.maximum.at(peaks, place, scores)
+    counts = np.bincount(place, minlength=slots * REGIMES)
+    return peaks.reshape(slots, REGIMES), counts.reshape(slots, REGIMES)

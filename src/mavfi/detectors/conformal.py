@@ -11,18 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector, centre_and_peaks
-from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.code_scorer import CodeScorer, Judged, StateScorer, conclude
 from mavfi.detectors.features import REGIMES
+from mavfi.detectors.field_codes import FieldCodes
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import OfStates
+from mavfi.detectors.residual_state import REGIME, SLOT, ResidualState
 from mavfi.detectors.samples import Sample
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.jit import kernel_jit
 
 
 def conformal_limit(scores: np.ndarray, alpha: float) -> float:
@@ -49,36 +45,21 @@ def largest_of(codes: np.ndarray, centre: np.ndarray, scale: np.ndarray, regime:
 
 
 @kernel_jit
-def judge_largest(own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> float:
+def judge_largest(
+    measured: ResidualState, judged: Judged, limit: np.ndarray, centre: np.ndarray, scale: np.ndarray
+) -> float:
     """Score of the largest scaled distance among a publication's fields; tables as for `largest_of`."""
-    slot, regime = own.place[book.SLOT], own.place[book.REGIME]
-    first, last = own.spans[slot]
+    slot, regime = measured.place[SLOT], measured.place[REGIME]
+    first, last = measured.spans[slot]
     if regime >= 0:
-        judged.distance[slot] = largest_of(own.codes[first:last], centre[first:last], scale[first:last], regime)
-    return conclude(slot, slot + 1, own, judged, limit)
+        judged.distance[slot] = largest_of(measured.codes[first:last], centre[first:last], scale[first:last], regime)
+    return conclude(slot, slot + 1, measured, judged, limit)
 
 
-_KIND = kind_with(np.zeros((1, 1)), np.zeros((1, 1)))
-
-
-@kernel_jit
-def _largest_at(address: int) -> float:
-    own, judged, limit, centre, scale = load(address, _KIND)
-    return judge_largest(own, judged, limit, centre, scale)
-
-
-@short_jit
-def _admit_largest(address: int, header: Any) -> bool:
-    own, judged, limit, centre, scale = load(address, _KIND)
-    book.measure(header_of(header), own)
-    return book.accept_unless_alarm(judge_largest(own, judged, limit, centre, scale), own)
-
-
-class LargestScorer(OfStates):
+class LargestScorer(StateScorer):
     """The largest scaled distance among a publication's fields; its tables are centre and scale, (n, regimes)."""
 
-    judge, judge_at, kind = staticmethod(judge_largest), staticmethod(_largest_at), _KIND
-    admit_at = staticmethod(_admit_largest)
+    judge = staticmethod(judge_largest)
 
 
 class ConformalDetector(AllFieldsDetector):
@@ -87,33 +68,33 @@ class ConformalDetector(AllFieldsDetector):
     model_kind = "conformal"
 
     @classmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scorer of the largest scaled distances."""
-        shape = len(everything.fields), REGIMES
-        return LargestScorer(everything, model.numbers("centre", *shape), model.numbers("scale", *shape, least=1.0))
+        shape = len(field_codes.fields), REGIMES
+        return LargestScorer(field_codes, model.numbers("centre", *shape), model.numbers("scale", *shape, least=1.0))
 
     @classmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """See `fit_conformal`."""
-        return fit_conformal(sample, everything, **figures)
+        return fit_conformal(sample, features, **figures)
 
 
-def fit_conformal(sample: Sample, everything: Everything, alpha: float) -> dict[str, Any]:
+def fit_conformal(sample: Sample, field_codes: FieldCodes, alpha: float) -> dict[str, Any]:
     """Centre and scale of each field, and limit of each state, by regime.
 
     Args:
         sample: Error-free flights.
-        everything: Codes from which the sample was made.
+        field_codes: Codes from which the sample was made.
         alpha: Share of false alarms among publications; a state and regime with too few publications for it takes the
             largest score as its limit, and the share 1 / (number + 1).
     """
     flights = np.cumsum(_begins(sample))
     even = flights % 2 == 0
-    centre, scale, _ = centre_and_peaks(_part(sample, even), everything)
+    centre, scale, _ = centre_and_peaks(_part(sample, even), field_codes)
     rest = _part(sample, ~even)
-    limit = np.ones((len(everything.slots), REGIMES))
+    limit = np.ones((len(field_codes.slots), REGIMES))
     for slot in range(len(limit)):
-        own = slice(*everything.range_of(slot))
+        own = slice(*field_codes.range_of(slot))
         for regime in range(REGIMES):
             vectors = rest.vectors[(rest.slots == slot) & (rest.regimes == regime), own].astype(np.float64)
             if len(vectors):

@@ -5,17 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector, centre_and_peaks
-from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude
 from mavfi.detectors.features import REGIMES
+from mavfi.detectors.field_codes import FieldCodes
 from mavfi.detectors.model import Model
+from mavfi.detectors.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
 from mavfi.detectors.samples import Sample, regime_limits
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.jit import kernel_jit
 
 _FLOOR = 0.5
 """Smallest standard deviation, in codes: codes are integers, and some are constant in training."""
@@ -89,62 +86,47 @@ class Sums(NamedTuple):
 
 @kernel_jit
 def learn(
-    own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray, deviation: np.ndarray, slack: float, sums: Sums
+    measured: ResidualState, judged: Judged, limit: np.ndarray, centre: np.ndarray, deviation: np.ndarray,
+    slack: float, sums: Sums,
 ) -> None:  # fmt: skip
     """Store the sums of an accepted publication; an alarm resets them."""
-    if own.place[book.LEARNED] == book.NEVER:
+    if measured.place[LEARNED] == NEVER:
         return
-    first, last = own.spans[own.place[book.LEARNED]]
+    first, last = measured.spans[measured.place[LEARNED]]
     for index in range(first, last):
         for side in range(2):
             sums.before[index, side] = sums.after[index, side] if judged.score[0] <= 1.0 else 0.0
-    own.place[book.LEARNED] = book.NEVER
+    measured.place[LEARNED] = NEVER
 
 
 @kernel_jit
 def judge_sums(
-    own: Book, judged: Judged, limit: np.ndarray, centre: np.ndarray, deviation: np.ndarray, slack: float, sums: Sums
+    measured: ResidualState, judged: Judged, limit: np.ndarray, centre: np.ndarray, deviation: np.ndarray,
+    slack: float, sums: Sums,
 ) -> float:  # fmt: skip
     """Score of the sums after a publication; arguments as for `add`."""
-    learn(own, judged, limit, centre, deviation, slack, sums)
-    first, last = own.spans[own.place[book.SLOT]]
-    regime = own.place[book.REGIME]
+    learn(measured, judged, limit, centre, deviation, slack, sums)
+    first, last = measured.spans[measured.place[SLOT]]
+    regime = measured.place[REGIME]
     if regime >= 0:
         after = sums.after[first:last]
         add(
-            own.codes[first:last], centre[first:last], deviation[first:last], regime, slack, sums.before[first:last],
-            after,
+            measured.codes[first:last], centre[first:last], deviation[first:last], regime, slack,
+            sums.before[first:last], after,
         )  # fmt: skip
         for index in range(len(after)):
             judged.distance[first + index] = max(after[index, 0], after[index, 1])
-    return conclude(first, last, own, judged, limit)
-
-
-_KIND = kind_with(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, Sums(*np.zeros((2, 1, 2))))
-
-
-@kernel_jit
-def _sums_at(address: int) -> float:
-    own, judged, limit, centre, deviation, slack, sums = load(address, _KIND)
-    return judge_sums(own, judged, limit, centre, deviation, slack, sums)
-
-
-@short_jit
-def _admit_sums(address: int, header: Any) -> bool:
-    own, judged, limit, centre, deviation, slack, sums = load(address, _KIND)
-    book.measure(header_of(header), own)
-    return book.accept_unless_alarm(judge_sums(own, judged, limit, centre, deviation, slack, sums), own)
+    return conclude(first, last, measured, judged, limit)
 
 
 class SumScorer(CodeScorer):
     """Cumulative sums; an alarm resets those of its state."""
 
-    judge, judge_at, learns = staticmethod(judge_sums), staticmethod(_sums_at), staticmethod(learn)
-    admit_at, kind = staticmethod(_admit_sums), _KIND
+    judge, learns = staticmethod(judge_sums), staticmethod(learn)
 
-    def __init__(self, everything: Everything, centre: np.ndarray, deviation: np.ndarray, slack: float) -> None:
-        sums = Sums(*np.zeros((2, len(everything.fields), 2)))
-        super().__init__(everything, centre, deviation, slack, sums)
+    def __init__(self, field_codes: FieldCodes, centre: np.ndarray, deviation: np.ndarray, slack: float) -> None:
+        sums = Sums(*np.zeros((2, len(field_codes.fields), 2)))
+        super().__init__(field_codes, centre, deviation, slack, sums)
         self.kept = {**self.kept, "sums": sums.before}
 
 
@@ -154,40 +136,40 @@ class CusumDetector(AllFieldsDetector):
     model_kind = "cusum"
 
     @classmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scorer of cumulative sums."""
-        shape = len(everything.fields), REGIMES
+        shape = len(field_codes.fields), REGIMES
         deviation = model.numbers("deviation", *shape, least=_FLOOR)
         slack = float(model.numbers("slack", least=0.0))
-        return SumScorer(everything, model.numbers("centre", *shape), deviation, slack)
+        return SumScorer(field_codes, model.numbers("centre", *shape), deviation, slack)
 
     @classmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """See `fit_cusum`."""
-        return fit_cusum(sample, everything, **figures)
+        return fit_cusum(sample, features, **figures)
 
 
 def fit_cusum(
-    sample: Sample, everything: Everything, slack: float, margin: float, smallest_regime: int
+    sample: Sample, field_codes: FieldCodes, slack: float, margin: float, smallest_regime: int
 ) -> dict[str, Any]:  # fmt: skip
     """Centre, deviation and limit of each field and regime.
 
     Args:
         sample: Error-free flights.
-        everything: Codes from which the sample was made.
+        field_codes: Codes from which the sample was made.
         slack: See `add`.
         margin: Limit / largest sum in training.
         smallest_regime: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
-    centre, _, counts = centre_and_peaks(sample, everything)
+    centre, _, counts = centre_and_peaks(sample, field_codes)
     deviation = np.full(centre.shape, _FLOOR)
-    for slot in range(len(everything.slots)):
-        own = slice(*everything.range_of(slot))
+    for slot in range(len(field_codes.slots)):
+        own = slice(*field_codes.range_of(slot))
         for regime in range(REGIMES):
             values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own]
             if len(values):
                 deviation[own, regime] = np.maximum(_FLOOR, values.std(axis=0, dtype=np.float64))
-    spans = np.array([everything.range_of(slot) for slot in range(len(everything.slots))])
+    spans = np.array([field_codes.range_of(slot) for slot in range(len(field_codes.slots))])
     peaks = largest_sums(
         sample.vectors, sample.slots, sample.regimes, sample.first, spans, centre, deviation, slack
     )  # fmt: skip

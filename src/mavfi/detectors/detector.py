@@ -1,12 +1,13 @@
-"""Interface of host and detector: it checks published states, may request recomputation, and never sees a fault."""
+"""What a detector is to a host: it checks published states, may ask for recovery, and never sees a fault."""
 
-from collections.abc import Callable, Collection
+import copy
+import pickle
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
-from mavfi.detectors.bounded import bounded, is_foreign, limited
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
@@ -38,137 +39,186 @@ class Alarm:
         return asdict(self)
 
 
-class Detector(Protocol):
-    """Checks the published states of one flight.
+class Detector:
+    """Checks the published states of one flight; base class of every detector, with defaults for all but the check.
 
     The host calls `check` with every publication before a consumer reads it (coupling `inline`).  On an alarm the host
     recomputes the stage and then calls `accept` with the value actually published; without one it calls `accept`
     immediately.  Hence deltas always refer to published values.
 
-    A detector may have `states`, the names of the states that it reads; a host need not pass it any others.  If absent
-    or None, the detector receives all states.
-
     `accept` belongs to the publication that was checked last, or to one that was not checked: a host passes a value
     that is sent again as a copy.
 
-    A detector may have `at_once`, an `AtOnce`, always the same object: what a host asks first, see `admission`.  A
-    subclass of it that changes `check` or `accept` needs its own; else the host calls these two.  With `retract()`,
-    which takes back the publication accepted at once last, it can be in front of others in a `Chain`.
+    A constructor with a parameter `limits` receives the `MissionLimits` of the mission, one with `seed` its seed.
 
-    A detector whose memory can be injected has `arrays()`: the arrays that it remembers between publications, by name,
-    not copies; without the parameters of its model, and called between publications only.
-
-    A detector may also have `memory()` and `restore(memory)`: its memory as plain data that `==` compares bit for bit,
-    and the inverse.  A host that restores a checkpoint copies a detector without these methods as a whole.
+    Attributes:
+        source: Name in its alarms, and of the target of faults in its instructions and memory.
+        states: Names of the states that it reads; a host need not pass it any others.  None = all.
+        seals: Whether the host calls `seal` with each value as its producer sends it, before it is injected.
+        duplicates: Kernels whose steps the host computes twice, and compares.
+        parts: The detectors of which it consists, in the order in which they are asked.
+        recovery: Mission keys that go with it, where a command or an arm does not choose them.
+        compiled: Its compiled functions in which faults can be injected, by name.
     """
+
+    source: str = ""
+    states: Collection[str] | None = None
+    seals: bool = False
+    duplicates: tuple[str, ...] = ()
+    parts: tuple["Detector", ...] = ()
+    recovery: ClassVar[Mapping[str, Any]] = {}
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication; must change neither the memory nor the state, which is the published value itself."""
+        return None
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
 
+    def seal(self, state: State, time_us: int) -> None:
+        """Record a value as its producer sends it; see `seals`."""
 
-class AtOnce(dict[str, Callable[..., object]]):
-    """By state: a function of the header that accepts a publication or returns a true value.
+    def score(self, state: State, time_us: int) -> float | None:
+        """Score of a publication in units of the threshold (> 1 is an alarm); None if it has none."""
+        return None
 
-    The latter means that it takes longer: there is an alarm, or the state is not in the dictionary.
-    """
+    def memory(self) -> Any:  # noqa: ANN401 - the detector's own
+        """What it remembers between publications; `==` compares it bit for bit.  By default, all of its attributes."""
+        return CopiedMemory(vars(self))
 
-    def __missing__(self, name: str) -> Callable[..., object]:
-        """The answer for other states."""
-        return _takes_longer
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        vars(self).clear()
+        vars(self).update(copy.deepcopy(memory.attributes))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Targets of faults in its memory: the arrays that it remembers between publications, by name, not copies.
+
+        The parameters of its model are not among them.  Called between publications only.
+        """
+        return {}
+
+    @property
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See the class."""
+        return {}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace functions of `compiled` by those of the same name in `made`; restore all others."""
 
 
-class _Limited(AtOnce):
-    """That of a detector that is not part of mavfi, whose calls have a time limit."""
-
-    def __init__(self, own: AtOnce) -> None:
-        super().__init__()
-        self._own = own
-
-    def __missing__(self, name: str) -> Callable[..., object]:
-        """The function for a state."""
-        return bounded(self._own[name])
-
-
-def _takes_longer(header: Any) -> bool:  # noqa: ANN401 - an array
-    return True
-
-
-class Admission(NamedTuple):
-    """How a host passes publications to a detector: most pass `at_once`, without a further call in Python.
+class CopiedMemory:
+    """The memory of a detector that does not say what it remembers.
 
     Attributes:
-        at_once: Asked first, by name of the state, with the header.
-        otherwise: Called with state and time (us) if that returns a true value: `check`, then `accept` if no alarm.
+        attributes: A deep copy of all of its attributes.
     """
 
-    at_once: AtOnce
-    otherwise: Callable[[State, int], Alarm | None]
+    def __init__(self, attributes: Mapping[str, Any]) -> None:
+        self.attributes = copy.deepcopy(dict(attributes))
 
-    def __call__(self, state: State, time_us: int) -> Alarm | None:
-        """Pass a publication, and return the alarm on it."""
-        return self.otherwise(state, time_us) if self.at_once[state.spec.name](state.header) else None
+    def __eq__(self, other: object) -> bool:
+        """Whether both have the same pickle; False if either cannot be pickled."""
+        if not isinstance(other, CopiedMemory):
+            return False
+        try:
+            return pickle.dumps(self.attributes) == pickle.dumps(other.attributes)
+        except Exception:  # noqa: BLE001 - any exception of a user's object
+            return False
 
-
-def admission(detector: Detector, *, limit: bool = True) -> Admission:
-    """How to pass publications to a detector; only by `check` and `accept` if a subclass changes these.
-
-    With `limit`, a detector that is not part of mavfi has a time limit; a call that exceeds it raises
-    `bounded.StuckError`.  The limit takes microseconds.
-    """
-    check, accept = (limited(detector, name) if limit else getattr(detector, name) for name in ("check", "accept"))
-
-    def admit(state: State, time_us: int) -> Alarm | None:
-        alarm: Alarm | None = check(state, time_us)
-        if alarm is None:
-            accept(state, time_us)
-        return alarm
-
-    most = min(_level_of(detector, "check"), _level_of(detector, "accept"))
-    own: Any = detector
-    at_once = own.at_once if _level_of(detector, "at_once") <= most else AtOnce()
-    return Admission(_Limited(at_once) if limit and is_foreign(detector) else at_once, admit)
+    __hash__ = None  # type: ignore[assignment]
 
 
-def _level_of(detector: Detector, method: str) -> float:
-    """How many classes come before the one that defines a method: 0 is the object itself; infinite if none does."""
-    places = (detector, *type(detector).__mro__)
-    return next((place for place, own in enumerate(places) if method in getattr(own, "__dict__", {})), float("inf"))
+class NoDetector(Detector):
+    """Never raises an alarm, and reads nothing."""
+
+    states = frozenset[str]()
 
 
-def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of ours
-    """The part of a detector whose attribute is `source`, if its compiled functions can be instrumented; else None.
+class Chain(Detector):
+    """Several detectors in sequence: the first alarm counts."""
 
-    That is the part that raises alarms as `source`, or one with its code, like the single rules of the acceptance test.
+    def __init__(self, *detectors: Detector) -> None:
+        self.parts = detectors
+        self._readers: dict[str, tuple[Detector, ...]] = {}
+        if all(part.states is not None for part in detectors):
+            self.states = frozenset(name for part in detectors for name in part.states or ())
+            for name in self.states:
+                self._readers[name] = tuple(part for part in detectors if name in (part.states or ()))
 
-    It has `compiled`, these functions by name, and `instrument`, which replaces the functions of the given names and
-    restores all others.  Of several copies it is in the first, see `replicas.INJECTED`.
-    """
-    parts = getattr(detector, "parts", None)
-    if parts is not None:
-        return next((found for part in parts if (found := part_of(part, source)) is not None), None)
-    return detector if getattr(detector, "source", "") == source and getattr(detector, "compiled", None) else None
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        for detector in self.parts:
+            detector.start()
+
+    def score(self, state: State, time_us: int) -> float | None:
+        """The largest score of all detectors."""
+        scores = [detector.score(state, time_us) for detector in self.parts]
+        return max((score for score in scores if score is not None), default=None)
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """The first alarm of any detector."""
+        for detector in self._readers.get(state.spec.name, self.parts):
+            alarm = detector.check(state, time_us)
+            if alarm is not None:
+                return alarm
+        return None
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Pass a published value to all detectors that read its state."""
+        for detector in self._readers.get(state.spec.name, self.parts):
+            detector.accept(state, time_us)
+
+    def memory(self) -> tuple[Any, ...]:
+        """Memories of all detectors."""
+        return tuple(detector.memory() for detector in self.parts)
+
+    def restore(self, memory: tuple[Any, ...]) -> None:
+        """Inverse of `memory`."""
+        for detector, kept in zip(self.parts, memory, strict=True):
+            detector.restore(kept)
 
 
-def class_of(detector: Any) -> str:  # noqa: ANN401 - a user's own
+def part_of(detector: Detector | None, source: str) -> Any:  # noqa: ANN401 - callers know that there is one
+    """The part of a detector that raises alarms as `source`, if it has compiled functions; None = there is none."""
+    if detector is None:
+        return None
+    for part in detector.parts:
+        found: Any = part_of(part, source)
+        if found is not None:
+            return found
+    return detector if detector.source == source and detector.compiled else None
+
+
+def class_of(detector: object) -> str:
     """Class of a detector as "package.module:Class", for messages; of several in one, that of the last."""
-    while parts := getattr(detector, "parts", ()):
-        detector = parts[-1]
+    while isinstance(detector, Detector) and detector.parts:
+        detector = detector.parts[-1]
     return f"{type(detector).__module__}:{type(detector).__qualname__}"
 
 
-def check_states(detector: Any) -> None:  # noqa: ANN401 - a user's own
+def require_detector(detector: object) -> Detector:
+    """An object of a user's own as a detector.
+
+    Raises:
+        BadInputError: It is none, or lists states that do not exist; the message names its class.
+    """
+    if not isinstance(detector, Detector):
+        raise BadInputError(f"detector {class_of(detector)}: allowed: an object whose class inherits mavfi.Detector")
+    check_states(detector)
+    return detector
+
+
+def check_states(detector: Detector) -> None:
     """Refuse a detector that lists states that do not exist: it would never be asked about them.
 
     Raises:
         BadInputError: The message names the class, the name and the nearest state.
     """
-    states = getattr(detector, "states", None)
+    states = detector.states
     if states is None:
         return
     place = f"detector {class_of(detector)}: states"

@@ -68,9 +68,9 @@ class Scratch(NamedTuple):
             next call, so that each publication costs one call. Shape (4,), int64.
         score: Its score. Shape (1,).
         deltas: Shape (n,), int16.
-        distance: See `parts.Reading`. Shape (n,).
-        unit: See `parts.Reading`. Shape (n,).
-        ratios: See `parts.Verdict`. Shape (n,).
+        distance: See `scoring.Reading`. Shape (n,).
+        unit: See `scoring.Reading`. Shape (n,).
+        ratios: See `scoring.Verdict`. Shape (n,).
     """
 
     content: np.ndarray
@@ -243,15 +243,6 @@ def propose(content: np.ndarray, slot: int, scratch: Scratch) -> None:
     """Store a publication that is being judged, and its `slot`; see `Scratch`."""
     scratch.content[: len(content)] = content
     scratch.place[SLOT], scratch.place[SIZE] = slot, len(content)
-
-
-@kernel_jit
-def accept_unless_alarm(score: float, scratch: Scratch) -> bool:
-    """Accept the publication judged last unless its score is an alarm; returns whether it is one."""
-    alarm = not score <= 1.0
-    if not alarm:
-        scratch.place[ACCEPTED] = 1
-    return alarm
 
 
 @kernel_jit

@@ -6,6 +6,7 @@ largest difference.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import Events
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.detectors.registry import of_monitored_fields, settings_of
+from mavfi.detectors.registry import figures_of, of_monitored_fields
 from mavfi.detectors.samples import join, sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
@@ -44,7 +45,7 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
     Raises:
         BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.
     """
-    known = of_monitored_fields()
+    known: Mapping[str, Any] = of_monitored_fields()
     if kind not in known:
         raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(known)}")
     thresholds = [
@@ -57,7 +58,7 @@ def learn(kind: str, profile: str, recordings: Sequence[Sequence[State]], specs:
     preprocessor = Preprocessor.of(specs, profile, thresholds)
     order = {name: slot for slot, name in enumerate(specs)}
     sample = join([sample_of(_events(states, order), preprocessor) for states in recordings if states])
-    parameters = known[kind].fit(sample, preprocessor, settings_of(kind, profile).fit)
+    parameters = known[kind].fit(sample, preprocessor, figures_of(kind, profile))
     detector: Detector = known[kind](Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
     return detector
 

@@ -2,17 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm, AtOnce
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.features import integer_at, real_at
-from mavfi.numerics.jit import entry, is_compiled, kernel_jit, short_jit
-from mavfi.numerics.lent import content_of, lent
-from mavfi.numerics.stored import Stored, kind_of, load
-from mavfi.states import STATES, State, bytes_of, new_state
+from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.states import STATES, State, bytes_of
 
 SOURCE = "physics_gate"
 SPEED_MARGIN = 1.5
@@ -160,26 +157,7 @@ def settle(kept: np.ndarray, then: np.ndarray) -> None:
     then[:_ACCEPTED], then[_ACCEPTED] = kept, 0.0
 
 
-_KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
-
-
-@short_jit
-def _judge_at(address: int, slot: int, header: Any) -> int:
-    limits, kept, then = load(address, _KIND)
-    return judge(content_of(header), slot, limits, kept, then)
-
-
-@short_jit
-def _admit_at(address: int, slot: int, header: Any) -> bool:
-    """Whether a publication is implausible; it is accepted if it is not."""
-    limits, kept, then = load(address, _KIND)
-    if judge(content_of(header), slot, limits, kept, then) >= 0:
-        return True
-    then[_ACCEPTED] = 1.0
-    return False
-
-
-class PhysicsGate:
+class PhysicsGate(Detector):
     """Checks for finite numbers, the arena, speeds, way-point steps, and a collision counter that grows by 0 or 1.
 
     An implausible field is an alarm for the stage that publishes it.
@@ -187,40 +165,28 @@ class PhysicsGate:
     Args:
         v_max: Speed limit of the mission (m/s).
         arena: Lower and upper corner of the volume for way-points (m).
-
-    Attributes:
-        states: Names of the states that it reads.
-        compiled: Compiled functions that can be instrumented, by name; see `detector.part_of`.
-        at_once: See `Detector`.
     """
 
     source, states = SOURCE, frozenset(STATES_JUDGED)
-    compiled: ClassVar[dict[str, Callable[..., Any]]] = {"judge_gate": judge}
 
     def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
         self._given = v_max, arena
         self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
         self._kept, self._then = np.zeros(_ACCEPTED), np.zeros(_ACCEPTED + 1)
         self._candidate: State | None = None
-        self.at_once = AtOnce()
         self.instrument({})
 
-    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """Replace the compiled function, see `detector.part_of`."""
-        self._own = Stored(_KIND, self._limits, self._kept, self._then)
-        given = made.get("judge_gate", judge)
-        self._judges = [self._judge_of(given, slot, name) for slot, name in enumerate(STATES_JUDGED)]
-        self.at_once.clear()
-        if not made and is_compiled(judge):
-            for slot, name in enumerate(STATES_JUDGED):
-                call = entry(_admit_at, 0, 0, lent(new_state(name).header))
-                self.at_once[name] = partial(call, self._own.address, slot)
+    @property
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See `Detector`."""
+        return {"judge_gate": judge}
 
-    def _judge_of(self, given: Callable[..., int], slot: int, name: str) -> Callable[[np.ndarray], int]:
-        """A function of the header of a state."""
-        if is_compiled(given):
-            return partial(entry(_judge_at, 0, 0, lent(new_state(name).header)), self._own.address, slot)
-        return lambda header: given(bytes_of(header), slot, self._limits, self._kept, self._then)
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """See `Detector`."""
+        function = made.get("judge_gate", judge)
+        self._judge: Callable[..., int] = entry(
+            function, np.zeros(1, np.uint8), 0, self._limits, self._kept, self._then
+        )
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -233,7 +199,7 @@ class PhysicsGate:
         if slot is None:
             return None
         self._candidate = state
-        place = self._judges[slot](state.header)
+        place = self._judge(bytes_of(state.header), slot, self._limits, self._kept, self._then)
         if place < 0:
             return None
         spec = state.spec
@@ -252,10 +218,6 @@ class PhysicsGate:
                 return
             self.check(state, time_us)
         self._then[_ACCEPTED] = 1.0
-
-    def retract(self) -> None:
-        """Take back the acceptance of the publication admitted last."""
-        self._then[_ACCEPTED] = 0.0
 
     def memory(self) -> bytes:
         """Memory between publications, see `Detector`."""

@@ -7,13 +7,12 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.features import Scratch, Watch
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold
+from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.detectors.scoring import NOT_FINITE, ScoringDetector, Threshold, find_policy
 from mavfi.numerics import welford
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import content_of
+from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.stored import load
 
 SOURCE = "gaussian"
@@ -122,13 +121,6 @@ def _frozen_at(content: np.ndarray, slot: int, address: int) -> float:
     return judge_frozen(content, slot, watch, scratch, limit, centre)
 
 
-@short_jit
-def _admit_online(address: int, slot: int, header: Any) -> bool:
-    watch, scratch, limit, statistics, min_count = load(address, _ONLINE)
-    score = judge_online(content_of(header), slot, watch, scratch, limit, statistics, min_count)
-    return features.accept_unless_alarm(score, scratch)
-
-
 class OnlineScorer(DeltaScorer):
     """Distances from running means that start from the trained ones; a value is judged before it is learned.
 
@@ -139,7 +131,7 @@ class OnlineScorer(DeltaScorer):
     """
 
     judge, settle = staticmethod(judge_online), staticmethod(settle_online)
-    judge_at, admit_at, kind = staticmethod(_online_at), staticmethod(_admit_online), _ONLINE
+    judge_at, kind = staticmethod(_online_at), _ONLINE
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
         self._trained, self._statistics = statistics, statistics.copy()
@@ -152,49 +144,46 @@ class OnlineScorer(DeltaScorer):
         self._statistics[:] = self._trained
 
 
-@short_jit
-def _admit_frozen(address: int, slot: int, header: Any) -> bool:
-    watch, scratch, limit, centre = load(address, _FROZEN)
-    score = judge_frozen(content_of(header), slot, watch, scratch, limit, centre)
-    return features.accept_unless_alarm(score, scratch)
-
-
 class FrozenScorer(DeltaScorer):
     """Distances from a trained centre of each field and regime, shape (n, regimes), passed as its table."""
 
     judge, settle = staticmethod(judge_frozen), staticmethod(settle_frozen)
-    judge_at, admit_at, kind = staticmethod(_frozen_at), staticmethod(_admit_frozen), _FROZEN
+    judge_at, kind = staticmethod(_frozen_at), _FROZEN
 
 
-class GaussianDetector(ScoringDetector):
-    """GAD in either profile: `paper` learns online with one n for all fields; `tuned` has fixed limits.
+class GaussianDetector(ScoringDetector, TrainedDetector):
+    """GAD: a model of the paper's codes learns online with one n for all fields; one of predictions has fixed limits.
 
     Args:
         model: A model of kind "gaussian".
-        sigmas: Overrides the paper's n of the model; `paper` only.
+        policy: "paper" or "keyed", see `scoring.POLICIES`.
+        sigmas: Overrides the paper's n of a model that learns online.
         preprocessor: For the fields that the model was trained on, unless these are a monitored set.
     """
 
     model_kind = SOURCE
 
-    def __init__(self, model: Model, sigmas: float | None = None, preprocessor: Preprocessor | None = None) -> None:
+    def __init__(
+        self, model: Model, policy: str = "keyed", sigmas: float | None = None,
+        preprocessor: Preprocessor | None = None,
+    ) -> None:  # fmt: skip
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         size = len(deltas.fields)
         if "statistics" in model.parameters:
             statistics = model.numbers("statistics", size, 3)
             scorer: DeltaScorer = OnlineScorer(deltas, statistics, float(model.numbers("min_count", least=0.0)))
-            used = float(model.numbers("sigmas", least=SMALLEST_LIMIT)) if sigmas is None else sigmas
-            limit = np.full((size, features.REGIMES), used)
+            trained_sigmas = float(model.numbers("sigmas", least=SMALLEST_LIMIT))
+            limit = np.full((size, features.REGIMES), trained_sigmas if sigmas is None else sigmas)
         else:
             scorer = FrozenScorer(deltas, model.numbers("centre", size, features.REGIMES))
             limit = model.numbers("limit", size, features.REGIMES, least=SMALLEST_LIMIT)
-        super().__init__(SOURCE, scorer, Threshold(limit, size))
+        super().__init__(SOURCE, scorer, Threshold(limit, size), find_policy(policy))
 
-    @staticmethod
-    def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
+    @classmethod
+    def fit(cls, sample: Sample, features: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model, online if the figures contain `sigmas`; see `fit_online` and `fit_frozen`."""
-        found: dict[str, Any] = (fit_online if "sigmas" in figures else fit_frozen)(sample, preprocessor, **figures)
-        return found
+        fit = fit_online if "sigmas" in figures else fit_frozen
+        return fit(sample, features, **figures)
 
 
 def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_count: float) -> dict[str, Any]:

@@ -5,21 +5,22 @@ float64 difference from the prediction.  Integers: difference, saturated to 16 b
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.parts import FREQUENT, Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.detectors.scoring import Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
-from mavfi.numerics.lent import lent
 from mavfi.numerics.stored import Stored
 from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec, bytes_of
 
-PROFILES = ("paper", "tuned")
+FEATURES = {"code": "paper", "predicted": "tuned"}
+"""What a detector compares, with its spelling as the profile of a model: the codes of values, or the code of the
+difference from a prediction."""
+PROFILES = tuple(FEATURES.values())
 PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
 """Prediction of a way-point's position, see `features.measure`: "interval" if way-points carry the mean velocity of the
 leg that leads to them, "trapezoid" if they carry the velocity at their position."""
@@ -27,7 +28,7 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
-_UNPICKLED = ("_judge", "_stored", "_admitted", "_note", "at_once")
+_UNPICKLED = ("_judge", "_stored", "_note")
 
 
 class Preprocessor:
@@ -153,8 +154,6 @@ class DeltaScorer(Scorer):
             then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
-        admit_at: Compiled: judges a publication, accepts it unless there is an alarm, and returns whether there is
-            one; arguments: address of the tables that `admitted` stores, slot, header that is lent.
         kind: `kind_of` these.
         features: The preprocessor.
         scratch: The publication judged last.
@@ -163,7 +162,6 @@ class DeltaScorer(Scorer):
     judge: ClassVar[Callable[..., float]]
     settle: ClassVar[Callable[..., None]]
     judge_at: ClassVar[Callable[..., float]]
-    admit_at: ClassVar[Callable[..., bool]]
     kind: ClassVar[Any]
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
@@ -187,38 +185,20 @@ class DeltaScorer(Scorer):
         self.instrument({})
 
     @property
-    def compiled(self) -> dict[str, Callable[..., Any]]:
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
         """See `Scorer.compiled`."""
         return {"judge": self.judge}
 
     def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
         """Replace `judge` by the function of that name in `made`; restore it if there is none."""
-        given = made.get("judge", self.judge)
+        judge = made.get("judge", self.judge)
         self._stored = Stored(self.kind, *self._tables)
-        if is_compiled(given):
+        if is_compiled(judge):
             self._judge: Callable[..., float] = entry(self.judge_at, self.scratch.content, 0, 0)
         else:
-            self._judge = lambda content, slot, _: given(content, slot, *self._tables)
+            self._judge = lambda content, slot, _: judge(content, slot, *self._tables)
         vehicle = self.features.watch.vehicle
         self._note = entry(features.note_vehicle, vehicle.view(np.uint8), vehicle)
-        self.at_once = {} if made else self._admissions()
-
-    def admitted(self) -> Stored:
-        """The tables of `admit_at`."""
-        return self._stored
-
-    def _admissions(self) -> dict[str, Callable[[np.ndarray], object]]:
-        """See `Scorer.at_once`."""
-        odometry = frozenset(self.states or ()).difference(self._slots)
-        found: dict[str, Callable[[np.ndarray], object]] = dict.fromkeys(odometry, self._vehicles.add)
-        self._admitted = self.admitted()  # held as long as its address is used
-        for name in FREQUENT if is_compiled(self.admit_at) else ():
-            if name in self._slots:
-                slot = self._slots[name]
-                header = lent(np.zeros(1, self.features.specs[slot].header_dtype))
-                call = partial(entry(self.admit_at, 0, 0, header), self._admitted.address, slot)
-                found[name] = self._vehicles.settled(call) if self._predicts[slot] else call
-        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code, which is valid in one process only."""
@@ -238,10 +218,6 @@ class DeltaScorer(Scorer):
         self.candidate = None
         self.scratch.place[features.ACCEPTED] = 0
         self._vehicles.forget()
-
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        return None if self.score(state) is None else self.judged()[0]
 
     def score(self, state: State) -> float | None:
         """Score of a publication."""

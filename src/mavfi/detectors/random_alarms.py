@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.sealed import SMALL
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import log
@@ -16,7 +16,7 @@ _SCORE = 2.0
 _HOUR_US = 3.6e9
 
 
-class RandomAlarms:
+class RandomAlarms(Detector):
     """A Poisson process of alarms for each small state, with the given total rate.
 
     An alarm concerns the first publication of its state at or after its instant.
@@ -28,8 +28,6 @@ class RandomAlarms:
     Raises:
         BadInputError: The rate is not in (0, 1e6].
     """
-
-    needs_seed = True
 
     def __init__(self, seed: int, per_hour: float = 60.0) -> None:
         if not 0.0 < per_hour <= 1e6:

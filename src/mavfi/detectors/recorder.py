@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Detector
 from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State
 
 WATCHED = tuple(dict.fromkeys(state for fields in MONITORED_SETS.values() for state, _ in fields))
@@ -22,7 +22,7 @@ class Recording:
         kinds: Index in WATCHED, or features.ODOMETRY. Shape (m,), int8.
         times_us: Publication times (us). Shape (m,), int64.
         content: The published headers, concatenated. Shape (total,), uint8.
-        slots, regimes, codes: See `everything.Codes`, whose `own` is `codes`; empty if only monitored states were
+        slots, regimes, codes: See `field_codes.Codes`, whose `own` is `codes`; empty if only monitored states were
             recorded.
     """
 
@@ -48,7 +48,7 @@ class Recording:
         return self.times_us[chosen], self.content[rows].reshape(-1).view(spec.header_dtype)
 
 
-class Recorder:
+class Recorder(Detector):
     """A detector that never raises an alarm and records publications."""
 
     def __init__(self) -> None:
@@ -61,10 +61,6 @@ class Recorder:
         self._content: list[bytes] = []
         self._odometry = b""
         self._trajectory: int | None = None
-
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """Never an alarm."""
-        return None
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""

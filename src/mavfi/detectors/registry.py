@@ -3,50 +3,36 @@
 from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
 from mavfi.config import Config, names, shipped
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.detector import Detector, check_states
+from mavfi.detectors.detector import Chain, Detector, require_detector
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
-from mavfi.detectors.limits import MissionLimits
-from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
-from mavfi.detectors.preprocess import PROFILES
+from mavfi.detectors.model import FITTED_TO, Model, TrainedDetector, check_fits, model_name
+from mavfi.detectors.preprocess import FEATURES, PROFILES
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file
 from mavfi.plugins import build, known, load_object, parameters_of
 
 GROUP = "mavfi.detectors"
-"""Entry points of this group are detectors: classes without arguments, or, if a class has a `model_kind`, with a model
-of that kind and profile.  `mavfi train` fits those with `fit(sample, preprocessor, figures)`, which returns the
-parameters of the model; a class with a true `watches_all` is fitted to all fields, with an `Everything` instead of the
-preprocessor, and in one profile only.  One with an `extra` needs packages of that extra; `check_installed` checks for
-them.  The figures are those of configs/detectors/<name>.yaml.  A class with a true `needs_limits` is constructed with
-the `MissionLimits` of the mission, one with a true `needs_seed` with its seed.  `recovery` contains
-the mission keys, of `OF_RECOVERY`, that go with a detector; they give way to those of a command or an arm, and replace
-`OF_OWN`."""
-OF_RECOVERY = (
-    "coupling", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node", "alarm", "epoch_liveness",
-)  # fmt: skip
-"""Mission keys that a detector may set."""
+"""Entry points of this group are classes that inherit `Detector`; `mavfi train` fits those that inherit
+`TrainedDetector`, with the figures of configs/detectors/<name>.yaml."""
+OF_RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
+"""Mission keys that a detector may set (`Detector.recovery`)."""
 OF_OWN: Mapping[str, Any] = {"grain": "kernel", "same_twice": "limit"}
 """Mission keys of a detector that is not part of mavfi, unless it sets them: it may raise alarms without end."""
 ONLY_PROFILE = "tuned"
-"""The profile of detectors of all fields."""
+"""The profile of models of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
     "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
     "acceptance": "mavfi.detectors.acceptance:AcceptanceTest",
     "recommended": "mavfi.detectors.acceptance:AcceptanceTest",
-    "rule_1": "mavfi.detectors.single_rule:SingleRule",
-    "rule_2": "mavfi.detectors.single_rule:SingleRule",
-    "rule_3": "mavfi.detectors.single_rule:SingleRule",
-    "rule_4": "mavfi.detectors.single_rule:SingleRule",
-    "rule_5": "mavfi.detectors.single_rule:SingleRule",
     "limits": "mavfi.detectors.all_fields:LimitsDetector",
     "autoencoder_all": "mavfi.detectors.all_fields:AutoencoderAllDetector",
     "cusum": "mavfi.detectors.cusum:CusumDetector",
@@ -59,37 +45,35 @@ _SHIPPED = {
     "matrix_profile": "mavfi.detectors.baselines.matrix_profile:MatrixProfileDetector",
     "checksum": "mavfi.detectors.sealed:Checksum",
     "checksum_large": "mavfi.detectors.sealed:Checksum",
-    "duplicate": "mavfi.detectors.duplicate:Duplicate",
+    "duplicate": "mavfi.detectors.sealed:Duplicate",
     "oracle": "mavfi.detectors.sealed:Oracle",
     "random": "mavfi.detectors.random_alarms:RandomAlarms",
-    "none": "mavfi.detectors.registry:NoDetector",
+    "none": "mavfi.detectors.detector:NoDetector",
 }
-
-
-class ProfileSettings(Config):
-    """A detector in one profile."""
-
-    policy: str | None = Field(None, description="recovery policy, where there is a choice: paper or keyed")
-    gate: bool = Field(False, description="whether the physics gate stands in front")
-    fit: dict[str, float | int | list[int]] = Field({}, description="figures of training, by name")
+_METHODS = {"start": "", "check": "state, time_us", "accept": "state, time_us"}
+"""Parameters of a detector's methods."""
 
 
 class DetectorConfig(Config):
-    """A trained detector in its two profiles; one without a file in configs/detectors has the defaults."""
+    """A detector: its options, its presets, and what goes with it; one without a file has the defaults."""
 
     name: str = Field(description="entry point of the group mavfi.detectors")
-    paper: ProfileSettings = Field(ProfileSettings(), description="as the paper's")
-    tuned: ProfileSettings = Field(ProfileSettings(gate=True), description="limits by field and regime")
-    options: dict[str, Any] = Field({}, description="arguments of the class, where nothing is trained")
+    options: dict[str, Any] = Field({}, description="arguments of the class; an arm may set others")
+    presets: dict[str, dict[str, Any]] = Field(
+        {"paper": {"features": "code", "gate": False}, "tuned": {"features": "predicted", "gate": True}},
+        description="of a detector of monitored fields: options by profile",
+    )
+    fit: dict[str, dict[str, float | int | list[int]]] = Field(
+        {}, description="figures of training, by profile of the model"
+    )
     mission: dict[str, Any] = Field({}, description="keys of a mission that go with it, where these are not chosen")
 
 
-class NoDetector(Chain):
-    """Never raises an alarm."""
+class Loaded(NamedTuple):
+    """A detector, ready to fly, and the sha256 of its trained model ("" if it has none)."""
 
-
-_METHODS = {"start": "", "check": "state, time_us", "accept": "state, time_us"}
-"""Parameters of a detector's methods."""
+    detector: Detector
+    model: str
 
 
 def detector_names() -> list[str]:
@@ -106,33 +90,29 @@ def is_named(name: str, source: str) -> bool:
     return name == source or (name in places and places[name] == places.get(source))
 
 
-def contains(name: str, profile: str, source: str) -> bool:
+def contains(name: str, profile: str, source: str, options: Mapping[str, Any] | None = None) -> bool:
     """Whether a detector has a part that raises alarms as `source`: itself, or the physics gate in front of it."""
     if source != GATE:
         return is_named(name, source)
-    return hasattr(load_object("detector", name, GROUP, _SHIPPED), "model_kind") and settings_of(name, profile).gate
+    factory = _class_of(name)
+    return _is_trained(factory) and bool(_options_of(name, profile, factory, options or {}).get("gate", False))
 
 
-def trainable() -> dict[str, Any]:
+def trainable() -> dict[str, type[TrainedDetector]]:
     """Detectors with training, by name: those of mavfi, then those of other packages."""
-    every = {name: load_object("detector", name, GROUP, _SHIPPED) for name in _SHIPPED | known(GROUP, _SHIPPED)}
-    return {name: found for name, found in every.items() if hasattr(found, "model_kind") and hasattr(found, "fit")}
+    every = {name: _class_of(name) for name in _SHIPPED | known(GROUP, _SHIPPED)}
+    return {name: factory for name, factory in every.items() if _is_trained(factory)}
 
 
-def of_monitored_fields() -> dict[str, Any]:
+def of_monitored_fields() -> dict[str, type[TrainedDetector]]:
     """Detectors fitted to a monitored set, in two profiles."""
-    return {name: found for name, found in trainable().items() if not _watches_all(found)}
+    return {name: factory for name, factory in trainable().items() if not factory.watches_all}
 
 
-def of_all_fields(extras: Collection[str] = ()) -> dict[str, Any]:
+def of_all_fields(extras: Collection[str] = ()) -> dict[str, type[TrainedDetector]]:
     """Detectors fitted to all fields, in one profile; those that need an extra only for the given `extras`."""
-    wanted = ("", *extras)
     every = trainable().items()
-    return {name: found for name, found in every if _watches_all(found) and getattr(found, "extra", "") in wanted}
-
-
-def _watches_all(factory: Any) -> bool:  # noqa: ANN401
-    return bool(getattr(factory, "watches_all", False))
+    return {name: factory for name, factory in every if factory.watches_all and factory.extra in ("", *extras)}
 
 
 def check_detector(name: str, profile: str) -> None:
@@ -141,22 +121,14 @@ def check_detector(name: str, profile: str) -> None:
     Raises:
         BadInputError: There is no such detector or profile.
     """
-    settings_of(name, profile)
-    if ":" not in name and name not in (every := detector_names()):
+    _check_profile(profile)
+    if ":" in name:
+        return
+    _refuse_dropped(name)
+    every = detector_names()
+    if name not in every:
         text = f"not known{hint(name, every)}; allowed: {', '.join(every)}, or package:object"
         raise BadInputError(f"detector {name!r}: {text}")
-
-
-def settings_of(name: str, profile: str) -> ProfileSettings:
-    """Settings of a detector in a profile.
-
-    Raises:
-        BadInputError: Unknown profile, or the detector's file cannot be read.
-    """
-    if profile not in PROFILES:
-        raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
-    found: ProfileSettings = getattr(_config_of(name), profile)
-    return found
 
 
 def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
@@ -165,26 +137,136 @@ def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
     Those of its file in configs/detectors; of one outside of mavfi, its class attribute `recovery` and `OF_OWN`.
 
     Raises:
-        BadInputError: The attribute has other keys than `OF_RECOVERY`.
+        BadInputError: The attribute has other keys than `OF_RECOVERY`, or the class does not inherit `Detector`.
     """
-    found: Any = detector
     if isinstance(detector, str):
         if not detector or detector in _SHIPPED or detector in names("detectors"):
             return _config_of(detector).mission
         try:
-            found = load_object("detector", detector, GROUP, _SHIPPED)
+            found: Any = load_object("detector", detector, GROUP, _SHIPPED)
         except BadInputError:  # reported where the detector is constructed
             return {}
-    keys = getattr(found, "recovery", {})
+        keys, name = getattr(found, "recovery", {}), detector
+    else:
+        found = type(detector)
+        keys, name = detector.recovery, found.__name__
     if not isinstance(keys, Mapping) or not set(keys) <= set(OF_RECOVERY):
-        name = detector if isinstance(detector, str) else type(detector).__name__
         raise BadInputError(f"detector {name!r}: recovery: {keys!r}: allowed: values of {', '.join(OF_RECOVERY)}")
-    return keys if getattr(found, "__module__", "").startswith("mavfi.") else {**OF_OWN, **keys}
+    return keys if found.__module__.startswith("mavfi.") else {**OF_OWN, **keys}
 
 
 def detector_options(name: str) -> Mapping[str, Any]:
-    """Constructor arguments of a detector without training."""
+    """Constructor arguments of a detector that its file sets, whatever the profile."""
     return _config_of(name).options
+
+
+def figures_of(name: str, profile: str) -> Mapping[str, Any]:
+    """Figures of training of a detector, for a model of this profile."""
+    return _config_of(name).fit.get(profile, {})
+
+
+def load_detector(
+    name: str, profile: str, models_dir: Path | None, mission: Mapping[str, Any], *,
+    options: Mapping[str, Any] | None = None, trained_for: str = "",
+) -> Loaded:  # fmt: skip
+    """A detector, ready to fly.
+
+    Args:
+        name: One of `detector_names()`, or "package:Class".
+        profile: Preset of the options of a detector of monitored fields: "paper" or "tuned".
+        models_dir: Folder of trained models; None = the shipped ones.
+        mission: What the model must have been trained for: `stack` (the autopilot profile), platform, v_max (m/s),
+            planner.  Optional: `limits`, the `MissionLimits` for rules, whose arena is also used by the physics gate;
+            `seed`, for random draws.
+        options: Arguments of the class, over those of its file and preset.  Those of every trained detector: `gate`,
+            whether the physics gate checks first; of one of monitored fields: `features`, see `FEATURES`.
+        trained_for: "autopilot/platform" whose model is used, whether or not it fits; "" = that of `mission`.
+
+    Raises:
+        BadInputError: Unknown detector, profile, option or model, no model for `trained_for`, or what the constructor
+            needs of the mission is absent.
+        SpecMismatchError: The model was trained for another configuration.
+        NotInstalledError: A package that the detector needs is absent.
+    """
+    _check_profile(profile)
+    _refuse_dropped(name)
+    factory = load_object("detector", name, GROUP, _SHIPPED)
+    chosen = _options_of(name, profile, factory, options or {})
+    if not _is_trained(factory):
+        return Loaded(_build(name, factory, _of_mission(name, factory, mission), chosen), "")
+    factory.check_installed()
+    has_gate = chosen.pop("gate", False)
+    features = None if factory.watches_all else chosen.pop("features", None)
+    if features is not None and features not in FEATURES:
+        raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
+    model_profile = ONLY_PROFILE if features is None else FEATURES[features]
+    path, model = _model_of(factory, model_profile, models_dir, mission, trained_for)
+    try:
+        detector = _build(name, factory, {"model": model}, chosen)
+    except BadInputError as error:
+        raise BadInputError(f"{path}: {error}") from None
+    if has_gate:
+        limits = mission.get("limits")
+        arena = UNKNOWN_ARENA if limits is None else limits.arena
+        detector = Chain(PhysicsGate(float(mission["v_max"]), arena), detector)
+    return Loaded(detector, model.sha256)
+
+
+def _model_of(
+    factory: type[TrainedDetector], profile: str, models_dir: Path | None, mission: Mapping[str, Any], trained_for: str
+) -> tuple[Path, Model]:
+    """The model of a detector that fits the mission, or is that of `trained_for`, and its file."""
+    if trained_for:
+        wanted = dict(zip(("stack", "platform"), trained_for.split("/"), strict=True))
+    else:
+        wanted = {key: mission[key] for key in FITTED_TO}
+    name = model_name(wanted["stack"], wanted["platform"], factory.model_kind, profile)
+    path = (models_dir or SHIPPED_MODELS) / f"{name}.json"
+    shown = path.name if models_dir is None else str(path)
+    if not path.parent.is_dir():
+        raise BadInputError(f"{path.parent}: there is no such folder of models")
+    if not is_file(path):
+        if trained_for:
+            raise BadInputError(f"trained_for: {trained_for!r}: there is no model {shown}; allowed: those of a model")
+        baselines = "--baselines " if factory.extra else ""
+        raise SpecMismatchError(
+            f"{shown}: no model is trained for this autopilot and platform; train one (mavfi train {baselines}"
+            "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
+            "or take that of another mission, key trained_for"
+        )
+    model = Model.load(path)
+    if (model.kind, model.profile) != (factory.model_kind, profile):
+        needed = f"{factory.model_kind}-{profile}"
+        raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {needed}")
+    check_fits(model, **wanted)
+    return path, model
+
+
+def _check_profile(profile: str) -> None:
+    if profile not in PROFILES:
+        raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
+
+
+def _refuse_dropped(name: str) -> None:
+    refusal = dropped_name("detectors", name)
+    if refusal:
+        raise BadInputError(refusal)
+
+
+def _class_of(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
+    return load_object("detector", name, GROUP, _SHIPPED)
+
+
+def _is_trained(factory: Any) -> bool:  # noqa: ANN401
+    return isinstance(factory, type) and issubclass(factory, TrainedDetector)
+
+
+def _options_of(name: str, profile: str, factory: Any, options: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
+    """Options of a detector: those of its file, over them its preset, over them the given ones."""
+    config = _config_of(name)
+    has_presets = _is_trained(factory) and not factory.watches_all
+    preset = config.presets.get(profile, {}) if has_presets else {}
+    return {**config.options, **preset, **options}
 
 
 @cache
@@ -192,96 +274,21 @@ def _config_of(name: str) -> DetectorConfig:
     return shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
 
 
-def load_detector(
-    name: str, profile: str, models_dir: Path | None, fits: Mapping[str, Any], *, policy: str | None = None,
-    gate: bool | None = None, sigmas: float | None = None, trained_for: str = "",
-) -> tuple[Detector, str]:  # fmt: skip
-    """A detector, ready to fly.
-
-    Args:
-        name: One of `detector_names()`, or "package:Class".
-        profile: "paper" or "tuned".
-        models_dir: Folder of trained models; None = the shipped ones.
-        fits: What the model must have been trained for: `stack` (the autopilot profile), platform, v_max (m/s),
-            planner.  Optional: `limits`, the `MissionLimits` for rules, whose arena is also used by the physics gate;
-            `seed` of the mission, for random draws.
-        policy: Recovery policy, overrides the profile's.
-        gate: Whether the physics gate checks first; None = as the profile says.
-        sigmas: Overrides the paper's n of the model.
-        trained_for: "autopilot/platform" whose model is used, whether or not it fits; "" = that of `fits`.
-
-    Returns:
-        The detector, and the sha256 of its trained model ("" if it has none).
-
-    Raises:
-        BadInputError: Unknown detector, profile or model, no model for `trained_for`, or limits are needed but absent.
-        SpecMismatchError: The model was trained for another configuration.
-        NotInstalledError: A package that the detector needs is absent.
-    """
-    settings = settings_of(name, profile)
-    if name == "none":
-        return NoDetector(), ""
-    factory = load_object("detector", name, GROUP, _SHIPPED)
-    if hasattr(factory, "check_installed"):
-        factory.check_installed()
-    if _watches_all(factory):
-        profile, settings = ONLY_PROFILE, settings_of(name, ONLY_PROFILE)
-    kind = getattr(factory, "model_kind", None)
-    limits: MissionLimits | None = fits.get("limits")
-    if kind is None:
-        return _build(name, factory, *_needed(name, factory, fits), **_config_of(name).options), ""
-    if trained_for:
-        own = dict(zip(("stack", "platform"), trained_for.split("/"), strict=True))
-    else:
-        own = {key: fits[key] for key in FITTED_TO}
-    path = (models_dir or SHIPPED_MODELS) / f"{model_name(own['stack'], own['platform'], str(kind), profile)}.json"
-    if trained_for and not is_file(path):
-        raise BadInputError(
-            f"trained_for: {trained_for!r}: there is no model {_shown(path)}; allowed: those of a model"
-        )
-    model = _load_model(path, str(kind), profile, "--baselines " if getattr(factory, "extra", "") else "")
-    check_fits(model, **own)
-    try:
-        detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
-    except BadInputError as error:
-        raise BadInputError(f"{path}: {error}") from None
-    if settings.gate if gate is None else gate:
-        detector = Chain(PhysicsGate(float(fits["v_max"]), UNKNOWN_ARENA if limits is None else limits.arena), detector)
-    return detector, model.sha256
-
-
-def _load_model(path: Path, kind: str, profile: str, option: str) -> Model:
-    if not path.parent.is_dir():
-        raise BadInputError(f"{path.parent}: there is no such folder of models")
-    if not is_file(path):
-        raise SpecMismatchError(
-            f"{_shown(path)}: no model is trained for this autopilot and platform; train one (mavfi train {option}"
-            "--autopilot ... --platform ... --out FOLDER), then name the folder with --models; "
-            "or take that of another mission, key trained_for"
-        )
-    model = Model.load(path)
-    if (model.kind, model.profile) != (kind, profile):
-        raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {kind}-{profile}")
-    return model
-
-
-def _shown(path: Path) -> str:
-    return path.name if path.parent == SHIPPED_MODELS else str(path)
-
-
-def _needed(name: str, factory: Any, fits: Mapping[str, Any]) -> list[Any]:  # noqa: ANN401
-    needed = [key for key in ("limits", "seed") if getattr(factory, f"needs_{key}", False)]
-    for key in needed:
-        if fits.get(key) is None:
+def _of_mission(name: str, factory: Any, mission: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
+    """What a constructor takes from the mission, by its parameters."""
+    wanted = [key for key in ("limits", "seed") if key in parameters_of("detector", name, factory)]
+    for key in wanted:
+        if mission.get(key) is None:
             raise BadInputError(f"detector {name!r}: needs the {key} of the mission")
-    return [fits[key] for key in needed]
+    return {key: mission[key] for key in wanted}
 
 
-def _build(name: str, factory: Any, *arguments: object, **options: object) -> Detector:  # noqa: ANN401
-    given = {key: value for key, value in options.items() if value is not None}
-    unknown = set(given) - set(parameters_of("detector", name, factory))
+def _build(
+    name: str, factory: Any, given: Mapping[str, Any], options: Mapping[str, Any]  # noqa: ANN401
+) -> Detector:  # fmt: skip
+    """Construct a detector with what it is given and its options; None = the default of the class."""
+    chosen = {key: value for key, value in options.items() if value is not None}
+    unknown = set(chosen) - set(parameters_of("detector", name, factory))
     if unknown:
         raise BadInputError(f"detector {name!r}: has no option {', '.join(sorted(unknown))}")
-    made = build("detector", name, factory, *arguments, needs=_METHODS, **given)
-    check_states(made)
-    return cast(Detector, made)
+    return require_detector(build("detector", name, factory, needs=_METHODS, **given, **chosen))

@@ -1,18 +1,20 @@
-"""Detectors that compare the arriving value with the one sent: a checksum, and the upper bound for any detector.
+"""Detectors that compare: the arriving value with the one sent, or a step with its repetition.
 
-The host calls `seal` with each value as its producer sends it, and then `check` with the value that arrives.  They
-detect corruption in transit but no earlier errors: a wrong result has a valid checksum.
+For a checksum and for the oracle, the upper bound of any detector, the host calls `seal` with each value as its
+producer sends it, and then `check` with the value that arrives.  They detect corruption in transit but no earlier
+errors: a wrong result has a valid checksum.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.detector import Alarm, Detector
+from mavfi.errors import BadInputError
 from mavfi.numerics.crc import crc32c
-from mavfi.states import PPC_STAGES, STATES, State, StateSpec
+from mavfi.states import KERNELS, PPC_STAGES, STATES, State, StateSpec
 
 DIFFERENT = 2.0
 """Score of a value that differs from the one sent."""
@@ -28,17 +30,17 @@ def _is_large(spec: StateSpec) -> bool:
 SMALL = frozenset(name for name in ALL if not _is_large(STATES[name]))
 
 
-class Sealed(ABC):
+class Sealed(Detector):
     """Base of both, without memory between publications.
 
     Args:
         states: Names of the sealed states.
     """
 
-    source: str
+    seals = True
 
     def __init__(self, states: frozenset[str]) -> None:
-        self._states = states
+        self._sealed_states = states
         self.start()
 
     @abstractmethod
@@ -55,7 +57,7 @@ class Sealed(ABC):
 
     def seal(self, state: State, time_us: int) -> None:
         """Seal a value as its producer sends it."""
-        self._sealed = state.spec.name if state.spec.name in self._states else ""
+        self._sealed = state.spec.name if state.spec.name in self._sealed_states else ""
         if self._sealed:
             self.close(state)
 
@@ -72,9 +74,6 @@ class Sealed(ABC):
             return None
         return Alarm(self.source, state.spec.stage.value, score=score, fields=(state.spec.name,), hard=True)
 
-    def accept(self, state: State, time_us: int) -> None:  # noqa: B027 - there is nothing to remember
-        """No effect: nothing is learned."""
-
     def memory(self) -> tuple[()]:
         """Memory between publications, see `Detector`."""
         return ()
@@ -89,21 +88,22 @@ class Checksum(Sealed):
 
     Args:
         large: Whether to include clouds and map updates.
-
-    Attributes:
-        compiled: Compiled functions that can be instrumented, by name; see `detector.part_of`.
     """
 
     source = "checksum"
-    compiled: ClassVar[dict[str, Callable[..., Any]]] = {"crc32c": crc32c}
 
     def __init__(self, large: bool = False) -> None:
         super().__init__(ALL if large else SMALL)
         self._sum = 0
         self.instrument({})
 
+    @property
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See `Detector`."""
+        return {"crc32c": crc32c}
+
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """Replace the compiled function, see `detector.part_of`."""
+        """See `Detector`."""
         self._crc32c: Callable[..., int] = made.get("crc32c", crc32c)
 
     def close(self, state: State) -> None:
@@ -138,3 +138,22 @@ class Oracle(Sealed):
     def intact(self, state: State) -> bool:
         """Whether a value equals the stored one, bit for bit."""
         return self._sent is not None and (state is self._sent or state.same_bits(self._sent))
+
+
+class Duplicate(Detector):
+    """Requests that kernel steps are computed twice and compared, see `hosts.loop.duplicate`; checks nothing itself.
+
+    Args:
+        kernels: The kernels.
+
+    Raises:
+        BadInputError: Unknown kernel.
+    """
+
+    states = frozenset[str]()
+
+    def __init__(self, kernels: Sequence[str] = ("collision_check", "trajectory", "waypoint")) -> None:
+        unknown = [name for name in kernels if name not in KERNELS]
+        if unknown:
+            raise BadInputError(f"kernels: {', '.join(unknown)}: not known; allowed: {', '.join(KERNELS)}")
+        self.duplicates = tuple(kernels)

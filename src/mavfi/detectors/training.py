@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
+from mavfi.detectors.field_codes import MONITORED, Codes, FieldCodes, sample_of
 from mavfi.detectors.model import FITTED_TO, Model
 from mavfi.detectors.preprocess import PREDICTIONS, PROFILES, Preprocessor
 from mavfi.detectors.recorder import Recording
-from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields, of_monitored_fields, settings_of
+from mavfi.detectors.registry import ONLY_PROFILE, figures_of, of_all_fields, of_monitored_fields
 from mavfi.detectors.samples import check_finite, collect, join
 from mavfi.errors import BadInputError
 
@@ -55,7 +55,7 @@ def fit(
         sample = collect(recordings, preprocessor)
         model_origin = origin if profile == "paper" else {**origin, "innovation_m": errors}
         for name, detector in wanted.items():
-            parameters = detector.fit(sample, preprocessor, settings_of(name, profile).fit)
+            parameters = detector.fit(sample, preprocessor, figures_of(name, profile))
             kind = detector.model_kind
             models[f"{kind}-{profile}"] = Model(kind, profile, monitored, prediction, parameters, model_origin)
     return models
@@ -76,12 +76,12 @@ def fit_all_fields(
     found = [Codes(recording.slots, recording.regimes, recording.codes) for recording in recordings]
     if not all(len(codes.slots) for codes in found):
         return {}
-    everything = Everything(origin["stack"])
-    sample = join([sample_of(codes, everything) for codes in found])
+    field_codes = FieldCodes(origin["stack"])
+    sample = join([sample_of(codes, field_codes) for codes in found])
     check_finite(sample)
     models = {}
     for name, detector in wanted.items():
-        parameters = detector.fit(sample, everything, settings_of(name, ONLY_PROFILE).fit)
+        parameters = detector.fit(sample, field_codes, figures_of(name, ONLY_PROFILE))
         kind = detector.model_kind
         models[kind] = Model(kind, ONLY_PROFILE, MONITORED, "", parameters, dict(origin))
     return models

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-_WAITING = 100
+_MOST_WAITING = 100
 """Largest number of publications queued; older ones are forgotten."""
 
 
@@ -17,32 +17,20 @@ class VehicleQueue:
     """
 
     def __init__(self, store: Callable[[np.ndarray], bool]) -> None:
-        self.store = store
-        self._headers: deque[np.ndarray] = deque(maxlen=_WAITING)
+        self._store = store
+        self._headers: deque[np.ndarray] = deque(maxlen=_MOST_WAITING)
 
-    @property
-    def add(self) -> Callable[[np.ndarray], None]:
-        """Queues a header.  A function of the queue itself: another one in Python would take longer."""
-        return self._headers.append
+    def add(self, header: np.ndarray) -> None:
+        """Queue a header."""
+        self._headers.append(header)
 
     def settle(self) -> None:
         """Store the latest that is finite."""
-        if self._headers:
-            for header in reversed(self._headers):
-                if self.store(header):
-                    break
-            self._headers.clear()
+        for header in reversed(self._headers):
+            if self._store(header):
+                break
+        self._headers.clear()
 
     def forget(self) -> None:
         """Forget what is queued."""
         self._headers.clear()
-
-    def settled(self, function: Callable[[np.ndarray], bool]) -> Callable[[np.ndarray], bool]:
-        """A function of a header that finds the queue empty."""
-
-        def call(header: np.ndarray) -> bool:
-            if self._headers:
-                self.settle()
-            return function(header)
-
-        return call

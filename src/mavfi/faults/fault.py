@@ -128,7 +128,7 @@ class MemoryFault(Planned):
     """One bit of a word in a kernel's memory, at an instant.
 
     Attributes:
-        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector, or recovery.
+        kernel: As in `states.KERNELS`, or in `states.WATCHING`: a detector.
         field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
@@ -178,7 +178,8 @@ class InstructionFault(Planned):
     """The result of one dynamic instruction in one call of a compiled function, once.
 
     Attributes:
-        function: Module and name of the compiled function.
+        function: Module and name of a user's own function; "" = `kernel` and `entry` tell which one it is, wherever its
+            source is.
         ir_sha256: Digest of the IR to which the index refers; other machine code is rejected.
         index: Dynamic index among the values that the call writes, from 0.
         call: Index of the call in the flight, from 0; `NO_SITE` = the kernel executes no such instruction.

@@ -4,10 +4,11 @@ import dataclasses
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, InstructionFault, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
@@ -117,18 +118,16 @@ class InstructionRequest:
     """Faults in instructions to be drawn from one mission.
 
     Attributes:
-        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.GUARDS`.
+        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.DETECTORS`.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
-        sampling: "uniform" over dynamic instructions, or "stratified" by value class and source line, with weights.
     """
 
     kernels: Mapping[str, int]
     which: str = "all"
     model: Model = "one_bit"
     restart_s: float = RESTART_S
-    sampling: Literal["uniform", "stratified"] = "uniform"
 
     @property
     def kernel(self) -> str:
@@ -141,7 +140,7 @@ class InstructionSite:
     """A fault in one dynamic instruction of one call; nothing is drawn.
 
     Attributes:
-        kernel: As in `states.INJECTABLE` and `states.GUARDS`.
+        kernel: As in `states.INJECTABLE` and `states.DETECTORS`.
         entry: Its function, an attribute of `pipeline.functions.KernelFunctions`.
         given: Other attributes of the `fault.InstructionFault`.
     """
@@ -246,6 +245,8 @@ def _parse_memory(text: str, rest: str, localization: str) -> MemoryRequest:
         _not_understood(text, rest, localization)
     kernel, _, field = match["path"].partition(".")
     known = [*(spec.name for spec in KERNELS.values() if spec.only_with in ("", localization)), *WATCHING]
+    if dropped_name("kernels", kernel):
+        raise BadInputError(f"fault {text!r}: {dropped_name('kernels', kernel)}")
     if kernel not in known:
         raise BadInputError(f"fault {text!r}: no kernel {kernel!r}; allowed: {', '.join(known)}")
     bit = None if match["bit"] is None else int(match["bit"])

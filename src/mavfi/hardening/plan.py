@@ -171,8 +171,11 @@ class Plan(Config):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the bare content, which identifies the plan."""
-        return hashlib.sha256(self.bare.model_dump_json().encode()).hexdigest()
+        """SHA-256 of the bare content, which identifies the plan; modules of functions are not part of it."""
+        bare = self.bare
+        functions = [one.model_copy(update={"function": one.function.rpartition(".")[2]}) for one in bare.functions]
+        content = bare.model_copy(update={"functions": tuple(functions)})
+        return hashlib.sha256(content.model_dump_json().encode()).hexdigest()
 
     def time_of(self, kernel: str) -> float:
         """Protected / plain execution time of a kernel, 1 if none of its functions is protected.

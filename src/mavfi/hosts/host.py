@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
-from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import FlightLog, Profile
@@ -73,8 +72,8 @@ class ArmSetup:
     observers: tuple[Callable[[Any], None], ...] = ()
 
     def detector(self) -> Detector | None:
-        """A detector for flights of the arm, in as many copies as its policy says; None = no detector."""
-        return None if self.make_detector is None else replicated(self.make_detector(), self.recovery.copies)
+        """A detector for flights of the arm; None = no detector."""
+        return None if self.make_detector is None else self.make_detector()
 
 
 class MissionFlights(Protocol):

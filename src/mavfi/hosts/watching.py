@@ -1,13 +1,15 @@
 """Loading of a mission's detector by name, with a check that its model was trained for this mission."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mavfi.config import parse
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.limits import MissionLimits
-from mavfi.detectors.registry import load_detector, mission_keys
+from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.hosts.loop.compose import noise_of
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import MissionSpec, Scenario
@@ -20,8 +22,9 @@ _ERROR_STEP = 0.6
 
 
 def detector_for(
-    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, trained_for: str = ""
-) -> tuple[Detector, str]:  # fmt: skip
+    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, trained_for: str = "",
+    options: Mapping[str, Any] | None = None,
+) -> Loaded:  # fmt: skip
     """Load a detector for a mission.
 
     Args:
@@ -31,16 +34,14 @@ def detector_for(
         models_dir: Folder of trained models; None = the shipped models.
         trained_for: "autopilot/platform" whose model is used though it was not trained for this mission; "" = the
             mission's own, which must fit.
-
-    Returns:
-        The detector, and the SHA-256 of its trained model ("" for a detector without one).
+        options: Options of the detector, over those of its file and profile.
 
     Raises:
         BadInputError: The detector, profile or model does not exist.
         SpecMismatchError: The model was trained for a different configuration.
     """
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
-    fits = {
+    mission = {
         "stack": scenario.autopilot.name,
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
@@ -48,7 +49,7 @@ def detector_for(
         "limits": limits_of(scenario, world),
         "seed": scenario.seed,
     }
-    return load_detector(name, profile, models_dir, fits, trained_for=trained_for)
+    return load_detector(name, profile, models_dir, mission, options=options, trained_for=trained_for)
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:

@@ -31,8 +31,6 @@ WALL_CLOCK = "wall clock"
 WILD = "access outside its memory"
 """Detail of a child whose kernel accessed memory that it does not own."""
 _CHUNK = 1 << 16
-_LOOK_EVERY_S = 1.0
-_TO_WRITE_S = 5.0
 _SIGNALS = {int(number): number.name for number in signal.Signals}
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 
@@ -69,10 +67,8 @@ class ForkPoint:
         """Whether this is the child."""
         return self._pipe >= 0
 
-    def split(
-        self, timeout: float = 60.0, attend: Attend | None = None, is_overdue: Callable[[], bool] = lambda: False
-    ) -> Ended | None:  # fmt: skip
-        """Fork; `timeout` is the wall-clock limit of the child (s), `is_overdue` states whether it is over before.
+    def split(self, timeout: float = 60.0, attend: Attend | None = None) -> Ended | None:
+        """Fork; `timeout` is the wall-clock limit of the child (s).
 
         Returns:
             None in the child, immediately; in the parent how the child ended.
@@ -91,7 +87,7 @@ class ForkPoint:
         os.close(writing)
         try:
             ended = None if attend is None else attend(pid)
-            return _wait(pid, reading, timeout, is_overdue) if ended is None else ended
+            return _wait(pid, reading, timeout) if ended is None else ended
         finally:
             os.close(reading)
 
@@ -156,22 +152,16 @@ def _settle(parent: int) -> None:
     signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def _wait(pid: int, pipe: int, timeout: float, is_overdue: Callable[[], bool]) -> Ended:
-    """Read the child's output until it exits, or kill it at the timeout, or when it is overdue.
-
-    In the latter case it first gets SIGVTALRM, at which it may write where it is.
-    """
+def _wait(pid: int, pipe: int, timeout: float) -> Ended:
+    """Read the child's output until it exits, or kill it at the timeout."""
     deadline = time.monotonic() + timeout
     data = bytearray()
-    late = asked = False
+    late = False
     handle = os.pidfd_open(pid)
     try:
         sources = [handle, pipe]
         while handle in sources:
-            ready, _, _ = select.select(sources, [], [], min(max(0.0, deadline - time.monotonic()), _LOOK_EVERY_S))
-            if not asked and is_overdue():
-                signal.pidfd_send_signal(handle, signal.SIGVTALRM)
-                deadline, asked = time.monotonic() + _TO_WRITE_S, True
+            ready, _, _ = select.select(sources, [], [], max(0.0, deadline - time.monotonic()))
             if not ready:
                 late = time.monotonic() >= deadline
                 if late:

@@ -50,13 +50,6 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], make: Any, timeout: float
     return None if ended.payload == _NOT_HERE else ended
 
 
-def surroundings(function: Any) -> dict[str, Any]:
-    """Values that a function takes from enclosing scopes and from its module, by name."""
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    named = {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
-    return {name: cell.cell_contents for name, cell in cells} | named
-
-
 def _find(module: str, name: str) -> Any:
     """The object that another process finds under a name, or None."""
     if module == "__main__":

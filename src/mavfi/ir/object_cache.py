@@ -1,15 +1,15 @@
 """Stores machine code of rewritten kernels on disk, next to Numba's own cache.
 
-The key covers the kernel's bytecode with its constants and globals, and the versions; an entry is valid while
-every source file in its line tables is unchanged.
+The key covers what the kernel's machine code depends on, and the versions; an entry with line tables is valid while
+every source file in them is unchanged.
 """
 
 import contextlib
 import hashlib
 import json
 import os
-import types
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from mavfi.ir.build import name_of
-from mavfi.ir.fresh import surroundings
+from mavfi.numerics.dependencies import UnknownDependencyError, content_digest, signature_digest
 from mavfi.numerics.jit import code_folder
 
 
@@ -37,10 +37,17 @@ class ObjectCache:
     package: Path
 
     def key(self, kernel: Any, signature: tuple[Any, ...], *more: bytes) -> str:
-        """Digest of all inputs of the machine code, except the text of callees; `more` are further inputs."""
-        digest = hashlib.sha256(repr((numba.__version__, llvmlite.__version__, np.__version__)).encode())
-        digest.update(repr([str(kind) for kind in signature]).encode())
-        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *_parts(kernel, set()), *more):
+        """Digest of all inputs of the machine code, except line tables; `more` are further inputs.
+
+        A kernel that uses values of an unknown kind has a key of its own in each process.
+        """
+        versions = numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2]
+        digest = hashlib.sha256(repr((versions, name_of(kernel), kernel.py_func.__code__.co_filename)).encode())
+        try:
+            digest.update(signature_digest(signature) + content_digest(kernel))
+        except UnknownDependencyError:
+            digest.update(os.urandom(32))
+        for part in (folder_text(Path(__file__).parent), folder_text(self.package), *more):
             digest.update(hashlib.sha256(part).digest())
         return digest.hexdigest()[:40]
 
@@ -82,39 +89,6 @@ class ObjectCache:
 def folder_text(package: Path) -> bytes:
     """Text of all modules of a package's folder."""
     return b"".join(path.read_bytes() for path in sorted(package.glob("*.py")))
-
-
-def _parts(kernel: Any, seen: set[int]) -> Iterator[bytes]:
-    """The function's code, and the values that it takes from its surroundings."""
-    function = kernel.py_func
-    seen.add(id(function))
-    flags = sorted((name, repr(value)) for name, value in kernel.targetoptions.items())
-    yield repr((name_of(kernel), function.__code__.co_filename, flags)).encode()
-    yield from _code(function.__code__)
-    for name, value in sorted(surroundings(function).items()):
-        yield name.encode()
-        yield from _value(value, seen)
-
-
-def _code(code: types.CodeType) -> Iterator[bytes]:
-    yield code.co_code
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _code(constant)
-        else:
-            yield repr(constant).encode()
-
-
-def _value(value: Any, seen: set[int]) -> Iterator[bytes]:
-    if hasattr(value, "py_func"):
-        if id(value.py_func) not in seen:
-            yield from _parts(value, seen)
-    elif isinstance(value, np.ndarray):
-        yield repr((value.dtype, value.shape)).encode() + value.tobytes()
-    elif isinstance(value, int | float | complex | str | bytes | tuple | frozenset | None):
-        yield repr(value).encode()
-    else:
-        yield getattr(value, "__name__", type(value).__name__).encode()
 
 
 def _digest_of(path: str) -> str:

@@ -48,7 +48,7 @@ def cached_shape(kernel: Any, signature: tuple[Any, ...]) -> Shape:
     if data is None:
         source = cached_source(kernel, signature)
         data = json.dumps(shape_of(parse_module(source.text, source.kernel))).encode()
-        cache.store(key, data, _files(source))
+        cache.store(key, data, ())  # source lines are not part of it
     digest, sizes = json.loads(data)
     return digest, sizes
 

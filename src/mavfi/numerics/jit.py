@@ -3,49 +3,52 @@
 `fastmath` would remove NaN guards and break replay, the default error model would raise where C++ yields an
 infinity, and `parallel` would reorder sums: none of them is available here (see docs/fault-model.md).
 
-Numba's cache checks the file of a function, but not those of its callees: after a change in one module, callers in
-others would keep the old code.  Therefore the name of the cache folder is a digest of the text of all compiled modules.
-The cache has no index of signatures per function either, in which two processes that compile at the same time would
-overwrite each other's entries.
+Numba's own cache checks the file of a function, but not those of its callees, and has an index of signatures per
+function, in which two processes that compile at the same time overwrite each other's entries.  Here each signature of
+a function has a file of its own, named by a digest of all that its machine code depends on.
 """
 
 import contextlib
 import functools
 import hashlib
 import os
-import shutil
+import pickle
+import re
 import stat
+import sys
 import tempfile
+import time
+import uuid
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import llvmlite
 import numba
+import numpy as np
 from numba.core import types
-from numba.core.caching import IndexDataCacheFile
-from numba.core.compiler import Compiler
+from numba.core.caching import NullCache
+from numba.core.compiler import Compiler, CompileResult
+from numba.core.environment import Environment, _rebuild_env
 from numba.core.errors import NumbaDebugInfoWarning
 from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
+
+from mavfi.numerics.dependencies import UnknownDependencyError, code_digest, content_digest, signature_digest
 
 F = TypeVar("F", bound=Callable[..., object])
 
-_COMPILED = ("numerics", "kernels", "sim", "detectors")
-"""Packages of mavfi with compiled functions."""
-_KEPT = 4
+_MOST_BYTES = 1 << 30
+"""Size of all cached code beyond which the files that were not used for the longest time are deleted."""
+_DAY_S = 86_400.0
 _type_of: Any = numba.typeof
 _FLAGS = {"nopython": True, "error_model": "numpy", "fastmath": False, "nogil": True, "boundscheck": None}
 
 
-@functools.cache
 def code_folder() -> Path:
-    """Folder of code compiled from the current text of the package."""
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for name in _COMPILED:
-        for path in sorted((package / name).rglob("*.py")):
-            digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
-    return _cache_root() / digest.hexdigest()[:16]
+    """Folder of compiled code."""
+    return _cache_root() / "code"
 
 
 def _cache_root() -> Path:
@@ -63,23 +66,6 @@ def _cache_root() -> Path:
         if stat.S_ISDIR(held.st_mode) and held.st_uid == os.getuid() and not held.st_mode & 0o022:
             return own
     return Path(os.devnull) / "mavfi"  # cannot be created: no cache
-
-
-def _use_cache(folder: Path) -> None:
-    """Store compiled code in a folder, and delete all but the most recent other ones."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.touch()
-        others = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-    except OSError:
-        return  # Numba then stores it next to the source, or nowhere
-    for stale in others[_KEPT:]:
-        shutil.rmtree(stale, ignore_errors=True)
-    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-
-
-if not numba.config.CACHE_DIR:  # type: ignore[attr-defined]
-    _use_cache(code_folder())
 
 
 class LineTables(Compiler):
@@ -100,29 +86,111 @@ class LineTables(Compiler):
             return super().compile_extra(func)  # type: ignore[no-untyped-call]
 
 
-class SignatureFiles(IndexDataCacheFile):
-    """Code on disk, one file per signature: loaded code does not depend on other compilations."""
+class CodeFiles(NullCache):
+    """Machine code of one function on disk, one file per signature, as Numba's dispatcher asks for it.
 
-    @staticmethod
-    def in_place_of(files: Any) -> "SignatureFiles":
-        """Replacement for `files` with the same location and source, without the index."""
-        base = files._index_name.removesuffix(".nbi")
-        return SignatureFiles(files._cache_path, base, files._source_stamp)  # type: ignore[no-untyped-call]
+    Line tables of kept code are those of the text from which it was compiled; source lines that are shown come from
+    `mavfi.ir`, which compiles anew where a file has changed.
 
-    def save(self, key: Any, data: Any) -> None:
-        """Store the code of a signature; a file for another source or Numba version is replaced."""
-        self._save_data(self._name(key), (self._version, self._source_stamp, key, data))  # type: ignore[no-untyped-call]
+    Args:
+        dispatcher: The compiled function.
+    """
 
-    def load(self, key: Any) -> Any:
-        """The code of a signature; None if there is none for this source and Numba version."""
-        try:
-            version, stamp, kept, data = self._load_data(self._name(key))  # type: ignore[no-untyped-call]
-        except FileNotFoundError:
+    def __init__(self, dispatcher: "Kernel") -> None:
+        self._dispatcher = dispatcher
+
+    @property
+    def cache_path(self) -> str:
+        """Folder of the files."""
+        return str(numba.config.CACHE_DIR or code_folder())  # type: ignore[attr-defined]
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The code for the Numba types of the arguments; None if there is none, or none that can be used."""
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        if path is None:
             return None
-        return data if (version, stamp, kept) == (self._version, self._source_stamp, key) else None
+        try:
+            with path.open("rb") as file:
+                code = CompileResult._rebuild(target_context, *_Unpickler(file).load())  # type: ignore[no-untyped-call]
+                _mark_as_used(file.fileno())
+                return code
+        except Exception:  # noqa: BLE001 - absent or damaged in any way: it is compiled
+            return None
 
-    def _name(self, key: Any) -> str:
-        return f"{self._index_name.removesuffix('.nbi')}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for the Numba types of the arguments, unless it holds addresses of this process."""
+        path = None if data.lifted or data.library.has_dynamic_globals else self._path(sig, data.codegen)
+        if path is None:
+            return
+        part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:16]}")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(dumps(data._reduce()))  # type: ignore[no-untyped-call]
+            part.replace(path)  # no other process reads a part of it
+        except OSError:  # no space, or no folder that can be written: the code is compiled again next time
+            with contextlib.suppress(OSError):
+                part.unlink()
+            return
+        _delete_oldest(code_folder())
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        """File of a signature; None if nothing tells whether a value that the function uses has changed."""
+        function = self._dispatcher.py_func
+        name = f"{function.__module__}.{function.__qualname__}"
+        key = hashlib.sha256(repr((name, str(signature), codegen.magic_tuple(), _compiler())).encode())
+        try:
+            key.update(signature_digest(signature) + content_digest(self._dispatcher))
+        except UnknownDependencyError:
+            return None
+        readable = re.sub(r"[^\w.]", "", name)[-100:]
+        return Path(self.cache_path) / f"{readable}-{key.hexdigest()[:32]}.nbc"
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads kept code, which names the modules of its callees at the time; they may have been renamed since."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """The object of a name."""
+        return _environment if name == "_rebuild_env" else super().find_class(module, name)
+
+
+def _environment(module: str, constants: list[Any], name: str) -> Environment:
+    """Numba's environment of a compiled function; without its module, whose globals only Python objects need."""
+    try:
+        return _rebuild_env(module, constants, name)
+    except ImportError:
+        return _rebuild_env(__name__, constants, name)
+
+
+@functools.cache
+def _compiler() -> tuple[object, ...]:
+    """What determines machine code, besides the function and the processor."""
+    versions = numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2]
+    options = [getattr(numba.config, name) for name in ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK")]
+    own = code_digest(LineTables.__init__, LineTables.compile_extra, Kernel.get_call_template, _wide)
+    return (*versions, *options, own)
+
+
+def _mark_as_used(file: int) -> None:
+    """Renew the time of a file (descriptor) that is older than a day, so that others are deleted first."""
+    with contextlib.suppress(OSError):
+        if time.time() - os.fstat(file).st_mtime > _DAY_S:
+            os.utime(file)
+
+
+@functools.cache  # once in a process
+def _delete_oldest(folder: Path) -> None:
+    """Delete the code that was not used for the longest time, if all code in a folder is too large."""
+    with contextlib.suppress(OSError):
+        every = [path for path in folder.rglob("*") if path.is_file()]
+        files = [(path.stat().st_mtime, path.stat().st_size, path) for path in every]
+        excess = sum(size for _, size, _ in files) - _MOST_BYTES
+        for _, size, path in sorted(files):
+            if excess <= 0:
+                return
+            path.unlink(missing_ok=True)
+            excess -= size
 
 
 class Kernel(CPUDispatcher):
@@ -154,18 +222,11 @@ def kernel_jit(function: F) -> F:
     return _compiled(function, _FLAGS)
 
 
-def short_jit(function: F) -> F:
-    """As `kernel_jit`, for a short function called from Python: it keeps the GIL, whose release takes 30 ns."""
-    return _compiled(function, {**_FLAGS, "nogil": False})
-
-
 def _compiled(function: F, flags: Mapping[str, Any]) -> F:
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
     compiled: Any = Kernel(py_func=function, targetoptions=dict(flags), pipeline_class=LineTables)
-    with contextlib.suppress(RuntimeError):  # no writable cache folder
-        compiled.enable_caching()
-        compiled._cache._cache_file = SignatureFiles.in_place_of(compiled._cache._cache_file)
+    compiled._cache = CodeFiles(compiled)
     return cast(F, compiled)
 
 

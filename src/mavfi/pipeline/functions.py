@@ -1,4 +1,4 @@
-"""Table of the compiled functions that kernels and recovery call, supplied by the host, which can instrument any.
+"""Table of the compiled functions that kernels call, supplied by the host, which can instrument any.
 
 An instrumented function has the same arguments and result, and additionally counts or injects instructions.
 """
@@ -12,7 +12,6 @@ from typing import Any
 from mavfi.kernels.control import pid
 from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, octree, point_cloud
 from mavfi.kernels.planning import path, rrt, rrt_connect, rrt_star
-from mavfi.kernels.recovery import limits, response, setpoints
 
 Compiled = Callable[..., Any]
 
@@ -34,15 +33,6 @@ class KernelFunctions:
     shortcut_greedy: Compiled = path.shortcut_greedy
     shortcut_random: Compiled = path.shortcut_random
     track: Compiled = pid.track
-    respond: Compiled = response.respond
-    escalate: Compiled = limits.escalate
-    series_start: Compiled = limits.series_start
-    frequency: Compiled = limits.frequency
-    down_time: Compiled = limits.down_time
-    left_after: Compiled = limits.left_after
-    distance: Compiled = setpoints.distance
-    closing_rate: Compiled = setpoints.closing_rate
-    wait_for_path: Compiled = response.wait_for_path
 
     def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":
         """A table in which `make(name, function)` replaces each of the named functions."""

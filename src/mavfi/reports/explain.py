@@ -9,7 +9,7 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
-from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, CRASHED, INSTANT, LIMITED, SILENCED, STUCK
+from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, CRASHED, INSTANT, LIMITED, SILENCED
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.reports.text import change, lost, signed_percent
@@ -236,7 +236,6 @@ def _path(parted: Departure) -> str:
 
 _UNANSWERED = {
     LIMITED: "no response to further alarms for a while, {alarms} had changed nothing (same_twice: limit)",
-    STUCK: "the detector is disabled from {at:.2f} s on, a call of it did not return within {seconds:g} s",
     CRASHED: "the detector is disabled from {at:.2f} s on, a call of it crashed: {how}",
     SILENCED: "no response to further alarms, the detector is faulty: {alarms} on violated rules had changed nothing",
 }

@@ -10,7 +10,7 @@ import pytest
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.instruction import MismatchError
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import code_folder

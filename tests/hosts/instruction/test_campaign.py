@@ -12,7 +12,6 @@ import time
 from collections import Counter
 
 import pytest
-from pydantic import ValidationError
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
@@ -122,29 +121,6 @@ def test_arms_fly_the_same_faults(by_stage):
     assert len(fi) == 8
     assert fi == watched, "a detector that never alarms changes nothing"
     assert replay(by_stage, runs_of(by_stage, "dr_idle")[0].spec.run_id).same
-
-
-def test_each_arm_draws_faults_in_its_own_recovery(tmp_path):
-    arms = {"rules": {"detector": "recommended"}, "idle": {"detector": "none"}}
-    assert flown_into(tmp_path, campaign(2, arms, kernels=["recovery"])).complete
-    rules, idle = runs_of(tmp_path, "dr_rules"), runs_of(tmp_path, "dr_idle")
-    assert [one.spec.fault.entry for one in rules] == ["wait_for_path"] * 2
-    assert all(one.record.injections[0].activated for one in rules)
-    assert len(idle) == 2 and not any(one.spec.fault.has_site for one in idle), "no alarm, no deadline"
-    golden = runs_of(tmp_path, "golden_rules", "golden_idle")
-    executed = {one.spec.arm: one.record.counts["recovery"]["instructions"] for one in golden}
-    assert executed["rules"] > executed["idle"] == 0
-    assert replay(tmp_path, rules[0].spec.run_id).same
-
-
-def test_stratified_faults_keep_their_weights(tmp_path):
-    config = campaign(6, kernels=["pid"], which="data", scheme="stratified")
-    assert config != campaign(6, kernels=["pid"], which="data")
-    assert flown_into(tmp_path, config).complete
-    weights = [one.spec.fault.weight for one in runs_of(tmp_path, "fi")]
-    assert len(weights) == 6 and len(set(weights)) > 2
-    with pytest.raises(ValidationError, match="scheme"):
-        campaign(kernels=["pid"], scheme="even")
 
 
 # ---- faults in addresses --------------------------------------------------------------------------------------------

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.faults.instruction import Counting
+from mavfi.faults.instruction import Profiling
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.forking import ForksFromTakeOff
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import FromTakeOff, fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.policy import Recovery
 from mavfi.mission import MissionSpec
@@ -89,7 +88,7 @@ def test_an_observed_flight_with_a_fault_in_an_address():
 
 @pytest.fixture(scope="module")
 def counts():
-    counting = Counting(PLAIN.insert_scan)
+    counting = Profiling(PLAIN.insert_scan)
     fly(scenario(), functions=replace(PLAIN, insert_scan=counting))
     return counting.counts
 
@@ -137,7 +136,7 @@ def test_a_node_that_is_there_again_can_be_asked_to_compute_again(kernel):
 
 
 def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started_again():
-    loop = ForksFromTakeOff(scenario(), [], Scripted()).loop
+    loop = FromTakeOff(scenario(), [], Scripted()).loop
     loop.begin()
     loop.run(until=150)
     loop.actions["restart fresh"](loop.now, "collision_check")

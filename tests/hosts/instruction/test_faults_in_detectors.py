@@ -11,26 +11,22 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.detectors import Alarm, load_detector
+from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
-from mavfi.detectors.chain import Chain
-from mavfi.detectors.detector import part_of
+from mavfi.detectors.detector import Chain, part_of
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import contains
-from mavfi.detectors.replicas import replicated
 from mavfi.errors import BadInputError
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.case import check_kernel
+from mavfi.hosts.local.case import check_kernel
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.loop.recovery import Remembered
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.states import BASELINES, DETECTORS, RECOVERY, new_state
+from mavfi.states import BASELINES, DETECTORS, new_state
 from tests.unit.detectors.streams import LIMITS, command
 from tests.unit.detectors.test_registry import FITS
 
@@ -91,7 +87,7 @@ def test_the_refusal_names_the_profile_in_which_the_gate_stands():
         check_kernel(GATE, "rrt_connect", detector("gaussian"))
 
 
-@pytest.mark.parametrize("policy", ["end", "fresh", "latched", "readback", "recompute", "checkpoint", "standby"])
+@pytest.mark.parametrize("policy", ["end", "fresh", "readback"])
 def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(policy):
     loop = new_loop(resolve(MissionSpec(environment="sparse", seed=7)))
     watching = AcceptanceTest(LIMITS["published"])
@@ -101,96 +97,14 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
     last.header["future_collision_seq"] = 3
     loop.taps.recorders[-1](last, 0)
     restarts.detector_dies(watching, 1_000, 500_000)
-    assert (loop.taps.detector is tap) == (policy in ("recompute", "standby"))
-    assert [entry[:1] + entry[2:3] for entry in loop.queue] == (
-        [] if policy in ("end", "recompute", "standby") else [(501_000, "detector back")]
-    )
+    assert loop.taps.detector is None
+    queued = [entry[:1] + entry[2:3] for entry in loop.queue]
+    assert queued == ([] if policy == "end" else [(501_000, "detector back")])
     assert loop.status is None
     if loop.queue:
         loop.actions["detector back"](501_000)
         assert loop.taps.detector is tap
         assert int(watching.record["counters"][0, 1]) == 3
-
-
-def test_recovery_can_be_hit_with_any_detector():
-    check_kernel(RECOVERY, "rrt_connect", detector("gaussian"))
-    with pytest.raises(BadInputError, match="'recovery': is not part of this mission.*allowed: with a detector"):
-        check_kernel(RECOVERY, "rrt_connect", None)
-
-
-@pytest.mark.parametrize("copies", [1, 3])
-def test_recovery_dies_with_all_copies_of_its_detector_and_what_it_remembers(copies):
-    loop = new_loop(resolve(MissionSpec(environment="sparse", seed=7)))
-    watching = replicated(AcceptanceTest(LIMITS["published"]), copies)
-    watch(loop, watching, Recovery(copies=copies))
-    tap, restarts = loop.taps.detector, Restarts(loop, "fresh")
-    tap.memory.restarts_left = 1
-    assert restarts.detector_dies(watching, 1_000, 500_000, recovery=True)
-    assert loop.taps.detector is None
-    loop.actions["detector back"](501_000)
-    assert loop.taps.detector is tap and tap.memory.same(Remembered())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "entry"), [("recommended", "wait_for_path"), ("gaussian", "respond")])
-def test_a_flight_continues_whatever_becomes_of_its_recovery(name, entry):
-    policy = Recovery(answer_s=0.6 if entry == "wait_for_path" else 0.0)
-    scenario = resolve(MissionSpec(environment="sparse", seed=7, answer_s=policy.answer_s, dead_node="readback"))
-    watching, _ = detector_for(scenario, name, "paper")
-    drawn = draw_instruction_faults(
-        scenario, InstructionRequest({RECOVERY: 6}), "test", seed=1, detector=watching, recovery=policy
-    )
-    faults = drawn.faults[RECOVERY]
-    assert {fault.entry for fault in faults} == {entry} and drawn.counts[RECOVERY]["calls"] >= 1
-    impatient = [replace(fault, budget=0) for fault in faults]
-    found = fly_instruction_faults(scenario, [*faults, *impatient], watching, recovery=policy)
-    assert found.golden.log.digest() == drawn.golden.log.digest()
-    assert {flight.log.status for flight in found.flights} == {MissionStatus.SUCCESS}
-    hangs = [flight for flight in found.flights if flight.log.kernel.effect == "hang"]
-    assert hangs and not any(flight.log.alarms for flight in hangs), "a dead one does not respond"
-
-
-class _Nervous:
-    """Reports a violated rule at every thirtieth command, and at its recomputation."""
-
-    states = frozenset({"control.command"})
-
-    def start(self):
-        self._asked = 0
-
-    def check(self, state, now):
-        self._asked += 1
-        return Alarm("nervous", "control", hard=True) if self._asked % 30 in (0, 1) and self._asked > 1 else None
-
-    def accept(self, state, now): ...
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("same_twice", "degraded", "entries"),
-    [
-        ("escalate", "none", {"escalate", "down_time", "left_after"}),
-        ("escalate", "hold", {"series_start", "distance", "closing_rate"}),
-        ("limit", "none", {"frequency"}),
-    ],
-)
-def test_limits_and_commands_of_recovery_are_targets_where_they_are_evaluated(same_twice, degraded, entries):
-    spec = MissionSpec(
-        environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), same_twice=same_twice,
-        grain="kernel", degraded=degraded, dead_node="readback",
-    )  # fmt: skip
-    scenario, policy = resolve(spec), Recovery.of(spec)
-    request = InstructionRequest({RECOVERY: 40}, sampling="stratified")
-    drawn = draw_instruction_faults(scenario, request, "test", seed=3, detector=_Nervous(), recovery=policy)
-    faults = drawn.faults[RECOVERY]
-    assert entries <= {fault.entry for fault in faults}
-    one_of_each = list({fault.entry: fault for fault in faults}.values())
-    hanging = [replace(fault, budget=0) for fault in one_of_each]
-    found = fly_instruction_faults(scenario, [*one_of_each, *hanging], _Nervous(), recovery=policy)
-    assert found.golden.log.digest() == drawn.golden.log.digest()
-    hangs = [flight for flight in found.flights if flight.log.kernel.effect == "hang"]
-    given_up = {MissionStatus.TIMEOUT} if degraded != "none" else set()
-    assert hangs and {flight.log.status for flight in hangs} <= {MissionStatus.SUCCESS} | given_up
 
 
 @pytest.mark.slow
@@ -211,29 +125,6 @@ def test_a_flight_continues_whatever_becomes_of_its_detector(name):
     assert found.flights[-1].log.kernel.effect == "hang"
     assert found.flights[-1].log.digest() == found.golden.log.digest(), "nothing depends on a silent detector"
     assert np.array_equal(found.golden.log.rows, drawn.golden.log.rows)
-
-
-@pytest.mark.slow  # counts the instructions of golden flights
-def test_a_fault_in_one_of_three_copies_changes_no_flight_and_all_copies_are_counted():
-    spec = MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), dead_node="readback")
-    scenario, request = resolve(spec), InstructionRequest({"gaussian": 4})
-    flown = {}
-    for number in (1, 3):
-        watching = replicated(detector_for(scenario, "gaussian", "paper")[0], number)
-        policy = Recovery(copies=number)
-        drawn = draw_instruction_faults(scenario, request, "test", seed=2, detector=watching, recovery=policy)
-        flown[number] = drawn, fly_instruction_faults(scenario, drawn.faults["gaussian"], watching, recovery=policy)
-    (one, _), (three, found) = flown[1], flown[3]
-    assert one.faults == three.faults, "of the first copy"
-    assert one.golden.log.digest() == three.golden.log.digest() == found.golden.log.digest()
-    for key in ("instructions", "calls"):
-        assert three.counts["gaussian"][key] == 3 * one.counts["gaussian"][key] > 0
-    assert [line[2] for line in three.counts["gaussian"]["lines"]] == [
-        3 * line[2] for line in one.counts["gaussian"]["lines"]
-    ]
-    assert one.golden.log.alarms, "so a dead copy is missed if it is the only one"
-    assert [flight.log.digest() for flight in found.flights] == [found.golden.log.digest()] * 4
-    assert {"sdc", "crash"} <= {flight.log.kernel.effect for flight in found.flights}, "the copy itself is hit"
 
 
 @pytest.mark.slow  # counts the instructions of two golden flights

@@ -17,9 +17,9 @@ from mavfi.faults.instruction.plan import stratum_of
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import plain
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.case import Output, first_difference
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.case import Output, first_difference
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.local.recorded import fly_recorded
 from mavfi.hosts.loop.compose import resolve
 from mavfi.ir.forked import WILD

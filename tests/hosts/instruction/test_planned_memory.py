@@ -22,7 +22,6 @@ def only(detector: str, kernel: str) -> Campaign:
     "campaign",
     [
         only("recommended", "acceptance"),
-        load_campaign("recovery_instructions"),
         pytest.param(only("limits", "limits"), marks=pytest.mark.long),
         *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
     ],

@@ -11,10 +11,10 @@ from mavfi.flight_record import record_of
 from mavfi.hardening.full import full_plan
 from mavfi.hardening.plan import Coverage, Plan, Site, load_plan, save_plan
 from mavfi.hosts.host import ArmSetup
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.protected import SOURCE
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.local.protected import SOURCE
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect, effect_of

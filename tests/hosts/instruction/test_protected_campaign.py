@@ -8,7 +8,7 @@ from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.hardening.plan import Plan, load_plan, save_plan
-from mavfi.hosts.instruction.protected import SOURCE
+from mavfi.hosts.local.protected import SOURCE
 
 pytestmark = pytest.mark.slow  # flies a campaign
 
@@ -28,7 +28,7 @@ def flown(tmp_path_factory):
         "name": "combined", "environments": ["sparse"], "first_seed": 7, "missions": 1, "faults": 5,
         "sampling": {"level": "instruction", "kernels": ["pid"], "which": "data"}, "mission": {"v_max": 6.0},
         "arms": {
-            "combined": {"protection": str(folder / "plan.yaml"), "detector": "acceptance", "dead_node": "latched"}
+            "combined": {"protection": str(folder / "plan.yaml"), "detector": "acceptance", "dead_node": "readback"}
         },
     })  # fmt: skip
     assert run_campaign(config, folder / "out", executor=LocalExecutor(1)).complete

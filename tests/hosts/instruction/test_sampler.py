@@ -2,13 +2,11 @@
 
 import json
 
-import pytest
-
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.fault import fault_from_json
 from mavfi.faults.instruction import budget_for
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local.forks import fly_instruction_faults
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 
@@ -29,16 +27,3 @@ def test_faults_are_of_their_class_and_model():
     for flight in fly_instruction_faults(scenario(), drawn.faults["pid"][:3], golden=drawn.golden).flights:
         (injection,) = flight.log.injections
         assert injection.after == 0 and injection.details["type"] in ("double", "float")
-
-
-@pytest.mark.slow
-def test_stratified_faults_are_injected_where_they_were_drawn():
-    request = InstructionRequest({"pid": 10, "point_cloud": 3}, which="data", sampling="stratified")
-    drawn = draw_instruction_faults(scenario(), request, seed=3)
-    assert drawn.faults == draw_instruction_faults(scenario(), request, seed=3).faults
-    faults = [*drawn.faults["pid"], *drawn.faults["point_cloud"]]
-    assert [len(own) for own in drawn.faults.values()] == [10, 3]
-    assert all(0.0 < fault.weight <= 2.0 for fault in faults) and len({fault.weight for fault in faults}) > 3
-    injections = [flight.log.injections[0] for flight in fly_instruction_faults(scenario(), faults).flights]
-    assert all(injection.activated for injection in injections)
-    assert len({(injection.line, injection.details["value_class"]) for injection in injections[:10]}) > 6

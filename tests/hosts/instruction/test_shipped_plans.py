@@ -12,9 +12,9 @@ from mavfi.config import names, parse
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
 from mavfi.hardening.plan import load_plan, save_plan, signature_text
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.protected import SOURCE
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.forks import fly_instruction_faults
+from mavfi.hosts.local.protected import SOURCE
 from mavfi.hosts.loop.compose import resolve
 from mavfi.ir.build import name_of
 from mavfi.ir.sources import cached_shape
@@ -73,7 +73,7 @@ def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):
 
 @pytest.mark.parametrize("name", names("protections"))
 def test_each_shipped_plan_is_that_of_the_code(golden, name):
-    """Made again by `make hardening` and tools/full_protection.py after a change of a kernel."""
+    """Made again by `make results NAME=hardening` and tools/full_protection.py after a change of a kernel."""
     plan = load_plan(name)
     for planner in {one.kernel for one in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
         fly(mission("", planner=planner))  # its types are known then

@@ -1,5 +1,4 @@
 import os
-import sys
 import warnings
 from pathlib import Path
 
@@ -15,13 +14,6 @@ def _nodes_find_the_tests(monkeypatch):
     """Nodes are processes of their own: they look for detectors and kernels of these tests where pytest does."""
     there = os.environ.get("PYTHONPATH")
     monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{there}" if there else str(ROOT))
-
-
-def pytest_runtest_teardown(item, nextitem):
-    """No warm process of flights on ROS is left to the tests that follow: some count the children of theirs."""
-    template = sys.modules.get("mavfi.hosts.ros1.template")
-    if template is not None and (nextitem is None or item.path.parent != nextitem.path.parent):
-        template.end_templates()
 
 
 @pytest.fixture(scope="session")

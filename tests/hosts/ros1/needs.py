@@ -15,7 +15,7 @@ ros = [
 
 def environment():
     """Variables of a shell in which ROS's own tools are found."""
-    tools = finder.find_file("usr/bin/roslaunch").parent
+    tools = finder.find_file("usr/bin/rosmaster").parent
     return {**os.environ, **finder.environment(), "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
 
 

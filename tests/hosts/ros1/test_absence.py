@@ -12,7 +12,7 @@ from mavfi.cli.ros_nodes import mission_with
 from mavfi.errors import BadInputError, OlderNameWarning
 from mavfi.hosts.ros1 import finder, install
 from mavfi.hosts.ros1.host import Ros1Host
-from mavfi.mission import FROM_MEMORY, MissionSpec
+from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
 from tests.hosts.ros1.needs import ros
 
@@ -36,12 +36,12 @@ def test_no_ros_is_one_line_and_exit_code_2(monkeypatch, capsys):
 def test_what_is_missing_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(finder, "_SYSTEM", tmp_path)
     monkeypatch.setenv(finder.ROOT_VARIABLE, str(tmp_path))
-    assert {"rospy", "usr/bin/roslaunch"} <= set(finder.missing())
+    assert {"rospy", "usr/bin/rosmaster"} <= set(finder.missing())
 
 
 @pytest.mark.slow
 def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
-    names = ("session", "plan", "graph", "definitions", "convert", "mirrors", "world", "kernels", "taps", "supervisor")
+    names = ("session", "plan", "graph", "definitions", "convert", "world", "kernels", "taps", "supervisor")
     code = "; ".join(f"import mavfi.hosts.ros1.{name}" for name in names)
     done = python(f"import sys; {code}; print([m for m in ('rospy', 'genpy') if m in sys.modules])")
     assert done.stdout == "[]\n", done.stderr
@@ -59,15 +59,17 @@ def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
         (["--kill", "world@3"], "allowed: point_cloud, octomap"),
         (["--coupling", "observer"], "--detector"),
         (["--coupling", "both", "--detector", "gaussian"], "inline, observer"),
-        (["--dead-node", "recompute"], "dead_node: 'recompute': on ROS, what a process computes dies with it"),
-        (
-            ["--dead-node", "readback", "--free-running"],
-            "dead_node: 'readback': not with --free-running; allowed: fresh",
-        ),
-        (
-            ["--detector", "gaussian", "--grain", "kernel", "--free-running"],
-            "grain: 'kernel': not with --free-running; allowed: stage",
-        ),
+        (["--free-running"], "--free-running: dropped; use --pace 1"),
+        (["--new-interpreters"], "--new-interpreters: dropped; no replacement"),
+        (["--point-cloud-node", "depth_image_proc"], "--point-cloud-node: dropped; no replacement: attach with"),
+        (["--pace", "-1"], "--pace"),
+        (["--register-fault", "octomap"], "NODE@SECONDS"),
+        (["--register-fault", "octomap@-1"], "NODE@SECONDS"),
+        (["--register-fault", "rviz@5"], "allowed: point_cloud, octomap"),
+        (["--register-fault", "octomap@5", "--registers", "xmm"], "allowed: all, general, fp"),
+        (["--register-fault", "octomap@5", "--register-seed", "-3"], "--register-seed"),
+        (["--register-seed", "3"], "with --register-fault only"),
+        (["--registers", "fp"], "with --register-fault only"),
         (["--fault-seed", "3"], "--fault"),
         (["--fault", "state:no.such"], "no state"),
         (["--seed", "-1"], "--seed"),
@@ -82,23 +84,17 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert text.count("\n") == 1 and message in text
 
 
-@pytest.mark.parametrize("policy", FROM_MEMORY)
-def test_a_campaign_on_ros_refuses_that_a_dead_step_is_repeated_too(policy):
-    host = Ros1Host()
+def test_a_campaign_on_ros_takes_the_older_name_of_a_policy():
     with pytest.warns(OlderNameWarning):
-        assert host.resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
-    with pytest.raises(
-        BadInputError, match=f"dead_node: '{policy}': on ROS, .*; allowed: end, fresh, latched, readback$"
-    ):
-        host.resolve(MissionSpec(dead_node=policy))
+        assert Ros1Host().resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
 
 
 def test_packages_are_named_once_and_leave_the_big_ones_out():
-    assert len(set(install.PACKAGES)) == len(install.PACKAGES) == 34
+    assert len(set(install.PACKAGES)) == len(install.PACKAGES) == 21
     assert not {"python3-nav-msgs", "python3-tf2-ros"} & set(install.PACKAGES)
 
 
-def test_unpacked_packages_are_found_by_programs_and_by_roslaunch(monkeypatch, tmp_path):
+def test_unpacked_packages_are_found_by_programs(monkeypatch, tmp_path):
     monkeypatch.setattr(install, "_run", lambda command, **options: "Inst rosout (1)\n")
     (tmp_path / "usr" / "bin").mkdir(parents=True)
     assert install.unpack(tmp_path) == 1
@@ -159,7 +155,8 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
     (plan,) = stopped.value.args
     assert plan.scenario.seed == 7
     assert ("--kill" in command) == bool(plan.kills)
-    assert ("observer" in command) == plan.observed
+    assert ("observer" in command) == (plan.recovery.coupling == "observer")
+    assert plan.pace == ("--pace 1" in command)
 
 
 def test_the_page_has_commands():
@@ -167,8 +164,7 @@ def test_the_page_has_commands():
 
 
 def test_the_grain_of_a_detector_is_one_that_nodes_have():
-    grains = [mission_with(MissionSpec(), "recommended", free_running=free).grain for free in (False, True)]
-    assert grains == ["kernel", "stage"]
+    assert mission_with(MissionSpec(), "recommended").grain == "kernel"
     assert mission_with(MissionSpec(grain="stage"), "recommended").grain == "stage"
     with pytest.raises(BadInputError, match="grain: 'message': on ROS"):
         mission_with(MissionSpec(grain="message"), "recommended")

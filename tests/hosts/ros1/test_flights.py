@@ -1,10 +1,11 @@
-"""Flights on real ROS: roscore, roslaunch, one process for each node.  In lock-step they are those of one process."""
+"""Flights on real ROS: a master, and one process for each node.  They are those of one process."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from dataclasses import replace
@@ -13,17 +14,21 @@ from pathlib import Path
 import pytest
 
 from mavfi.cli import run
-from mavfi.detectors.chain import Chain
-from mavfi.errors import MavfiError
+from mavfi.cli.ros_nodes import effect
+from mavfi.detectors.detector import Chain
+from mavfi.errors import MachineError, MavfiError
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
+from mavfi.hosts.loop.decide import MAX_UNCHANGED
 from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.loop.recovery import MOST_UNCHANGED
+from mavfi.hosts.ros1.folder import PID
 from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.register_injector import fault_in_node
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure
 from mavfi.hosts.ros1.session import fly as fly_there
+from mavfi.hosts.ros1.supervisor import children
 from mavfi.hosts.watching import detector_for
 from tests.hosts.missions import Scripted, fault, golden, mission
 from tests.hosts.ros1.flights import NODES, same, short, there
@@ -54,13 +59,8 @@ def test_a_golden_flight():
     same(there(mission()), golden().log)
 
 
-def test_nodes_that_are_new_interpreters_fly_the_same_flight():
-    """All other flights of these tests are flown by forks of one process."""
-    same(there(short(), forked=False), fly_here(short()).log)
-
-
-def test_a_forked_node_is_a_process_of_its_own():
-    """With a name, a command line and a session, and a child of roslaunch."""
+def test_a_node_is_a_process_of_its_own():
+    """With a name and a session, and a child of the supervisor."""
     seen = {}
 
     def look(folder):
@@ -73,29 +73,22 @@ def test_a_forked_node_is_a_process_of_its_own():
     fly_there(Plan(scenario, configure(scenario)), tell=look)
     threads[0].join()
     assert set(seen) == {*NODES, "world"}
-    assert len({process["session"] for process in seen.values()}) == len(seen)
-    for node, process in seen.items():
-        assert process["command"][1:4] == ["-m", "mavfi.hosts.ros1.node", node]
-        assert f"__name:={node}" in process["command"]
-        assert process["parent"] == "roslaunch"
+    assert len(set(seen.values())) == len(seen)
 
 
 def nodes_of(folder):
-    """What /proc says of the nodes of a flight, by their names."""
+    """Sessions of the nodes of a flight, by the names that /proc gives."""
     found = {}
     until = time.monotonic() + 60
     while len(found) < len(NODES) + 1 and time.monotonic() < until:
-        for path in Path("/proc").glob("[0-9]*"):
+        for pid in children(int((folder / PID).read_text())):
             try:
-                name = (path / "comm").read_text().strip()
-                stat = (path / "stat").read_text().rpartition(")")[2].split()
-                if name in (*NODES, "world") and f"{folder}/" in (path / "cmdline").read_text():
-                    found[name] = {
-                        "session": int(stat[3]), "parent": Path(f"/proc/{stat[1]}/comm").read_text().strip(),
-                        "command": (path / "cmdline").read_text().rstrip("\0").split("\0"),
-                    }  # fmt: skip
+                name = Path(f"/proc/{pid}/comm").read_text().strip()
+                stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
             except OSError:
-                pass
+                continue
+            if name in (*NODES, "world"):
+                found[name] = int(stat[3])
         time.sleep(0.02)
     return found
 
@@ -129,7 +122,7 @@ def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
 
 
 @pytest.mark.parametrize("name", ["gaussian", pytest.param("autoencoder", marks=pytest.mark.long)])
-def test_a_flight_with_a_fault_and_a_detector_as_a_gate(name):
+def test_a_flight_with_a_fault_and_a_detector(name):
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector(name, scenario))
@@ -214,7 +207,7 @@ def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
 
 
 LIVES = [("node_lost", "detector"), ("node_back", "detector")]
-"""What becomes of a gate that dies, or hangs, once."""
+"""What becomes of a detector that dies, or hangs, once."""
 
 
 def lives(log):
@@ -222,7 +215,7 @@ def lives(log):
 
 
 @pytest.mark.parametrize("wrong", [None, fault("planning.waypoint", "x", 2.2, 40)], ids=["golden", "with an injector"])
-def test_a_gate_that_dies_is_bypassed_until_it_is_back(wrong):
+def test_a_detector_that_dies_blocks_nothing_until_it_is_back(wrong):
     """The flight is the one without a detector, here, bit for bit."""
     log = there(short(), wrong, Scripted(), kills=(("detector", 2_000_000),))
     assert lives(log) == LIVES
@@ -230,17 +223,10 @@ def test_a_gate_that_dies_is_bypassed_until_it_is_back(wrong):
          fly_here(short(), wrong).log)  # fmt: skip
 
 
-def test_a_node_that_returns_while_the_gate_is_down_bypasses_it_as_well():
-    """The gate's next process is there before its return counts, and would hold back every way-point."""
-    alarming = Scripted("planning.waypoint", n=1, stage="planning", times=10**6)
-    log = there(short(), None, alarming, kills=(("waypoint", 1_500_000), ("detector", 2_000_000)))
-    assert lives(log) == [("node_lost", "waypoint"), LIVES[0], ("node_back", "waypoint"), LIVES[1]]
-
-
 def test_alarms_without_end_get_a_few_recomputations_as_here():
     alarming, limit = Scripted("control.command", times=10**6), Recovery(same_twice="limit")
     log = there(short(), None, alarming, recovery=limit)
-    assert len(log.alarms) == MOST_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
+    assert len(log.alarms) == MAX_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
     same(log, fly_here(short(), detector=alarming, recovery=limit).log)
 
 
@@ -261,29 +247,37 @@ def test_a_hung_node_is_ended_and_restarted():
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("detector, kills", [(Hanging(), ()), (Scripted(), (("detector", 2_000_000),))])
-def test_a_free_running_flight_bypasses_a_gate_that_hangs_or_dies(detector, kills):
-    log = there(short(), None, detector, recovery=Recovery(same_twice="limit"), kills=kills, free_running=True)
-    assert lives(log) == LIVES
-    lost, back = (1e-6 * event.time_us for event in log.events if event.kind.startswith("node"))
-    moment = log.column("time")
-    assert len(set(log.column("command_vx")[(moment > lost + 0.1) & (moment < back)])) > 1, "commands arrive"
+def test_time_passes_as_on_the_wall_if_wanted():
+    scenario = short()
+    flight = fly_there(Plan(scenario, configure(scenario), pace=2.0))
+    same(flight.flight.log, fly_here(scenario).log)
+    assert flight.times["flight"] >= 0.45 * flight.flight.log.column("time")[-1]
 
 
 @pytest.mark.alone
-def test_time_passes_as_on_the_wall_if_wanted():
+def test_a_fault_in_a_register_of_a_node():
     scenario = short()
-    alarming = Scripted("control.command", n=150)
-    plan = Plan(
-        scenario, configure(scenario), fault("control.command", "vy", 2.0, 3), alarming, Recovery(same_twice="limit"),
-        free_running=True,
-    )  # fmt: skip
-    flight = fly_there(plan)
-    log = flight.flight.log
-    assert log.status.label in ("success", "timeout", "collision")  # the machine may be slow
-    assert flight.times["flight"] == pytest.approx(log.column("time")[-1], abs=2.0)
-    assert log.injections[0].activated
-    assert [alarm.state for alarm in log.alarms] == ["control.command"]
+    plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=1.0)
+    log = fly_there(plan).flight.log
+    (injection,) = log.injections
+    assert injection.activated and injection.details["node"] == "pid", injection
+    assert int(injection.before, 16) ^ int(injection.after, 16) == 1 << injection.bit
+    expected = ("crash", "hang")
+    if not lives(log):
+        expected = ("masked",) if log.digest() == fly_here(scenario).log.digest() else ("sdc",)
+    assert effect(plan, log) in expected
+
+
+@pytest.mark.slow
+def test_a_flight_whose_supervisor_is_killed_is_a_failure_of_the_machine():
+    def kill(folder):
+        os.kill(int((folder / PID).read_text()), signal.SIGKILL)
+
+    before = set(Path(tempfile.gettempdir()).glob("mavfi-ros-*"))
+    scenario = short()
+    with pytest.raises(MachineError, match="^ROS: the process that starts the nodes was killed$"):
+        fly_there(Plan(scenario, configure(scenario)), tell=kill)
+    assert set(Path(tempfile.gettempdir()).glob("mavfi-ros-*")) <= before
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
@@ -292,10 +286,10 @@ def test_no_process_is_left_behind(number, tmp_path):
         [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"], env={**os.environ, "TMPDIR": str(tmp_path)},
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    until = time.monotonic() + 60
-    while not (folders := list(tmp_path.glob("mavfi-ros-*/log/*/world*.log"))) and time.monotonic() < until:
+    until = time.monotonic() + 120
+    while not (logs := list(tmp_path.glob("mavfi-ros-*/log/pid.out"))) and time.monotonic() < until:
         time.sleep(0.05)
-    folder = folders[0].parents[2]
+    folder = logs[0].parents[1]
     assert len(left_behind(folder)) > 3
     process.send_signal(number)
     _, stderr = process.communicate(timeout=30)

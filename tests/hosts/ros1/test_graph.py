@@ -4,17 +4,15 @@ from functools import cache
 
 import pytest
 
-from mavfi.detectors.duplicate import Duplicate
-from mavfi.detectors.sealed import Checksum
+from mavfi.detectors.sealed import Checksum, Duplicate
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import peers, world_listens
-from mavfi.hosts.ros1.session import configure, isolation, launch_text
+from mavfi.hosts.ros1.session import configure, isolation
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
-from tests.hosts.missions import AUTOPILOTS, fault, mission
+from tests.hosts.missions import AUTOPILOTS, Scripted, fault, mission
 
 
 @cache
@@ -22,8 +20,8 @@ def pipeline():
     return build_pipeline(configure(mission()))
 
 
-def ways(injected, gate):
-    return Graph(pipeline(), injected, gate).ways
+def ways(injected):
+    return Graph(pipeline(), injected).ways
 
 
 def test_every_kernel_is_run_by_one_node():
@@ -33,12 +31,12 @@ def test_every_kernel_is_run_by_one_node():
 
 
 def test_without_taps_values_go_straight_to_their_readers():
-    found = ways(None, gate=False)
+    found = ways(None)
     written = {state for kernel in pipeline().values() for state in kernel.writes}
     assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
     for name, way in found.items():
         assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
-        assert not way.taps
+        assert way.nodes == (way.writer,)
     assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
     assert found["planning.path"].readers == ("planner",)
 
@@ -60,23 +58,22 @@ def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says
     estimate = found["perception.odometry"]
     assert estimate.writer == "state_estimation"
     assert estimate.readers == ("collision_check", "planner", "waypoint", "pid")
-    assert world_listens(plan, "perception.odometry")
+    assert plan.world_listens("perception.odometry")
 
 
 def test_an_injector_sits_at_one_state():
-    found = ways("planning.waypoint", gate=False)
+    found = ways("planning.waypoint")
     way = found["planning.waypoint"]
-    assert (way.first, way.after_injector, way.taps) == (f"{way.final}/raw", way.final, (INJECTOR,))
-    assert [name for name, other in found.items() if other.taps] == ["planning.waypoint"]
+    assert (way.first, way.nodes, way.sender) == (f"{way.final}/raw", ("waypoint", INJECTOR), INJECTOR)
+    assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
 
 
-def test_a_gate_comes_after_the_injector():
-    found = ways("planning.waypoint", gate=True)
-    injected, other = found["planning.waypoint"], found["control.command"]
-    assert injected.taps == (INJECTOR, DETECTOR)
-    assert injected.after_injector == injected.before_gate == f"{injected.final}/injected"
-    assert (other.first, other.before_gate, other.taps) == (f"{other.final}/raw", f"{other.final}/raw", (DETECTOR,))
-    assert found["sensor.depth"].writer == WORLD and found["sensor.depth"].taps == (DETECTOR,)
+def test_the_world_and_a_detector_read_all():
+    plan = Plan(scenario := mission(), configure(scenario), detector=Scripted())
+    assert plan.nodes[-1] == DETECTOR
+    assert not plan.world_listens("sensor.depth") and plan.world_listens("perception.point_cloud")
+    assert plan.listeners("sensor.depth") == 2 and plan.listeners("control.command") == 2
+    assert plan.published_at_once() == frozenset()
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
@@ -110,27 +107,9 @@ def test_a_kernel_that_says_nothing_is_asked_about_every_input():
     assert face_of(Plain()).triggers == Plain.reads
 
 
-def test_nodes_come_back_but_the_end_of_the_world_is_the_end():
+def test_values_behind_an_injector_are_held_until_they_count():
     plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
-    text = launch_text(plan)
     assert plan.nodes == (*Graph(pipeline()).nodes, INJECTOR)
-    assert text.count('respawn="true"') == len(plan.nodes)
-    assert text.count('required="true"') == 1 and 'name="world"' in text
-
-
-def test_peers_have_read_a_value_or_published_it_last():
-    found = ways("planning.waypoint", gate=False)
-    assert peers(found["planning.trajectory"], "planner") == ("collision_check", "waypoint")
-    assert peers(found["perception.point_cloud"], "octomap") == ("point_cloud",)
-    assert peers(found["sensor.depth"], "point_cloud") == (WORLD,)
-    assert peers(found["planning.waypoint"], "pid") == ("collision_check", "planner", INJECTOR)
-    gated = ways(None, gate=True)
-    assert peers(gated["control.command"], "pid") == (DETECTOR,)
-    assert peers(gated["sensor.depth"], "point_cloud") == (WORLD, DETECTOR), "the writer publishes around a gate"
-
-
-def test_values_behind_a_tap_are_held_until_they_count():
-    plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
     assert plan.published_at_once() == set(plan.graph.ways) - {"planning.waypoint"}
 
 

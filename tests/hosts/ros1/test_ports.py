@@ -7,16 +7,10 @@ import time
 
 import pytest
 
+from mavfi.hosts.ros1 import finder
 from tests.hosts.ros1.needs import environment, ros
 
 pytestmark = ros
-MASTER = """
-import sys
-from mavfi.hosts.ros1 import finder
-finder.enable()
-import rosmaster
-rosmaster.rosmaster_main(["--core", "-p", sys.argv[1]])
-"""
 PUBLISHER = """
 from mavfi.hosts.ros1 import finder
 finder.enable()
@@ -59,7 +53,9 @@ def variables():
         taken.bind(("127.0.0.1", 0))
         port = str(taken.getsockname()[1])
     shell = {**environment(), "ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
-    master = subprocess.Popen([sys.executable, "-c", MASTER, port], env=shell, stdout=subprocess.DEVNULL)
+    master = subprocess.Popen(
+        [finder.find_file("usr/bin/rosmaster"), "--core", "-p", port], env=shell, stdout=subprocess.DEVNULL
+    )
     end = time.monotonic() + 30
     while time.monotonic() < end:
         with socket.socket() as trial:

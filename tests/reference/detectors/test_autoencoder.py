@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import autoencoder
-from mavfi.detectors.parts import Reading, largest_ratio, mean_square_ratio
+from mavfi.detectors.scoring import Reading, largest_ratio, mean_square_ratio
 
 
 @pytest.fixture(scope="module")

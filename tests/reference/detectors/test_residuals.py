@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import residuals
-from mavfi.detectors.everything import QUANTA, CodeRecorder, Everything, sample_of
+from mavfi.detectors.field_codes import QUANTA, CodeRecorder, FieldCodes, sample_of
 from mavfi.hosts.local import fly
 from mavfi.states import AUTOPILOTS, floats
 from tests.hosts.missions import mission
@@ -27,15 +27,15 @@ def apart(places, other):
 def flown(request):
     recorder, published = CodeRecorder(request.param), []
     fly(mission(request.param), recorders=[recorder.accept, lambda state, now: published.append(state)])
-    everything = Everything(request.param)
-    return request.param, everything, sample_of(recorder.codes(), everything), published
+    field_codes = FieldCodes(request.param)
+    return request.param, field_codes, sample_of(recorder.codes(), field_codes), published
 
 
 def column(flown, state, name):
     """Residuals of all publications of a state, in its unit, as they were measured."""
-    _, everything, sample, _ = flown
-    index = everything.fields.index(f"{state}.{name}")
-    return sample.vectors[sample.slots == everything.slots[state], index] * everything.quanta[index]
+    _, field_codes, sample, _ = flown
+    index = field_codes.fields.index(f"{state}.{name}")
+    return sample.vectors[sample.slots == field_codes.slots[state], index] * field_codes.quanta[index]
 
 
 def of(flown, state):
@@ -109,10 +109,10 @@ def test_collision_status(flown):
 
 
 def test_paths_and_trajectories(flown):
-    everything = [s for s in flown[3] if s.spec.name in ("planning.path", "planning.trajectory", "sensor.odometry")]
+    field_codes = [s for s in flown[3] if s.spec.name in ("planning.path", "planning.trajectory", "sensor.odometry")]
     wanted = {name: [] for name in ("detour", "start", "entry_speed", "step", "change", "turn", "from", "speed", "end")}
     motion = path = None
-    for state in everything:
+    for state in field_codes:
         if state.spec.name == "sensor.odometry":
             motion = floats(state.header, 6)
         elif state.spec.name == "planning.path":
@@ -140,11 +140,11 @@ def test_paths_and_trajectories(flown):
 
 
 def test_regimes_are_those_of_way_points_since_the_last_publication(flown):
-    _, everything, sample, published = flown
-    number, worst, expected = None, dict.fromkeys(everything.slots, 0), []
+    _, field_codes, sample, published = flown
+    number, worst, expected = None, dict.fromkeys(field_codes.slots, 0), []
     for state in published:
         name = state.spec.name
-        if name not in everything.slots:
+        if name not in field_codes.slots:
             continue
         if name == "planning.waypoint":
             regime = residuals.SWITCH if state.header["trajectory_seq"][0] == number else residuals.NEW_TRAJECTORY
@@ -157,8 +157,8 @@ def test_regimes_are_those_of_way_points_since_the_last_publication(flown):
 
 
 def test_a_code_holds_until_its_state_is_published_again(flown):
-    _, everything, sample, _ = flown
+    _, field_codes, sample, _ = flown
     for slot in range(residuals.SLOTS):
-        own = slice(*everything.range_of(slot))
+        own = slice(*field_codes.range_of(slot))
         others = np.flatnonzero(sample.slots[1:] != slot) + 1
         assert (sample.vectors[others, own] == sample.vectors[others - 1, own]).all()

@@ -19,6 +19,7 @@ import numpy as np
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.detectors import Detector
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.state import StateInjector
 from mavfi.flight_log import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
@@ -66,14 +67,8 @@ class Trouble:
 TROUBLE = Trouble()
 
 
-class FakeDetector:
+class FakeDetector(Detector):
     """Watches nothing; `FakeFlights` raises its alarms."""
-
-    def start(self) -> None: ...
-
-    def check(self, state, time_us): ...
-
-    def accept(self, state, time_us) -> None: ...
 
 
 class FakeHost:

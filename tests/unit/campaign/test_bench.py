@@ -130,7 +130,7 @@ def test_a_bench_that_nobody_can_fly_is_refused():
 
 def test_schemes_without_a_detector_fly_only_where_nodes_die():
     with pytest.raises(BadInputError, match="no scheme can fly: without a detector, .* only where nodes die"):
-        entries(with_schemes(BENCH, ["latched"]), "quick", parts=["sites"])
+        entries(with_schemes(BENCH, ["readback"]), "quick", parts=["sites"])
 
 
 @pytest.mark.parametrize("name", ["", " "])

@@ -88,6 +88,10 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"sampling": {"level": "states"}}, "'states': not known (did you mean 'state'?); allowed: state, memory, "),
         ({"sampling": {"lifetime": {"lasts_s": "x"}}}, "key 'sampling.lifetime.lasts_s': 'x': allowed: a number"),
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
+        (
+            {"sampling": {"level": "instruction", "kernels": ["pid"], "scheme": "uniform"}},
+            "key 'scheme': dropped; no replacement: instruction faults are drawn uniformly",
+        ),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
         (
             {"sampling": {"scheme": "groups"}},
@@ -231,8 +235,8 @@ def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
         "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad", "v_max": 2.0,
         "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
         "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
-        "same_twice": "escalate", "answer_s": 0.6, "degraded": "hover", "flight_controller": "betaflight",
-        "protection": "full", "copies": 3, "trained_for": "published/i9-9940x",
+        "same_twice": "escalate", "answer_s": 0.6, "degraded": "hold", "flight_controller": "betaflight",
+        "protection": "full", "trained_for": "published/i9-9940x",
     }  # fmt: skip
     assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
     for key, value in values.items():

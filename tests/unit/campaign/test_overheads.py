@@ -8,7 +8,6 @@ from mavfi.campaign import overheads
 from mavfi.campaign.analysis import table
 from mavfi.campaign.config import Campaign
 from mavfi.config import config_root
-from mavfi.detectors.detector import AtOnce
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
 from mavfi.states import new_state
@@ -79,7 +78,7 @@ def test_a_measurement_without_modelled_detection_says_how_to_get_it():
 def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_modelled_one(monkeypatch):
     flights = iter([2.0, 2.0, 4.0, 8.0])  # the first one compiles
 
-    def cost(scenario, name, profile, models_dir):
+    def cost(scenario, name, profile, models_dir, options):
         kernels = next(flights)
         return overheads.Cost(
             kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0, 10 * kernels
@@ -189,27 +188,3 @@ def test_a_flight_is_measured_by_stage():
     assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
     assert found.detection["control"] > found.detection["planning"], "it publishes most"
     assert found.recovery["all"] == pytest.approx(sum(found.recovery[stage] for stage in overheads.STAGES[:-1]))
-
-
-class Own:
-    """A detector that is not part of mavfi."""
-
-    def __init__(self, table):
-        self.at_once, self.checked, self.accepted = AtOnce(table), [], []
-
-    def start(self): ...
-
-    def check(self, state, time_us):
-        self.checked.append(time_us)
-
-    def accept(self, state, time_us):
-        self.accepted.append(time_us)
-
-
-@pytest.mark.parametrize(("table", "times"), [({}, [0, 1, 2]), ({"control.command": lambda header: False}, [])])
-def test_the_time_limit_of_a_detector_of_one_s_own_is_no_cost_of_it(monkeypatch, table, times):
-    """It takes more than a compiled detector does."""
-    monkeypatch.setattr("mavfi.detectors.bounded.signal", None)
-    own = Own(table)
-    overheads.replay(own, [(new_state("control.command"), now) for now in range(3)])
-    assert own.checked == own.accepted == times

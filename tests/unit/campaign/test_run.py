@@ -202,7 +202,6 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
         (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
         (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
         (small(host="tests.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS), "faults of level 'instruction'"),
-        (small(arms={"x": {"detector": "checksum", "copies": 2}}), "copies: 2: detector Checksum takes part in what"),
     ):
         with pytest.raises(BadInputError, match=message):
             flown_into(directory, campaign)
@@ -287,7 +286,7 @@ def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_pat
     for name, campaign in (("state", small()), ("instruction", instructions)):
         with pytest.raises(KeyboardInterrupt):
             flown_into(tmp_path / name, campaign, progress=stop_at(3))
-    monkeypatch.setattr("mavfi.campaign.samplers.instructions.python", lambda: "3.99")
+    monkeypatch.setattr("mavfi.campaign.samplers.instruction.python", lambda: "3.99")
     mission_module._SAMPLERS.clear()
     assert flown_into(tmp_path / "state").complete
     with pytest.raises(BadInputError, match=r"was begun with python 3\.\d+, here is 3.99; runs cannot be mixed"):

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
 from mavfi.campaign.scores import Scores, _Scorer, curves_csv, table, unscored
-from mavfi.detectors.bounded import StuckError
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.states import new_state
 from tests.unit.campaign.fakes import small
@@ -86,7 +85,7 @@ def test_the_average_precision_is_that_of_scikit_learn(own):
 
 def test_schemes_without_scores_are_named_with_the_reason():
     arms = {"rules": {"detector": "acceptance"}, "all": {"detector": "recommended"}, "crc": {"detector": "checksum"}}
-    reasons = unscored([small(arms={**arms, "bare": {"dead_node": "latched"}})], {"rules": None})
+    reasons = unscored([small(arms={**arms, "bare": {"dead_node": "readback"}})], {"rules": None})
     assert reasons == {
         "all": "its mission differs (alarm, dead_node, epoch_liveness)",
         "crc": "it compares with a seal, or has no scores",
@@ -131,27 +130,3 @@ def test_false_alarms_are_counted_by_regime_as_the_scores_are():
     assert sum(score > 1.0 for score in kept.golden) == sum(kept.exposure.alarms)
     points = sum(state.spec.name == "planning.waypoint" for state, _ in events)
     assert 0 < sum(kept.exposure.judged[1:3]) <= points and kept.exposure.judged[3] == 0
-
-
-class StuckAlarm(CommandsAlarm):
-    """Scores ten commands."""
-
-    def score(self, state, time_us):
-        found = super().score(state, time_us)
-        if self.count > 10:
-            raise StuckError
-        return found
-
-
-def test_one_that_is_stuck_raises_no_alarm_from_then_on():
-    events = streams.flight(5, 300)
-    late = max(time_us for state, time_us in events if state.spec.name == "planning.waypoint")
-    faults = [StateFault(FaultSite("planning.waypoint", "x"), late, 62)]
-    scorer = _Scorer({"stuck": StuckAlarm(), "one": CommandsAlarm()}, faults, "published")
-    alone = _Scorer({"one": CommandsAlarm()}, faults, "published")
-    for state, time_us in events:
-        scorer(state, time_us)
-        alone(state, time_us)
-    stuck, one = scorer.kept["stuck"], scorer.kept["one"]
-    assert sum(stuck.exposure.judged) == 10 and sum(stuck.exposure.alarms) == 3
-    assert stuck.corrupted == {0: 0.0} and one == alone.kept["one"]

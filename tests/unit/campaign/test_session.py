@@ -118,7 +118,7 @@ def test_faults_in_states_start_at_the_checkpoints_of_a_flight_that_counts_instr
     simulated, flown = FastForward._simulated, []
     monkeypatch.setattr(FastForward, "_simulated", lambda *given: flown.append(1) or simulated(*given))
     monkeypatch.setattr("mavfi.campaign.run.is_compiled", lambda _: True)  # else it flies ahead
-    monkeypatch.setattr("mavfi.campaign.samplers.instruction.fly", None)  # one more golden flight, to count
+    monkeypatch.setattr("mavfi.hosts.local.mission_flights.fly", None)  # one more golden flight, to count
     campaigns = {
         name: load_campaign(name).model_copy(update={"environments": ("dense",)}).resized(Scale(missions=1, faults=2))
         for name in ("table1", "states", "table1_instructions")

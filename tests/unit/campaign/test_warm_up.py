@@ -51,12 +51,6 @@ def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
     assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
 
 
-def test_recovery_is_compiled_with_the_detector_of_its_arm(compiled):
-    warm_up.compile_ahead([load_campaign("recovery_instructions")], Inline())
-    own = [task.campaign for task in compiled if isinstance(task, warm_up._Mission)]
-    assert [(one.sampling.kernels, list(one.arms)) for one in own] == [(("recovery",), ["recommended"]), ((), [])]
-
-
 def test_nothing_is_compiled_twice(compiled):
     campaigns = list(load_study("paper").campaigns_at("quick").values())
     warm_up.compile_ahead(campaigns, Inline())
@@ -87,7 +81,7 @@ def test_only_detectors_with_faults_need_models(compiled):
                 (watched[campaign.sampling.kernels],) = ([arm.detector for arm in campaign.arms.values()],)
             assert plan_of(campaign, dict.fromkeys(campaign.arms, "model"), {}).count()
     own = {(name,): [name] for name in ("gaussian", "autoencoder")} | {("acceptance",): ["recommended"]}
-    assert watched == own | {("recovery",): ["gaussian", "autoencoder", "recommended"]}
+    assert watched == own
 
 
 def test_a_detector_without_a_shipped_model_is_left_out():
@@ -121,8 +115,7 @@ def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, mon
         task.compile()
     arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
     detectors = {("acceptance",): ["recommended"], ("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"]}
-    watched = {("recovery",): ["gaussian", "autoencoder", "recommended"]}
-    assert arms == [(kernels, *own) for kernels, own in (detectors | watched).items()]
+    assert arms == [(kernels, *own) for kernels, own in detectors.items()]
     assert warm_up.is_compiled(load_campaign("failure_rate"))
 
 

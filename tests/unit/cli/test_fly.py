@@ -94,10 +94,6 @@ def test_text_for_people_names_autopilot_effect_fault_and_digest(capsys, golden_
     assert "golden" in text and "digest" in text
 
 
-def test_copies_of_a_detector_are_named(capsys):
-    assert _fly(capsys, "--detector", "acceptance", "--copies", "2")["detector"] == "acceptance, 2 copies"
-
-
 def test_a_detector_without_a_model_is_printed_without_a_profile(capsys, golden_digest):
     data = _fly(capsys, "--detector", "mavfi.detectors.registry:NoDetector")
     assert data["detector"] == "mavfi.detectors.registry:NoDetector"
@@ -152,8 +148,8 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--environment", "Absent.BT"], "Absent.BT: there is no such file"),
         (["--fault-seed", "5"], "--fault-seed: 5: no fault to draw"),
         (
-            ["--dead-node", "latched"],
-            "--dead-node: latched: no node can die; allowed: together with --fault instruction",
+            ["--dead-node", "readback"],
+            "--dead-node: readback: no node can die; allowed: together with --fault instruction",
         ),
         (["--profile", "tuned"], "--profile: tuned: nothing watches"),
         (["--models", "absent"], "--models: absent: nothing watches"),

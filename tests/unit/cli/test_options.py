@@ -17,8 +17,8 @@ VALUES = {
     "planner": "rrt", "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad",
     "v_max": 2.0, "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
     "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel", "same_twice": "escalate",
-    "answer_s": 0.6, "degraded": "hover", "flight_controller": "package.module:Class", "protection": "full",
-    "copies": 3, "trained_for": "published/i9-9940x",
+    "answer_s": 0.6, "degraded": "hold", "flight_controller": "package.module:Class", "protection": "full",
+    "trained_for": "published/i9-9940x",
 }  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def test_every_key_says_what_it_is(name):
         ({"coupling": "tight"}, "--coupling: 'tight': allowed: inline, observer"),
         (
             {"dead_node": "warm"},
-            "--dead-node: 'warm': allowed: end, fresh, latched, readback, recompute, checkpoint, standby",
+            "--dead-node: 'warm': allowed: end, fresh, readback",
         ),
         ({"alarm": "twice"}, "--alarm: 'twice': allowed: one_shot, repeated"),
         ({"epoch_liveness": -1.0}, "--epoch-liveness: -1.0: allowed: 0 to 1e+06"),

@@ -1,12 +1,12 @@
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.detectors import following, known, load_detector, rules
-from mavfi.detectors.acceptance import PLAIN, RULES, SOURCE, AcceptanceTest, Functions
+from mavfi.detectors import load_detector, rule_memory, rules
+from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
@@ -82,9 +82,10 @@ def drive(vx=2.0, vy=0.0, yaw_rate=0.5, duration=0.02):
     return make(COMMAND, vx=vx, vy=vy, yaw_rate=yaw_rate, duration=duration)
 
 
-def flying(autopilot, *more, functions=PLAIN):
+def flying(autopilot, *more, functions=COMPILED):
     """In flight: alarm 1 was answered by trajectory 1, the way-point in force is its point 1."""
-    detector = AcceptanceTest(LIMITS[autopilot], functions)
+    detector = AcceptanceTest(LIMITS[autopilot])
+    detector.instrument(functions)
     detector.start()
     before = (
         odometry(HERE, SPEED), status(1, True, 5.0), short(line(autopilot), autopilot), points(autopilot),
@@ -240,7 +241,7 @@ def test_one_value_that_breaks_a_rule_is_a_hard_alarm_that_names_it(autopilot, c
 
 def test_every_consumed_state_but_map_and_cloud_has_a_rule_and_every_rule_a_mutant():
     ours = {name for name, spec in STATES.items() if spec.stage in ("planning", "control") or spec.acted_on}
-    assert set(RULES) == {*ours, ESTIMATE}, "those of the estimate are in test_estimates"
+    assert set(CHECKED) == {*ours, ESTIMATE}, "those of the estimate are in test_estimates"
     assert {good(autopilot)[case][0].spec.name for autopilot, case, *_ in MUTANTS} == ours
 
 
@@ -330,10 +331,10 @@ def test_judging_changes_nothing_and_memory_is_restored(autopilot):
 @pytest.mark.parametrize("autopilot", LIMITS)
 def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
     compiled = [flying(autopilot, *before).check(state, NOW) for state, before in everything(autopilot)]
-    for module in (rules, following, known):
+    for module in (rules, rule_memory):
         for name, found in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(found, "py_func", found))
-    plain = Functions(*(getattr(PLAIN, field.name).py_func for field in fields(Functions)))
+    plain = {name: function.py_func for name, function in COMPILED.items()}
     assert [
         flying(autopilot, *before, functions=plain).check(state, NOW) for state, before in everything(autopilot)
     ] == compiled
@@ -341,7 +342,7 @@ def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
 
 def test_a_trajectory_for_which_there_is_no_room_makes_more():
     detector = flying("published")
-    several = known.CAPACITY + 7
+    several = rule_memory.CAPACITY + 7
     long = make(TRAJECTORY, several, trajectory_seq=2, future_collision_seq=1)
     floats(long.elements, 11)[:] = np.arange(several)[:, None]
     detector.accept(long, NOW)

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from mavfi.detectors import load_detector, training
 from mavfi.detectors.conformal import conformal_limit, fit_conformal
 from mavfi.detectors.cusum import add
-from mavfi.detectors.everything import CodeRecorder, Codes, Everything, codes_are_whole
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.parts import NOT_FINITE
+from mavfi.detectors.field_codes import CodeRecorder, Codes, FieldCodes, codes_are_whole
 from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import of_all_fields
 from mavfi.detectors.samples import Sample
+from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly as fly_mission
 from mavfi.mission import MissionStatus
@@ -187,13 +187,13 @@ def test_models_of_all_fields_have_one_profile(folder):
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_every_field_that_is_read_is_watched_and_no_other(autopilot):
-    everything = Everything(autopilot)
-    watched = {name for name, quantum in zip(everything.fields, everything.quanta, strict=True) if quantum > 0.0}
-    for state in everything.slots:
+    field_codes = FieldCodes(autopilot)
+    watched = {name for name, quantum in zip(field_codes.fields, field_codes.quanta, strict=True) if quantum > 0.0}
+    for state in field_codes.slots:
         for field in STATES[state].header:
             assert (f"{state}.{field.name}" in watched) == (not field.dead_in(autopilot)), field
     assert {f"planning.path.{name}" for name in ("start", "end", "detour")} <= watched
-    assert [everything.slot_of(k) for k in (0, 6, len(everything.fields) - 1)] == [0, 1, 5]
+    assert [field_codes.slot_of(k) for k in (0, 6, len(field_codes.fields) - 1)] == [0, 1, 5]
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
@@ -203,39 +203,39 @@ def test_a_state_that_is_not_read_has_no_code_and_changes_none(autopilot):
         report = new_state("control.tracking")
         report.header["remaining"] = random.normal()
         published += [state, report]
-    some, every = Everything(autopilot), Everything(autopilot)
+    some, every = FieldCodes(autopilot), FieldCodes(autopilot)
     assert ("control.tracking" in some.states) == (autopilot == "published")
     codes = {}
-    for everything, passed in ((some, some.states), (every, every.slots)):
-        codes[everything], own = [], np.zeros(len(everything.fields), np.int16)
+    for field_codes, passed in ((some, some.states), (every, every.slots)):
+        codes[field_codes], own = [], np.zeros(len(field_codes.fields), np.int16)
         for state in published:
             name = state.spec.name
-            if name in everything.slots and name in passed:
-                regime = everything.measure(state, everything.slots[name], own, keep=True)
-                if name in everything.states:
-                    codes[everything].append((regime, own.tobytes()))
+            if name in field_codes.slots and name in passed:
+                regime = field_codes.measure(state, field_codes.slots[name], own, keep=True)
+                if name in field_codes.states:
+                    codes[field_codes].append((regime, own.tobytes()))
     assert codes[some] == codes[every]
 
 
 @pytest.mark.parametrize(("name", "count"), [("planning.path", 4), ("planning.trajectory", 8)])
 @pytest.mark.parametrize("field", ["x", "y", "z"])
 def test_a_point_out_of_place_moves_a_residual(name, count, field):
-    everything = Everything("published")
-    codes, struck = (np.zeros(len(everything.fields), np.int16) for _ in range(2))
+    field_codes = FieldCodes("published")
+    codes, struck = (np.zeros(len(field_codes.fields), np.int16) for _ in range(2))
     state = new_state(name, count)
     state.elements["x"] = np.arange(count)
-    slot = everything.slots[name]
-    everything.note(odometry([0, 0, 0], [0, 0, 0]))
+    slot = field_codes.slots[name]
+    field_codes.note(odometry([0, 0, 0], [0, 0, 0]))
     for _ in range(2):
-        assert everything.measure(state, slot, codes, keep=True) >= 0
+        assert field_codes.measure(state, slot, codes, keep=True) >= 0
     for element in range(count):
         wrong = state.copy()
         wrong.elements[field][element] = -300.0
-        everything.measure(wrong, slot, struck)
+        field_codes.measure(wrong, slot, struck)
         assert np.abs(struck.astype(int) - codes).max() > 1000
         wrong.elements[field][element] = np.nan
-        assert everything.measure(wrong, slot, struck) < 0
-        assert all(everything.fields[index].startswith(name) for index in everything.not_finite(wrong))
+        assert field_codes.measure(wrong, slot, struck) < 0
+        assert all(field_codes.fields[index].startswith(name) for index in field_codes.not_finite(wrong))
 
 
 def test_recordings_that_cannot_serve_are_refused(recordings):
@@ -308,22 +308,22 @@ def test_coverage_of_every_exchangeable_set_is_at_least_one_minus_alpha(scores, 
     assert sum(exceeded) <= alpha * len(scores) + 1e-9
 
 
-def exchangeable(seed, everything, flights=300, each=12):
+def exchangeable(seed, field_codes, flights=300, each=12):
     """Publications of one state whose codes have another spread in each regime, in flights of equal length."""
-    random, slot = np.random.default_rng(seed), everything.slots["planning.waypoint"]
+    random, slot = np.random.default_rng(seed), field_codes.slots["planning.waypoint"]
     count = flights * each
     regimes = random.integers(0, REGIMES, count)
-    vectors = np.zeros((count, len(everything.fields)), np.int16)
-    own = slice(*everything.range_of(slot))
+    vectors = np.zeros((count, len(field_codes.fields)), np.int16)
+    own = slice(*field_codes.range_of(slot))
     vectors[:, own] = random.normal(0.0, 50.0 * (1 + regimes[:, None]), (count, own.stop - own.start))
     return Sample(vectors, np.full(count, slot), regimes, np.arange(count) % each == 0), own, slot
 
 
 def test_each_regime_has_the_coverage_that_was_asked_for():
-    everything, alpha = Everything("published"), 0.05
-    sample, own, slot = exchangeable(1, everything)
-    found = {name: np.array(value) for name, value in fit_conformal(sample, everything, alpha).items()}
-    fresh, *_ = exchangeable(2, everything, flights=2000)
+    field_codes, alpha = FieldCodes("published"), 0.05
+    sample, own, slot = exchangeable(1, field_codes)
+    found = {name: np.array(value) for name, value in fit_conformal(sample, field_codes, alpha).items()}
+    fresh, *_ = exchangeable(2, field_codes, flights=2000)
     for regime in range(REGIMES):
         codes = fresh.vectors[fresh.regimes == regime, own].astype(float)
         scores = (np.abs(codes - found["centre"][own, regime]) / found["scale"][own, regime]).max(axis=1)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors.autoencoder import AutoencoderDetector
-from mavfi.detectors.parts import NOT_FINITE
+from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.errors import BadInputError
 from tests.unit.detectors.streams import command, flight, fly, later, status, strike, waypoint
 

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mavfi.detectors import book, load_detector
+from mavfi.detectors import load_detector, residual_state
 from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.detectors.baselines import half_space_trees, library
 from mavfi.detectors.baselines.forest import Branch, Trees, forest_of, limit_of
@@ -31,28 +31,25 @@ from mavfi.detectors.baselines.matrix_profile import (
 from mavfi.detectors.baselines.outliers import (
     Components,
     Ellipsoid,
-    EllipsoidScorer,
     IsolationForestDetector,
     MahalanobisDetector,
     PcaDetector,
     path_length,
     single_limit,
 )
-from mavfi.detectors.detector import Alarm, admission
-from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
+from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
+from mavfi.detectors.field_codes import MONITORED, Codes, FieldCodes, sample_of
 from mavfi.detectors.model import Model
-from mavfi.detectors.parts import Threshold
-from mavfi.detectors.registry import settings_of
+from mavfi.detectors.registry import figures_of
 from mavfi.detectors.samples import join
+from mavfi.detectors.scoring import Threshold
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.hosts.local.memory_faults import DetectorMemory, flip_bit
 from mavfi.pipeline.words import change, words_of
 from mavfi.states import AUTOPILOTS, BASELINES, DETECTORS
 from tests.unit.detectors.streams import PROVENANCE, fly, later, strike
-from tests.unit.detectors.test_admission import events, one_after_the_other
-from tests.unit.detectors.test_admission import fly as admitted
 from tests.unit.detectors.test_all_fields import flight, with_codes
 from tests.unit.detectors.test_registry import FITS
 
@@ -66,11 +63,11 @@ LIBRARIES = [
 class EllipsoidDetector(LibraryDetector):
     """A library that is always installed: mean and covariance."""
 
-    model_kind, package, scorer_type = "ellipsoid", "numpy", EllipsoidScorer
+    model_kind, package = "ellipsoid", "numpy"
 
     @classmethod
-    def tables(cls, rows, slots, everything, inputs):
-        assert rows.shape == (len(slots), (everything.quanta > 0).sum()) and (rows.std(axis=0) > 0).all()
+    def tables(cls, rows, slots, field_codes, inputs):
+        assert rows.shape == (len(slots), (field_codes.quanta > 0).sum()) and (rows.std(axis=0) > 0).all()
         covariance = np.cov(rows.T) + 1e-3 * np.eye(rows.shape[1])
         return Ellipsoid(inputs, rows.mean(axis=0), np.linalg.inv(covariance), np.zeros(rows.shape[1]))
 
@@ -85,13 +82,13 @@ class BestStretchDetector(MatrixProfileDetector):
 
 @pytest.fixture(scope="module")
 def sample():
-    everything = Everything("published")
+    field_codes = FieldCodes("published")
     flown = [with_codes(flight(seed, ticks=500)) for seed in range(6)]
-    return join([sample_of(Codes(one.slots, one.regimes, one.codes), everything) for one in flown])
+    return join([sample_of(Codes(one.slots, one.regimes, one.codes), field_codes) for one in flown])
 
 
 def fitted(kind, sample, figures):
-    parameters = kind.fit(sample, Everything("published"), figures)
+    parameters = kind.fit(sample, FieldCodes("published"), figures)
     return Model(kind.model_kind, "tuned", MONITORED, "", parameters, dict(PROVENANCE))
 
 
@@ -125,11 +122,11 @@ def check(kind, sample, figures):
 
 def stretches(sample):
     """A model of a matrix profile: half of the series, and limits by a naive search."""
-    everything = Everything("published")
+    field_codes = FieldCodes("published")
     scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
     histories, limit = [], []
-    for slot in range(len(everything.slots)):
-        own = slice(*everything.range_of(slot))
+    for slot in range(len(field_codes.slots)):
+        own = slice(*field_codes.range_of(slot))
         codes = sample.vectors[sample.slots == slot, own].astype(np.float64)
         series = np.abs(scaled(codes, scale[own])).max(axis=1)[:1500]
         histories.append(series[::2].tolist() if len(series) < LENGTH else series.tolist())
@@ -154,32 +151,6 @@ def test_detectors_of_one_model_fit_it_once(sample, monkeypatch):
     assert len(fits) == 1 and one.scorer.kept["held"] is not other.scorer.kept["held"]
     EllipsoidDetector(replace(model, parameters={**model.parameters, "rows": model.parameters["rows"][::-1]}))
     assert len(fits) == 2, "another model"
-
-
-@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
-@pytest.mark.parametrize("every", [0, 3])
-def test_one_call_admits_what_check_and_accept_would(sample, which, every):
-    """And remembered scores are those of new computations."""
-    at_once, stepwise = without_libraries(sample)[which], without_libraries(sample)[which]
-    flown, found = events(), []
-    for _ in range(2):
-        at_once.start(), stepwise.start()
-        found.append(admitted(at_once, admission, flown, every))
-        assert found[-1] == admitted(stepwise, one_after_the_other, flown, every)
-        assert found[-1][0]
-    assert found[0] == found[1]
-
-
-@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
-def test_scores_are_remembered_within_a_flight_alone(sample, which):
-    """So that the measured cost of a replay is that of a flight."""
-    detector = without_libraries(sample)[which]
-    detector.start()
-    admitted(detector, admission, events())
-    recent = detector.scorer._recent
-    assert recent.known.any()
-    detector.start()
-    assert not recent.known.any()
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
@@ -221,7 +192,7 @@ def test_every_word_of_their_memory_can_be_corrupted(sample, which):
 def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(kind, sample):
     package = "stumpy" if kind is MatrixProfileDetector else kind.package
     pytest.importorskip(package, exc_type=ImportError)
-    figures = dict(settings_of(kind.model_kind, "tuned").fit)
+    figures = dict(figures_of(kind.model_kind, "tuned"))
     figures["calibrated"] = 100_000 if "margin" in figures and kind is not MatrixProfileDetector else 400
     check(kind, sample, figures)
 
@@ -238,9 +209,9 @@ def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_the_columns_of_states_are_all_watched_ones_once(autopilot):
-    everything = Everything(autopilot)
-    columns = np.concatenate(columns_of(everything))
-    assert columns.tolist() == list(range((everything.quanta > 0).sum()))
+    field_codes = FieldCodes(autopilot)
+    columns = np.concatenate(columns_of(field_codes))
+    assert columns.tolist() == list(range((field_codes.quanta > 0).sum()))
 
 
 def correlated(seed):
@@ -496,17 +467,17 @@ def test_the_value_is_that_of_an_incremental_matrix_profile():
 def test_after_an_anomaly_normal_values_are_normal_again():
     """If anomalies were left out of the subsequence, what follows one would not fit what came before it."""
     history = np.array([0.0] * 20 + [0.5] + [1.0] * 20)
-    everything = Everything("published")
-    scorer = StretchScorer(everything, [history] * len(everything.slots), np.ones(len(everything.fields)))
-    scorer.use(Threshold(np.full((len(everything.slots), REGIMES), 0.25), len(everything.slots)))
+    field_codes = FieldCodes("published")
+    scorer = StretchScorer(field_codes, [history] * len(field_codes.slots), np.ones(len(field_codes.fields)))
+    scorer.use(Threshold(np.full((len(field_codes.slots), REGIMES), 0.25), len(field_codes.slots)))
     _, _, limit, series = scorer._tables
-    own, judged = scorer.everything.book, scorer._judged_last
-    slot, scores = everything.slots["control.tracking"], []
+    own, judged = scorer.field_codes.measured, scorer._judged_last
+    slot, scores = field_codes.slots["control.tracking"], []
     for value in [0] * LENGTH + [9] + [1] * (2 * LENGTH):
-        own.codes[slice(*everything.range_of(slot))] = value
-        own.place[:] = slot, 0, own.place[book.ACCEPTED], own.place[book.LEARNED]
+        own.codes[slice(*field_codes.range_of(slot))] = value
+        own.place[:] = slot, 0, own.place[residual_state.ACCEPTED], own.place[residual_state.LEARNED]
         judge_stretch(own, judged, limit, series)
         scores.append(float(judged.distance[slot]))
-        own.place[book.LEARNED] = slot
+        own.place[residual_state.LEARNED] = slot
     assert scores[:LENGTH] == [0.0] * LENGTH and scores[LENGTH] > 8.0
     assert scores[-LENGTH - 1 :] == [0.0] * (LENGTH + 1), "a subsequence after the anomaly"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import estimates
-from mavfi.detectors.acceptance import PLAIN, SOURCE, AcceptanceTest, Functions
+from mavfi.detectors.acceptance import COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ATTITUDE, ESTIMATE, FIX, VELOCITY, WIDTH
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.pipeline.estimation import StateEstimator
@@ -182,7 +182,7 @@ def test_judging_changes_nothing_and_memory_is_restored():
 
 def test_it_reads_the_estimate_in_its_other_rules_too():
     detector, state, _ = flying()
-    assert {ESTIMATE, FIX} <= detector.states and ESTIMATE not in detector.at_once
+    assert {ESTIMATE, FIX} <= detector.states
     assert floats(detector.odometry, VELOCITY).tolist() != floats(state.header, VELOCITY).tolist()
     detector.accept(state, 0)
     assert floats(detector.odometry, VELOCITY).tolist() == floats(state.header, VELOCITY).tolist()
@@ -208,5 +208,7 @@ def test_compiled_rules_agree_with_plain_python(monkeypatch):
     assert len(compiled) > 5, "and those at the sound ones that follow"
     for name, found in list(vars(estimates).items()):
         monkeypatch.setattr(estimates, name, getattr(found, "py_func", found))
-    plain = {name: getattr(PLAIN, name).py_func for name in ("judge_estimate", "note_estimate", "note_fix")}
-    assert alarms(events, AcceptanceTest(ESTIMATED, replace(Functions(), **plain))) == compiled
+    detector = AcceptanceTest(ESTIMATED)
+    names = ("judge_estimate", "note_estimate", "note_fix")
+    detector.instrument({name: COMPILED[name].py_func for name in names})
+    assert alarms(events, detector) == compiled

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors.chain import Chain
+from mavfi.detectors.detector import Chain, Detector, NoDetector
 from mavfi.detectors.gate import PhysicsGate
-from mavfi.detectors.registry import NoDetector
 from mavfi.states import new_state
 from tests.unit.detectors.streams import command, flight, fly, status, waypoint
 
@@ -85,11 +84,22 @@ def test_in_a_chain_the_first_alarm_counts_and_all_take_note():
     assert chain.memory() == Chain(NoDetector(), PhysicsGate(3.0), PhysicsGate(3.0)).memory()
 
 
-def test_a_chain_with_a_detector_of_ones_own_has_no_memory_that_a_host_could_ask_for():
-    class Own:
-        def check(self, state, time_us):
-            return None
+class Counting(Detector):
+    """It says nothing about its memory."""
 
-    chain = Chain(gate(), Own())
-    assert not callable(chain.memory) and not callable(chain.restore)
+    def __init__(self):
+        self.seen = [np.zeros(1)]
+
+    def accept(self, state, time_us):
+        self.seen[0] += 1.0
+
+
+def test_a_detector_that_does_not_say_what_it_remembers_is_copied_whole():
+    chain = Chain(gate(), Counting())
+    before = chain.memory()
+    assert before == chain.memory()
+    chain.accept(status(30.0, 4), 0)
+    assert before != chain.memory() and chain.parts[1].seen[0] == 1.0
+    chain.restore(before)
+    assert before == chain.memory() and chain.parts[1].seen[0] == 0.0
     assert chain.score(status(30.0, 9), 0) == 2.0

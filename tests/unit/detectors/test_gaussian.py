@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.detectors.gaussian import GaussianDetector
 from mavfi.detectors.model import Model
-from mavfi.detectors.parts import NOT_FINITE
+from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.numerics import welford
 from tests.unit.detectors.streams import command, flight, fly, later, status, strike, waypoint
 

@@ -7,9 +7,9 @@ import pytest
 from mavfi.campaign.plan import arms_of
 from mavfi.detectors import detector_names, load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
-from mavfi.detectors.chain import Chain
+from mavfi.detectors.detector import Chain, NoDetector
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import OF_OWN, OF_RECOVERY, NoDetector, mission_keys
+from mavfi.detectors.registry import OF_OWN, OF_RECOVERY, check_detector, contains, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.hosts.watching import with_keys_of
 from mavfi.mission import RECOVERY, MissionSpec
@@ -30,7 +30,8 @@ def test_the_detectors_of_the_paper_come_with_their_models(models, model_folder,
 def test_the_physics_gate_stands_in_front_of_tuned_detectors(model_folder):
     wrong = waypoint([1.0, 0, 0], [400.0, 0, 0])
     for profile, gate, source in (("paper", None, None), ("tuned", None, "physics_gate"), ("tuned", False, None)):
-        detector, _ = load_detector("gaussian", profile, model_folder, FITS, gate=gate)
+        options = {} if gate is None else {"gate": gate}
+        detector, _ = load_detector("gaussian", profile, model_folder, FITS, options=options)
         alarm = detector.check(wrong, 0)
         assert (alarm.source if alarm else None) == source
         assert isinstance(detector, Chain) == (source is not None)
@@ -44,13 +45,39 @@ def test_the_arena_reaches_the_gate(model_folder):
 
 @pytest.mark.slow
 def test_options_reach_the_detector(model_folder):
-    detector, _ = load_detector("autoencoder", "paper", model_folder, FITS, policy="keyed")
+    detector, _ = load_detector("autoencoder", "paper", model_folder, FITS, options={"policy": "keyed"})
     detector.accept(waypoint([1, 0, 0], [0, 0, 0]), 0)
     assert detector.check(waypoint([1e30, 0, 0], [0, 0, 0]), 0).stage == "planning"
-    detector, _ = load_detector("gaussian", "paper", model_folder, FITS, sigmas=1e6)
+    detector, _ = load_detector("gaussian", "paper", model_folder, FITS, options={"sigmas": 1e6})
     assert fly(detector, flight(3)) == []
-    with pytest.raises(BadInputError, match="has no option policy"):
-        load_detector("gaussian", "paper", model_folder, FITS, policy="keyed")
+    refusals = (({"sigma": 1.0}, "has no option sigma"), ({"features": "all"}, "allowed: code, predicted"))
+    for options, message in refusals:
+        with pytest.raises(BadInputError, match=message):
+            load_detector("gaussian", "paper", model_folder, FITS, options=options)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "autoencoder"])
+def test_profiles_are_presets_of_features_policy_and_gate(model_folder, name):
+    policy = "paper" if name == "autoencoder" else "keyed"
+    presets = {
+        "paper": {"features": "code", "policy": policy, "gate": False},
+        "tuned": {"features": "predicted", "policy": "keyed", "gate": True},
+    }
+    for profile, other in (("paper", "tuned"), ("tuned", "paper")):
+        plain, sha256 = load_detector(name, profile, model_folder, FITS)
+        chosen, same = load_detector(name, other, model_folder, FITS, options=presets[profile])
+        assert same == sha256 and type(chosen) is type(plain)
+        wrong = [waypoint([400.0, 0, 0], [0, 0, 0]), command([np.nan, 0, 0])]
+        assert [chosen.check(state, 0) for state in wrong] == [plain.check(state, 0) for state in wrong]
+    assert contains(name, "tuned", "physics_gate") and not contains(name, "paper", "physics_gate")
+    assert contains(name, "paper", "physics_gate", {"gate": True})
+
+
+@pytest.mark.parametrize("number", range(1, 6))
+def test_dropped_names_say_what_replaced_them(number):
+    for refused in (lambda name: load_detector(name, "paper", None, FITS), lambda name: check_detector(name, "paper")):
+        with pytest.raises(BadInputError, match=rf"use acceptance, options: {{rules: \[{number}\]}}"):
+            refused(f"rule_{number}")
 
 
 def test_none_watches_nothing():
@@ -81,6 +108,10 @@ def test_a_detector_of_ones_own_is_found(monkeypatch):
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
         ("fractions:Fraction", "lacks start, check, accept"),
+        (
+            f"{__name__}:Foreign",
+            rf"detector {__name__}:Foreign: allowed: an object whose class inherits mavfi.Detector",
+        ),
         (":", "not known"),
     ],
 )
@@ -113,6 +144,16 @@ def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_pa
     (tmp_path / "hardened-slow-gaussian-paper.json").write_bytes(renamed.read_bytes())
     with pytest.raises(SpecMismatchError, match="trained for stack 'published', used with stack 'hardened'"):
         load_detector("gaussian", "paper", tmp_path, FITS, trained_for="hardened/slow")
+
+
+class Foreign:
+    """It has what a detector has, but is none."""
+
+    def start(self): ...
+
+    def check(self, state, time_us): ...
+
+    def accept(self, state, time_us): ...
 
 
 class Mine(NoDetector):

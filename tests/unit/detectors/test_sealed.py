@@ -4,9 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.detectors import load_detector
-from mavfi.detectors.duplicate import Duplicate
 from mavfi.detectors.random_alarms import RandomAlarms
-from mavfi.detectors.sealed import ALL, SMALL, Checksum, Oracle
+from mavfi.detectors.sealed import ALL, SMALL, Checksum, Duplicate, Oracle
 from mavfi.errors import BadInputError
 from mavfi.states import STATES, new_state
 from tests.unit.detectors.streams import command, flight

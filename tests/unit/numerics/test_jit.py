@@ -1,72 +1,133 @@
 """Where compiled code is kept: one file for each signature, no index."""
 
 import os
+import subprocess
+import sys
 
 import numba
 import numpy as np
 import pytest
 
 from mavfi.numerics import jit
-from mavfi.numerics.jit import SignatureFiles, entry, kernel_jit
+from mavfi.numerics.jit import entry, kernel_jit
+from tests.unit.faults.instruction.kernels import closure
 
-
-class Index:
-    """What Numba hands over: where, of what source."""
-
-    def __init__(self, folder, stamp):
-        self._cache_path, self._index_name, self._source_stamp = str(folder), "module.name-1.py311.nbi", stamp
+compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
 
 @pytest.fixture
-def files(tmp_path):
-    return SignatureFiles.in_place_of(Index(tmp_path, "source"))
+def folder(tmp_path, monkeypatch):
+    """The folder of compiled code, empty at first."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "code"))
+    return tmp_path / "code"
 
 
-def test_what_was_saved_is_loaded(files):
-    files.save(("int64", "cpu"), b"code")
-    files.save(("float64", "cpu"), b"other")
-    assert files.load(("int64", "cpu")) == b"code"
-    assert files.load(("float64", "cpu")) == b"other"
-    assert files.load(("int32", "cpu")) is None
+def calls(factor, value=3.0):
+    """The result of a function with a factor that it encloses, and how many signatures came from the cache."""
+    function = closure(factor)
+    result = function(value)
+    return result, sum(function.stats.cache_hits.values())
 
 
-def test_saving_one_signature_leaves_the_files_of_the_others(files, tmp_path):
-    files.save("one", b"code")
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    files.save("two", b"code")
-    assert all(path.read_bytes() == content for path, content in before.items())
-    assert len(list(tmp_path.iterdir())) == 2
+@compiled_only
+def test_code_is_compiled_once_for_a_content_and_a_signature(folder):
+    assert calls(2.0) == (6.0, 0)
+    first = {path: path.read_bytes() for path in folder.iterdir()}
+    assert [path.suffix for path in first] == [".nbc"]
+    assert calls(2.0) == (6.0, 1)
+    assert calls(5.0) == (15.0, 0)
+    assert calls(2.0, 3) == (6.0, 0)
+    assert len(list(folder.iterdir())) == 3
+    assert all(path.read_bytes() == content for path, content in first.items()), "files of others are left alone"
 
 
-def test_code_of_another_source_or_version_is_not_loaded_but_replaced(files, tmp_path, monkeypatch):
-    files.save("key", b"code")
-    newer = SignatureFiles.in_place_of(Index(tmp_path, "changed source"))
-    assert newer.load("key") is None
-    newer.save("key", b"newer")
-    assert newer.load("key") == b"newer"
-    assert files.load("key") is None
-    assert len(list(tmp_path.iterdir())) == 1
-    monkeypatch.setattr(newer, "_version", "0.0")
-    assert newer.load("key") is None
+@compiled_only
+def test_a_damaged_file_is_compiled_again(folder):
+    calls(2.0)
+    (file,) = folder.iterdir()
+    content = file.read_bytes()
+    for damaged in (b"", content[:100], b"no code"):
+        file.write_bytes(damaged)
+        assert calls(2.0) == (6.0, 0)
+    assert calls(2.0) == (6.0, 1)
 
 
-def test_another_key_in_the_same_file_is_not_taken_for_it(files, monkeypatch):
-    monkeypatch.setattr(SignatureFiles, "_name", lambda self, key: "same")
-    files.save("one", b"code")
-    assert files.load("two") is None
+@compiled_only
+def test_without_a_folder_nothing_is_kept(folder):
+    folder.write_text("a file")
+    assert calls(2.0) == calls(2.0) == (6.0, 0)
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_kernels_are_kept_that_way():
+@compiled_only
+def test_code_with_values_of_an_unknown_kind_is_not_kept(folder):
     @kernel_jit
-    def doubled(values):
-        return 2.0 * values[0]
+    def applied(function, value):
+        return function(value)
 
-    assert doubled(np.ones(1)) == 2.0
-    assert isinstance(doubled._cache._cache_file, SignatureFiles)
+    assert applied(closure(2.0), 3.0) == 6.0
+    assert [path.name for path in folder.iterdir() if "applied" in path.name] == []
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+MODULE = """
+import math
+from mavfi.numerics.jit import kernel_jit
+
+@kernel_jit
+def callee(x):
+    return math.sqrt(x)
+
+@kernel_jit
+def kernel(x):
+    return callee(x) + 1.0
+"""
+OTHER = """
+from mavfi.numerics.jit import kernel_jit
+from {module} import callee
+
+@kernel_jit
+def caller(x):
+    return callee(x) + 2.0
+
+print(caller(4.0), sum(caller.stats.cache_hits.values()), sum(callee.stats.cache_hits.values()))
+"""
+
+
+@compiled_only
+@pytest.mark.slow
+def test_a_comment_recompiles_nothing_and_a_renamed_module_its_own_functions_alone(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": os.pathsep.join(sys.path)}
+
+    def run(module, text):
+        (tmp_path / f"{module}.py").write_text(text, encoding="utf-8")
+        program = OTHER.format(module=module) + ("callee(4.0)\nprint(sum(callee.stats.cache_hits.values()))")
+        (tmp_path / "program.py").write_text(program, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, "program.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        return done.stdout.split()
+
+    assert run("first", MODULE) == ["4.0", "0", "0", "0"]
+    assert run("first", MODULE.replace("@kernel_jit", "# a comment\n@kernel_jit")) == ["4.0", "1", "0", "1"]
+    assert run("first", MODULE.replace("(x) + 1.0", "(x) + 7.0")) == ["4.0", "1", "0", "1"]
+    (tmp_path / "first.py").unlink()
+    assert run("second", MODULE) == ["4.0", "1", "0", "0"]
+    assert run("second", MODULE.replace("sqrt", "exp"))[1:] == ["0", "0", "0"]
+
+
+def test_the_code_that_was_not_used_for_the_longest_time_is_deleted(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, "_MOST_BYTES", 250)
+    for age, name in enumerate("abcd"):
+        (tmp_path / "folder").mkdir(exist_ok=True)
+        path = tmp_path / "folder" / f"{name}.nbc"
+        path.write_bytes(bytes(100))
+        os.utime(path, (1e9 - age, 1e9 - age))
+    with (tmp_path / "folder" / "d.nbc").open("rb") as file:
+        jit._mark_as_used(file.fileno())
+    jit._delete_oldest.__wrapped__(tmp_path)
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == ["a.nbc", "d.nbc"]
+
+
+@compiled_only
 def test_a_function_is_compiled_once_for_literals_and_integers_of_any_size():
     @kernel_jit
     def callee(number, flag):
@@ -96,7 +157,7 @@ def test_a_user_without_a_home_has_a_folder_that_no_other_can_write(monkeypatch,
     assert not jit._cache_root().exists()
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+@compiled_only
 def test_an_entry_takes_arguments_of_its_types_alone():
     @kernel_jit
     def first(values, add):

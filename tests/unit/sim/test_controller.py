@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.hosts.instruction.forking import ForksFromTakeOff
 from mavfi.hosts.local import fly
 from mavfi.hosts.local.fast_forward import FastForward
+from mavfi.hosts.local.forks import FromTakeOff
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
@@ -131,7 +131,7 @@ def test_a_controller_without_a_saved_state_is_neither_fast_forwarded_nor_forked
     with pytest.raises(Exception, match="are not fast-forwarded"):
         FastForward(mission)
     with pytest.raises(BadInputError, match="faults in instructions fork the flight"):
-        ForksFromTakeOff(mission, [])
+        FromTakeOff(mission, [])
 
 
 def test_the_controller_is_released_when_the_flight_ends(monkeypatch):

@@ -1,10 +1,7 @@
 import polars as pl
 
 from mavfi.campaign.analysis.runs import Runs
-from tools import build_fault_map
-
-ABOUT = {"profile": "published", "environments": ["dense"], "missions": 2, "seeds": [0, 1],
-         "versions": {"mavfi": "1.0"}, "digest": "0123456789abcdef0"}  # fmt: skip
+from tools import build_fault_map, results
 
 
 def runs():
@@ -17,26 +14,21 @@ def runs():
         {"kind": "injected", "target": target, "world": f"dense/{seed}", "judged": True, "success": success,
          "inflation": inflation, "weight": 1.0}
         for target, seed, success, inflation in (
-            ("way-point position \u00b7 sign", 0, False, None), ("way-point position \u00b7 sign", 1, True, 0.25),
-            ("voxel \u00b7 sign", 0, True, 0.0), ("voxel \u00b7 sign", 1, True, 0.01),
+            ("way-point position · sign", 0, False, None), ("way-point position · sign", 1, True, 0.25),
+            ("path vertex · sign", 0, True, 0.0), ("path vertex · sign", 1, True, 0.01),
+            ("voxel · sign", 0, True, 0.0), ("voxel · sign", 1, True, 0.01),
         )
     ]  # fmt: skip
-    return Runs(pl.DataFrame(rows, infer_schema_length=None), {}, ABOUT)
+    return Runs(pl.DataFrame(rows, infer_schema_length=None))
 
 
-def test_the_page_has_a_row_for_every_site():
-    page = build_fault_map.page(runs(), "2026-11-20")
-    assert page.startswith("<!-- Written by `make fault-map`; do not edit. -->\n\n# Fault map")
-    assert "dense, 2 missions (seeds 0 to 1), 2026-11-20, mavfi 1.0, digest `0123456789abcdef`." in page
-    assert "| way-point position \u00b7 sign | 2 | 50 [9, 91] | 100 [34, 100] | +25 % |" in page
-    assert "| voxel \u00b7 sign | 2 | 0 [0, 66] | 0 [0, 66] | +1 % |" in page
-
-
-def test_key_lines_leave_the_other_sites_out():
-    lines = build_fault_map.key_lines(build_fault_map.page(runs(), "2026-11-20"))
-    assert "way-point position" in lines and "voxel" not in lines and lines.startswith("Autopilot profile `published`")
-
-
-def test_a_folder_without_a_ledger_is_refused(tmp_path, capsys):
-    assert build_fault_map.main(tmp_path / "none") == 2
-    assert "run `make fault-map`" in capsys.readouterr().err
+def test_the_table_has_every_site_and_the_page_the_harmful_ones(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(results, "RESULTS", results.ROOT / "out")
+    monkeypatch.setattr(results, "TABLES", tmp_path)
+    written = {}
+    monkeypatch.setattr(results, "write", lambda *given: written.update(given[3], shown=given[4]) or results.ROOT / "p")
+    build_fault_map.write_page(build_fault_map.fault_table(runs()), [])
+    page = written["shown"][0].markdown(written["sites"])
+    assert len(written["sites"].rows) == 3
+    assert "| way-point position · sign | 50.0 [9.5, 90.5] 1/2 | 100.0 [34.2, 100.0] 2/2 | +25.0 % |" in page
+    assert "| voxel · sign | 0.0 [0.0, 65.8] 0/2 | 0.0 [0.0, 65.8] 0/2 | +1.0 % |" in page and "path vertex" not in page

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.bench import Bench, load_bench
-from mavfi.config import parse
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.views import VIEWS
+from mavfi.campaign.bench import load_bench, published_rows
 from mavfi.errors import BadInputError
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
-from tools import build_leaderboard
-from tools.build_leaderboard import CURVES, NAME, RULES, SCORED, headline, in_order, main, publish, rules, with_earlier
+from tools import build_leaderboard, results
+from tools.build_leaderboard import LOST_ALONE, NAME, OBSERVER, RULES, headline, main, merged, rules, summary
 
 
 @pytest.fixture
@@ -100,190 +101,98 @@ def test_a_bench_without_any_level_has_no_headline(monkeypatch):
         headline(Path("bench"))
 
 
-@pytest.mark.parametrize("arguments", [[], ["a", "b", "c"], ["no-such-folder"]])
+@pytest.mark.parametrize("arguments", [["a"], ["a", "b", "c"], ["no-such-folder", "paper"]])
 def test_bad_input_is_one_line(arguments, capsys):
     assert main(arguments) == 2
     stderr = capsys.readouterr().err
     assert stderr.startswith("bad input: ") and stderr.count("\n") == 1
 
 
-def test_published_rows_are_those_of_the_page(tmp_path, monkeypatch):
+ROW = {"scheme": "a", "lost": "3", "brought back": "0/3"}
+
+
+def test_schemes_that_were_not_flown_keep_their_rows_in_the_order_of_the_bench():
+    old = [ROW, {**ROW, "scheme": "b"}, {**ROW, "scheme": "gone"}]
+    rows = merged([{**ROW, "scheme": "c"}, {**ROW, "lost": "4"}], old, ["b", "a", "c"])
+    assert [(row["scheme"], row["lost"]) for row in rows] == [("b", "3"), ("a", "4"), ("c", "3")]
+
+
+def test_rows_by_environment_are_merged_within_it():
+    def row(environment, scheme, alarms):
+        return {"environment": environment, "setting": f"golden_{scheme}", "alarms": alarms}
+
+    old = [row("dense", "a", 1), row("all", "a", 1)]
+    rows = merged([row("dense", "b", 2), row("all", "b", 2)], old, ["b", "a"])
+    assert [(one["environment"], one["setting"]) for one in rows] == [
+        ("dense", "golden_b"), ("dense", "golden_a"), ("all", "golden_b"), ("all", "golden_a"),
+    ]  # fmt: skip
+
+
+BENCH = load_bench(NAME)
+STATE = {"scheme": "gaussian", "faults": "900", "only it lost": "2", "brought back": "20.0 [3.6, 62.4] 1/5"}
+OURS = {"scheme": "recommended", "faults": "900", "only it lost": "0", "brought back": "100.0 [56.6, 100.0] 5/5"}
+CALLS = {"scheme": "recommended", "faults": "1000", "same value injected": "990", "of these, only it lost": "0"}
+ROWS_BY_PART = {
+    "sites": [STATE, OURS], "state": [STATE, OURS], "hardened": [OURS],
+    "observer": [{**STATE, "brought back": "100.0 [43.9, 100.0] 3/3"}, {**OURS, "brought back": "—"}],
+    "instruction": [STATE, {**CALLS, "brought back": "0/4"}, {"scheme": "readback", "brought back": "3/4"}],
+    "sensor": [OURS],
+    "golden": [{"environment": "dense", "setting": "golden_gaussian", "per hour": "3.0"},
+               {"environment": "all", "setting": "golden_gaussian", "per hour": "2.0 [1.0, 3.0]"}],
+}  # fmt: skip
+
+
+def test_what_is_brought_back_is_the_sum_of_parts_with_every_detector_the_most_first():
+    found = summary(BENCH, ROWS_BY_PART)["summary"]
+    rows = {row[0]: dict(zip((column.heading for column in found.columns), row, strict=True)) for row in found.rows}
+    assert list(rows) == ["recommended", "gaussian", "readback"]
+    sums = {scheme: {key: (rate.successes, rate.n) for key, rate in row.items() if isinstance(rate, Rate)}
+            for scheme, row in rows.items()}  # fmt: skip
+    assert sums["recommended"] == {"state": (10, 10), "instruction": (0, 4)}, "part hardened lacks the other one"
+    assert sums["gaussian"] == {"state": (2, 10), "instruction": (1, 5), OBSERVER: (3, 3)}
+    assert sums["readback"] == {"instruction": (3, 4)}
+    assert rows["gaussian"]["false alarms/h, published"] == "2.0 [1.0, 3.0]"
+
+
+def test_what_a_scheme_loses_alone_is_the_sum_over_all_parts_of_the_levels():
+    found = summary(BENCH, ROWS_BY_PART)["lost_alone"]
+    rows = {row[0]: dict(zip((column.heading for column in found.columns), row, strict=True)) for row in found.rows}
+    assert (rows["recommended"]["state"].successes, rows["recommended"]["state"].n) == (0, 2700)
+    assert rows["recommended"]["instruction"].n == 990 and rows["gaussian"]["state"].successes == 4
+    assert "readback" not in rows and OBSERVER in rows["gaussian"]
+
+
+def test_the_columns_are_those_of_the_views():
+    for part in BENCH.parts.values():
+        headings = {measure.heading for measure in VIEWS[part.view].measures}
+        if part.view.startswith("schemes"):
+            assert any({lost, flown} <= headings for lost, flown in LOST_ALONE.items()), part.view
+
+
+def test_the_published_page_has_the_sums_of_the_published_rows():
+    rows = {name: published_rows(BENCH, name, "paper") for name in BENCH.parts}
+    for name, full in summary(BENCH, rows).items():
+        path = results.TABLES / "leaderboard" / f"{name}.csv"
+        assert path.read_text(encoding="utf-8") == full.to_csv(), "run `python -m tools.build_leaderboard page`"
+
+
+def test_scores_of_schemes_that_were_not_scored_again_stay(monkeypatch, tmp_path):
+    monkeypatch.setattr(results, "TABLES", tmp_path / "tables")
+    (tmp_path / "tables" / "leaderboard").mkdir(parents=True)
+    (tmp_path / "tables" / "leaderboard" / "regimes.csv").write_text("arm,alarms\ngaussian,1\nlimits,1\n")
+    (tmp_path / "regimes.csv").write_text("arm,alarms\ngaussian,2\ngaussian,3\n")
+    build_leaderboard.publish_scores(BENCH, tmp_path)
+    written = (tmp_path / "tables" / "leaderboard" / "regimes.csv").read_text()
+    assert written == "arm,alarms\ngaussian,2\ngaussian,3\nlimits,1\n"
+
+
+def test_frozen_faults_are_not_overwritten(monkeypatch, tmp_path):
     monkeypatch.setattr(build_leaderboard, "ROOT", tmp_path)
-    frozen = tmp_path / "configs" / "bench" / NAME
-    frozen.mkdir(parents=True)
-    (frozen / "sites-quick.csv").touch()
-    title = load_bench(NAME).parts["sites"].title
-    page = f"# Top\n\n## {title}\n\n| scheme | lost |\n| --- | ---: |\n| a b | 3 [1, 5] |\n\n- note | more\n"
-    publish(page + "\n## Other\n\n| scheme |\n| --- |\n| c |\n", "quick")
-    assert [path.name for path in frozen.glob("*.rows.csv")] == ["sites-quick.rows.csv"]
-    assert (frozen / "sites-quick.rows.csv").read_text() == 'scheme,lost\na b,"3 [1, 5]"\n'
-    (frozen / "golden-quick.csv").touch()
-    grid = "| environment | setting |\n| --- | --- |\n| dense | a |\n|  | b |\n| farm | a |\n"
-    publish(f"# Top\n\n## {load_bench(NAME).parts['golden'].title}\n\n{grid}", "quick")
-    assert (frozen / "golden-quick.rows.csv").read_text() == "environment,setting\ndense,a\ndense,b\nfarm,a\n"
-
-
-@pytest.mark.parametrize(("part", "heading", "first"), [("sites", "scheme", "a"), ("golden", "environment", "all")])
-def test_rows_that_a_page_lacks_are_not_lost(tmp_path, monkeypatch, part, heading, first):
-    folder = tmp_path / "configs" / "bench" / NAME
-    folder.mkdir(parents=True)
-    (folder / f"{part}-quick.csv").touch()
-    monkeypatch.setattr(build_leaderboard, "ROOT", tmp_path)
-
-    def page(*rows):
-        table = "\n".join(f"| {first if heading != 'scheme' else row} | {row} |" for row in rows)
-        title = load_bench(NAME).parts[part].title
-        return f"# Top\n\n## {title}\n\n| {heading} | setting |\n| --- | --- |\n{table}\n"
-
-    publish(page("golden_a", "golden_b"), "quick")
-    shipped = (folder / f"{part}-quick.rows.csv").read_text()
-    with pytest.raises(BadInputError, match=rf"{part}-quick\.rows\.csv: rows of golden_b: not on the page"):
-        publish(page("golden_a", "golden_c"), "quick")
-    assert (folder / f"{part}-quick.rows.csv").read_text() == shipped
-    publish(page("golden_a", "golden_b", "golden_c"), "quick")
-    assert "golden_c" in (folder / f"{part}-quick.rows.csv").read_text()
-
-
-def test_sections_that_were_not_flown_again_remain_with_their_date():
-    earlier = "top\n\nFlown on 1.\n\n## a\n\n| 1 |\n\n- n\n\n## b\n\n| 2 |\n\n![picture](p.png)\n"
-    page = with_earlier("top\n\nFlown on 2.\n\n## c\n\n| 5 |\n\n## b\n\n| 3 |\n", earlier, "abc")
-    assert page == "top\n\nFlown on 2.\n\n## a\n\nFlown on 1.\n\n| 1 |\n\n- n\n\n## b\n\n| 3 |\n\n## c\n\n| 5 |\n"
-    assert with_earlier(page, "", "abc") == page
-    again = with_earlier("top\n\nFlown on 3.\n\n## b\n\n| 4 |\n", page, "abc")
-    assert "## a\n\nFlown on 1.\n\n| 1 |" in again and "## c\n\nFlown on 2." in again and "| 3 |" not in again
-    assert again.count("Flown on") == 3
-    renamed = with_earlier("top\n\nFlown on 3.\n\n## d\n\n| 4 |\n", page, "bc")
-    assert "## a" not in renamed and all(f"## {title}" in renamed for title in "bcd"), "no part has the title a"
-
-
-def test_parts_and_schemes_are_in_the_order_of_the_bench():
-    part = {"campaign": "bench_sites"}
-    parts = {
-        "g": {**part, "title": "Golden flights, all"},
-        "s": {**part, "title": "S"},
-        "t": {**part, "title": "S*"},
-    }
-    arms = {name: {"detector": "acceptance"} for name in "abc"}
-    bench = parse(Bench, {"name": "b", "parts": parts, "arms": arms}, "b.yaml")
-    table = "| scheme | x |\n| --- | --- |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n| a | 4 |\n"
-    golden = "| environment | setting |\n| --- | --- |\n| farm | golden_b |\n|  | golden_a |\n| dense | golden_b |\n"
-    sections = {"False alarms by regime": "- r", "S": f"{table}\n- note", "S*": "- t", "Golden flights, all": golden}
-    page = in_order("\n\n".join(["# Top", *(f"## {title}\n\n{rest}" for title, rest in sections.items())]), bench)
-    assert "| --- | --- |\n| a | 4 |\n| c | 1 |\n|  | 2 |\n| own | 3 |\n\n- note\n" in page
-    assert "| farm | golden_a |\n|  | golden_b |\n| dense | golden_b |\n" in page
-    assert in_order(page, bench) == page
-    titles = ["Golden flights, all", "S", "S*", "False alarms by regime"]
-    assert re.findall("^## (.+)$", page, re.MULTILINE) == titles
-    assert re.findall(r"^- \[(.+)\]\(#(.+)\)$", page, re.MULTILINE) == list(
-        zip(titles, ["golden-flights-all", "s", "s-1", "false-alarms-by-regime"], strict=True)
-    )
-
-
-def test_groups_keep_the_rows_that_were_flown():
-    def page(day, rows, note):
-        table = "\n".join(["| environment | setting |", "| --- | --- |", *rows])
-        drawn = "- 4 faults, sha256 abc: as published"
-        return f"top\n\nFlown on {day}.\n\n## G\n\n{table}\n\n{drawn}\n{note}\n"
-
-    first = page(1, ["| farm | golden_a |"], "- systematic: same state; control.command at 0.40 s")
-    both = with_earlier(page(2, ["| farm | golden_a |", "|  | golden_b |"], "- systematic: same state"), first, ["G"])
-    assert "| farm | golden_a |\n|  | golden_b |\n" in both
-    assert "- systematic: same state; control.command at 0.40 s" in both and "same state\n" not in both
-
-
-def test_reasons_for_the_lack_of_scores_remain_with_the_rows():
-    def page(day, row, note):
-        return (
-            f"top\n\nFlown on {day}.\n\n## False alarms by regime\n\n| scheme | x |\n| --- | --- |\n{row}\n\n{note}\n"
-        )
-
-    reason = "- checksum: not scored: it compares with a seal"
-    both = with_earlier(page(2, "| b | 2 |", "- n"), page(1, "| a | 1 |", reason), ["G"])
-    assert "| a | 1 |" in both and "| b | 2 |" in both and both.count(reason) == 1
-
-
-def test_curves_of_other_detectors_are_a_picture_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(build_leaderboard, "IMAGES", tmp_path)
-    bench = tmp_path / "bench"
-    bench.mkdir()
-    assert build_leaderboard._pictures(bench, "leaderboard-paper", papers=True, kept=False) == ""
-    for papers, drawn in ((True, "curves-paper.png"), (False, "curves-paper-others.png")):
-        (bench / "curves.png").write_text(drawn)
-        text = build_leaderboard._pictures(bench, "leaderboard-paper", papers=papers, kept=False)
-        assert (tmp_path / drawn).read_text() == drawn and f"(../images/{drawn})" in text
-    assert text.count("![") == 2 and (tmp_path / "curves-paper.png").read_text() == "curves-paper.png"
-    (bench / "curves.png").write_text("of other parts")
-    assert build_leaderboard._pictures(bench, "leaderboard-paper", papers=False, kept=True) == text
-    assert (tmp_path / "curves-paper-others.png").read_text() == "curves-paper-others.png"
-
-
-def test_scores_of_other_parts_do_not_replace_earlier_ones():
-    def page(day, row, parts):
-        table = f"| scheme | regime |\n| --- | --- |\n{row}\n"
-        note = f"- one golden flight for each mission of these parts, their faults together: {parts}\n"
-        scores = f"## {CURVES}\n\n{table}\n{note}\n## False alarms by regime\n\n{table}"
-        return f"top\n\nFlown on {day}.\n\n## T\n\n| {day} |\n\n{scores}"
-
-    first = page(1, "| a | x |", "golden, sites")
-    other = with_earlier(page(2, "| a | y |", "state, words"), first, {"T", *SCORED})
-    assert "| 2 |" in other and other.count("| a | x |") == 2 and "| a | y |" not in other
-    same = with_earlier(page(2, "| a | y |", "golden, sites"), first, {"T", *SCORED})
-    assert same.count("| a | y |") == 2 and "| a | x |" not in same
-
-
-def test_schemes_that_were_not_scored_again_keep_their_rows_with_their_date():
-    def page(day, *rows):
-        table = "\n".join(["| scheme | regime |", "| --- | --- |", *rows])
-        return f"top\n\nFlown on {day} at scale paper.\n\n## False alarms by regime\n\n{table}\n\n- note\n"
-
-    first = page(1, "| a | x |", "|  | y |", "| b | x |", "|  | y |")
-    second = with_earlier(page(2, "| b | X |", "|  | Y |", "| c | X |"), first, ())
-    assert second.endswith("| b | X |\n|  | Y |\n| c | X |\n| a | x |\n|  | y |\n\n- note\n- a: flown on 1\n")
-    third = with_earlier(page(3, "| c | 3 |"), second, ())
-    assert "| c | 3 |\n| b | X |\n|  | Y |\n| a | x |\n|  | y |\n" in third
-    assert third.endswith("- note\n- b: flown on 2\n- a: flown on 1\n")
-    assert with_earlier(page(4, "| a | 4 |", "| b | 4 |", "| c | 4 |"), third, ()).count("flown on") == 0
-
-
-def test_schemes_keep_their_rows_if_faults_and_columns_are_the_same():
-    def page(day, faults, *rows, heading="| scheme | lost |"):
-        table = "\n".join([heading, "| --- | --- |", *rows])
-        return f"top\n\nFlown on {day}.\n\n## T\n\n{table}\n\n- 9 faults, sha256 {faults}…: as published\n"
-
-    first = page("1", "12ab", "| a | 1 |", "| b | 2 |")
-    second = with_earlier(page("2", "12ab", "| c | 3 |", "| a | 4 |"), first, "T")
-    assert "| c | 3 |\n| a | 4 |\n| b | 2 |\n" in second and second.endswith("- b: flown on 1.\n")
-    for other in (page("2", "34cd", "| c | 3 |"), page("2", "12ab", "| c | 3 |", heading="| scheme | late |")):
-        assert "| b |" not in with_earlier(other, first, "T")
-    here = "- flown here: c; the other rows are those published in x, on the same faults\n"
-    older = with_earlier(page("2", "12ab", "| a | 0 |", "| c | 3 |") + here, first, "T")
-    assert "| a | 1 |\n| c | 3 |\n| b | 2 |\n" in older, "a was flown before the page, but not there"
-
-
-def test_schemes_that_were_not_flown_again_keep_their_comparison():
-    note = "- b against a: missions that only one of them flies to the end 1 : 2 of 9, p = 1"
-    head = "Title\n\nFlown on 2026-01-01.\n\n## T\n\n| scheme | lost |\n| --- | --- |\n| a | 1 |\n| b | 2 |\n"
-    earlier = f"{head}| c | 3 |\n\n{note}\n{note.replace('b against', 'c against')}\n"
-    page = with_earlier(f"{head}| c | 4 |\n\n- rates\n", earlier, {"T"})
-    assert page.endswith(f"- rates\n{note}\n"), "c was flown again, and not with a"
-    for again in (note, note.replace("p = 1", "p = 0.5")):
-        assert with_earlier(f"{head}| c | 3 |\n\n{again}\n", earlier, {"T"}).count("- b against a: ") == 1
-
-
-def test_a_bench_of_other_parts_leaves_the_readme_as_it_is(tmp_path, monkeypatch):
-    for name in ("ROOT", "GENERATED", "DOCS", "IMAGES"):
-        monkeypatch.setattr(build_leaderboard, name, tmp_path)
     (tmp_path / "configs" / "bench").mkdir(parents=True)
-    (tmp_path / "bench").mkdir()
-    (tmp_path / "bench" / "leaderboard.md").write_text(
-        "# Top\n\n    mavfi bench detectors /a/b.yaml --part a --part b-c --detector d\n\nFlown on 1.\n\n"
-        "## a\n\n| 1 |\n\n- flown here: c, d; the other rows are those published in x, on the same faults\n- note\n"
-    )
-    (tmp_path / "curves-paper.png").touch()
-    assert main([str(tmp_path / "bench"), "paper"]) == 0
-    page = (tmp_path / "leaderboard-paper.md").read_text()
-    assert "## a\n\n| 1 |" in page and "mavfi bench detectors --detector d\n" in page
-    assert "\n- flown on this day: c, d; the other rows earlier, on the same faults\n- note\n" in page
-    assert "curves-paper.png" in page, "drawn earlier"
-    assert "## recommended\n" in (tmp_path / "detectors.md").read_text(), "sections of single detectors"
-    assert not (tmp_path / "README.md").exists()
+    (tmp_path / "bench" / "sites").mkdir(parents=True)
+    faults = tmp_path / "bench" / "sites" / "faults.csv"
+    faults.write_text("a\n")
+    build_leaderboard.freeze(tmp_path / "bench", "quick")
+    faults.write_text("b\n")
+    with pytest.raises(BadInputError, match=r"other faults than those of sites-quick\.csv, which is frozen"):
+        build_leaderboard.freeze(tmp_path / "bench", "quick")

@@ -74,6 +74,8 @@ def documents(monkeypatch, tmp_path):
         (tmp_path / name).write_text(blocks, encoding="utf-8")
     for name in ("DOCS", "ROOT"):
         monkeypatch.setattr(build_readme, name, tmp_path)
+    monkeypatch.setattr(build_readme, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(build_readme, "TABLES", tmp_path / "results" / "tables")
 
     def entry(_, study):
         if study["scale"] == "other":
@@ -91,7 +93,7 @@ def study(folder, scale):
     (folder / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
     for name in ("figures", "tables"):
         (folder / name).mkdir()
-    for name in ("figures/a.png", "tables/a.csv", "report.html", "study.md"):
+    for name in ("figures/a.png", "tables/a.csv", "study.md"):
         (folder / name).write_text(name, encoding="utf-8")
     (folder / "study.json").write_text(json.dumps({"scale": scale}), encoding="utf-8")
     return folder
@@ -99,14 +101,17 @@ def study(folder, scale):
 
 def test_both_pages_are_written(documents):
     assert build_readme.main(documents / "out") == 2
-    (documents / "results").mkdir()
-    (documents / "results" / "old.png").touch()
+    for name in ("figures", "tables/study", "tables/other"):
+        (documents / "results" / name).mkdir(parents=True)
+        (documents / "results" / name / "old.csv").touch()
     assert build_readme.main(study(documents / "out", "paper")) == 0
     readme = (documents / "README.md").read_text(encoding="utf-8")
     assert "27 of 156" in readme and "| table1 |  | `digest of paper` |" in readme
     assert "| state level |" in (documents / "results.md").read_text(encoding="utf-8")
     copied = {str(path.relative_to(documents / "results")) for path in (documents / "results").rglob("*.*")}
-    assert copied == {"figures/a.png", "tables/a.csv", "report.html", "study.md", "digests.json"}
+    assert copied == {
+        "figures/a.png", "tables/study/a.csv", "study.md", "digests.json", "tables/other/old.csv",
+    }, "of the study alone"  # fmt: skip
     assert (documents / "results" / "study.md").read_text(encoding="utf-8").endswith("do not edit. -->\n\nstudy.md")
 
 
@@ -119,13 +124,6 @@ def test_a_study_at_another_scale_brings_its_digests_only_and_keeps_those_of_oth
     assert build_readme.main(study(documents / "paper", "paper")) == 0
     readme = (documents / "README.md").read_text(encoding="utf-8")
     assert "| table1 |  | `digest of quick` | `digest of paper` |" in readme
-
-
-def test_a_page_with_commands_for_one_machine_alone_is_not_published(documents, capsys):
-    own = study(documents / "out", "paper")
-    (own / "report.html").write_text(f"mavfi reproduce paper --out {own}", encoding="utf-8")
-    assert build_readme.main(own) == 2 and not (documents / "results").exists()
-    assert capsys.readouterr().err.startswith(f"{own / 'report.html'}: names the folder {own}; ")
 
 
 def test_published_pages_name_no_folder_of_a_machine():

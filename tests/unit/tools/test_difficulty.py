@@ -33,10 +33,12 @@ def test_the_effect_is_that_of_missions_whose_golden_flight_arrives():
     assert cell.effect(difficulty.FAILS, "nothing").rate is None
 
 
-def test_page_and_picture_come_from_the_cells(tmp_path):
-    source = {"directory": tmp_path, "digest": "0123456789abcdef0", "versions": {"mavfi": "1"}}
-    page = difficulty.page(cells(), [source], 3)
-    assert "50 [9, 91] 1/2" in page and "`0123456789abcdef`" in page and "| flag | epochs |" in page
+def test_table_and_picture_come_from_the_cells(tmp_path):
+    effects = difficulty.effect_table(cells())
+    keys = [column.key for column in effects.columns]
+    first = dict(zip(keys, effects.rows[0], strict=True))
+    assert (first["fails_flag"].successes, first["fails_flag"].n) == (1, 2) and "hurt_epochs" in keys
+    assert len(effects.rows) == len(cells())
     difficulty.draw(cells(), tmp_path / "figure.png")
     assert 5_000 < (tmp_path / "figure.png").stat().st_size < 120_000
 

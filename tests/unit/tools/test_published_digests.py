@@ -2,9 +2,6 @@
 
 import json
 import re
-from contextlib import nullcontext
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -40,15 +37,6 @@ def test_the_digests_of_the_readme_are_those_of_what_this_program_flies(scale):
     assert KNOWN[scale]["fingerprint"] == published_digests.fingerprint(scale), (
         f"campaigns or golden flights have changed: `make reproduce readme SCALE={scale}` flies them again"
     )
-
-
-@QUICK
-def test_source_lines_in_the_records_are_where_they_were():
-    """Their numbers are part of the digests."""
-    lines = KNOWN["quick"]["lines"]
-    assert {"mavfi/kernels/planning/rrt_star.py", "mavfi/detectors/parts.py"} <= set(lines)
-    moved = [file for file, (numbers, text) in lines.items() if published_digests.text_of(file, numbers) != text]
-    assert moved == [], "lines have moved or changed: restore their place, or `make reproduce readme` flies again"
 
 
 @QUICK
@@ -90,28 +78,10 @@ def flown(monkeypatch, tmp_path):
 def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):
     found = published_digests.of_study(*flown)
     assert found["ledgers"] == [["small", "Python 3.11", "d" * 16]] and found["program"] == "mavfi 1"
-    assert found["lines"] == {}  # faults in states alone
     table = published_digests.block({"quick": found})
     assert "| ledger | depends on | `make reproduce` |" in table and table.endswith("Flown at scale quick by mavfi 1.")
     bare = {"name": "small", "versions": {"numba": "1"}}
     assert published_digests.needs(bare) == ""
-
-
-def test_counted_lines_are_those_of_all_kernels_and_ledgers_with_their_text(monkeypatch):
-    """A line that moves has another text in its place; lines of Numba are not the project's."""
-    file, other = "mavfi/states.py", "mavfi/errors.py"
-    counted = {
-        Path("a"): [{}, {"pid": {"lines": [[file, 3, 10], ["numba/np/arrayobj.py", 1, 5]]}}],
-        Path("b"): [{"gaussian": {"lines": [[other, 1, 2]]}, "pid": {"lines": [[file, 1, 10], [file, 3, 20]]}}],
-    }
-    runs = {at: [SimpleNamespace(record=SimpleNamespace(counts=one)) for one in all_] for at, all_ in counted.items()}
-    monkeypatch.setattr(
-        published_digests.Store, "open", lambda at: nullcontext(SimpleNamespace(runs=lambda **_: runs[at]))
-    )
-    lines = published_digests.counted_lines(counted)
-    assert {name: numbers for name, (numbers, _) in lines.items()} == {file: "1 3", other: "1"}
-    assert lines[file][1] == published_digests.text_of(file, "1 3") != published_digests.text_of(file, "2 4")
-    assert published_digests.text_of(other, f"{10**6}") == published_digests.text_of(other, f"{10**7}")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
 _NAMED = (
-    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "copies", "dead_node",
+    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node",
     "alarm", "epoch_liveness", "protection",
 )  # fmt: skip
 """Keys of a mission that are listed when they differ from their defaults."""
@@ -57,8 +57,7 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             each = "group" if sampling.groups else {"kernel": "kernel", "exposure": "environment"}[sampling.share]
             return {"each": each, **_flights(campaign, each, "uniform over remembered bits and instants")}
         case InstructionSampling():
-            stratified = ", drawn by value class and source line" if sampling.scheme == "stratified" else ""
-            how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"
+            how = f"instructions: {sampling.which}, model {sampling.model}"
             own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
             return own | _flights(campaign, sampling.share, how)
         case MessageSampling():

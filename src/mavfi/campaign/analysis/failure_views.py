@@ -22,7 +22,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, POINTS, Table
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
-from mavfi.states import GUARDS, PLANNERS, RECOVERY
+from mavfi.states import DETECTORS, PLANNERS
 
 INSTRUCTION = "instruction"
 
@@ -91,14 +91,14 @@ def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[st
 def payoff(
     runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()
 ) -> Estimate | None:  # fmt: skip
-    """Failures per flight hour under a detector minus those without: of kernels, and of detector and recovery.
+    """Failures per flight hour under a detector minus those without: of kernels, and of the detector.
 
     Args:
         runs: A campaign with instruction faults.
         environment: Environment.
         setting: A setting with a detector.
         upset: Upsets per instruction.
-        kernels: Only these kernels beside detector and recovery; all if empty.
+        kernels: Only these kernels beside the detector; all if empty.
 
     Returns:
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
@@ -109,9 +109,9 @@ def payoff(
 
 
 def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
-    """What the faults in a setting's own detector and recovery cause, each with the number of faults."""
+    """What the faults in a setting's own detector cause, each with the number of faults."""
     kernels = exposed(runs).get((environment, setting), {})
-    return [(len(ids), one) for kernel, (ids, one) in kernels.items() if kernel in GUARDS]
+    return [(len(ids), one) for kernel, (ids, one) in kernels.items() if kernel in DETECTORS]
 
 
 def changes(
@@ -141,7 +141,7 @@ def changes(
         fine = [world for world in every.values("world")
                 if all(golden.get((one, world), {}).get("success") for one in ("", arm))]  # fmt: skip
         own, counted = every.where(pl.col("world").is_in(fine)), arm if counts[arm] else ""
-        if len(own) and kernel in counts[counted] and kernel not in GUARDS and (not kernels or kernel in kernels):
+        if len(own) and kernel in counts[counted] and kernel not in DETECTORS and (not kernels or kernel in kernels):
             ids = [[golden[one, world]["run_id"] for world in own["world"]] for one in (counted, "")]
             instructions = counts[counted][kernel], counts[""].get(kernel, 0.0)
             found[kernel] = len(own), _changed(own, kernel, instructions, *ids)
@@ -196,7 +196,6 @@ def idle(runs: Runs) -> list[str]:
     """Kernels without exposure, in words: they execute no instruction in the golden runs of a setting."""
     return [
         f"{kernel} under {setting} in {environment}: 0 instructions in golden runs, so no fault is drawn and none fails"
-        + (" (there is no alarm to respond to)" if kernel == RECOVERY else "")
         for (environment, setting), kernels in exposed(runs).items()
         for kernel, (_, one) in kernels.items()
         if not one.instructions

@@ -40,10 +40,6 @@ _EFFECTS = (
     "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "
     "Wilson, n reduced by the design effect of worlds"
 )
-_WEIGHTED = (
-    "drawn by value class and source line: rates are weighted back to uniform dynamic instructions; counts, times and "
-    "sizes of errors are of flights as drawn"
-)
 
 
 def _of_instructions(runs: Runs) -> bool:
@@ -152,14 +148,6 @@ _FOUND = _effect("detected")
 _GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"), weighted=True)
 
 
-def _kernel_notes(*lines: str) -> Any:
-    def notes(runs: Runs) -> list[str]:
-        weighted = any(weight != 1.0 for weight in kernel_runs(runs)["weight"])
-        return [*lines, *([_WEIGHTED] if weighted else [])]
-
-    return notes
-
-
 def _replayable_note(runs: Runs) -> str:
     own = kernel_runs(runs)
     again = len(own.where("replayable"))
@@ -177,7 +165,7 @@ def _split(name: str, title: str, column: str) -> View:
             m.quantile("inflation", 1.0, "worst_time", "worst time"),
         ),
         where=lambda runs: _readable(kernel_runs(runs), column),
-        notes=_kernel_notes(
+        notes=lambda _: (
             _LEVEL, "other: bits of integers, addresses and conditions; a result of one bit has no sign or exponent"
         ),
         applies=_of_instructions,
@@ -228,7 +216,7 @@ register(
             Measure("due_kinds", "crash / hang / exc.", TEXT,
                     lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)),
         ),
-        where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
+        where=kernel_runs, notes=lambda runs: (_EFFECTS, _LEVEL, _replayable_note(runs)),
         applies=_of_instructions,
     ),
     View(
@@ -240,7 +228,7 @@ register(
             m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE), weighted=True),
         ),
         where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
-        notes=_kernel_notes(
+        notes=lambda _: (
             _EFFECTS, "detected: by protected code, whose call is computed again; due: crash, hang or exception",
             "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
             "values, or none: settings are compared as samples, not in pairs", _LEVEL,
@@ -259,7 +247,7 @@ register(
             Measure("paper", "paper's Fig. 3", TEXT, lambda own: paper.figure("kernels", kernel=own.first("kernel"))),
         ),
         where=kernel_runs, leads=True,
-        notes=_kernel_notes(
+        notes=lambda _: (
             f"rates: {INTERVALS}", _POLICIES,
             "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
             "golden run, where both arrive",
@@ -284,7 +272,7 @@ register(
             m.rate("success", "success", "success", weighted=True),
         ),
         where=_silent, most="n",
-        notes=_kernel_notes(
+        notes=lambda _: (
             "which silent corruptions within a kernel become which errors between kernels: state faults change one "
             "element of one field, uniformly over its bits",
             f"share: of the kernel's silent corruptions; rates: {INTERVALS}",

@@ -15,7 +15,7 @@ from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import DUE, ControlErrors, control_of, effect_of
 from mavfi.qof import energy
-from mavfi.states import GUARDS, KERNEL_STAGES, KERNELS, STATES
+from mavfi.states import DETECTORS, KERNEL_STAGES, KERNELS, STATES
 
 ALL_BITS = "all_bits"  # population of faults with uniformly drawn bits, i.e. without strata
 GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
@@ -53,11 +53,11 @@ def row_of(
     """Compute the columns of a completed run.
 
     Digests are compared with the golden run of the same arm, `own`; success and flight times with the golden run of the
-    same mission without a detector, `reference`, but with `own` if the fault is in a detector or recovery, whose false
-    alarms are no effect of the fault.  `monitored` contains the monitored states and fields.
+    same mission without a detector, `reference`, but with `own` if the fault is in a detector, whose false alarms
+    are no effect of the fault.  `monitored` contains the monitored states and fields.
     """
     spec, fault = run.spec, run.spec.fault
-    if getattr(fault, "kernel", "") in GUARDS:
+    if getattr(fault, "kernel", "") in DETECTORS:
         reference = own
     environment = label_of(spec.environment)
     planned = {} if fault is None else {

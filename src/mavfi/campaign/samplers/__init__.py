@@ -16,7 +16,7 @@ def sampler_for(campaign: "Campaign") -> Sampler:
     """
     level = campaign.sampling.level  # local imports: each sampler imports the campaign's configuration
     if level == "instruction":
-        from mavfi.campaign.samplers.instructions import InstructionSampler
+        from mavfi.campaign.samplers.instruction import InstructionSampler
 
         return InstructionSampler(campaign)
     if level == "memory":

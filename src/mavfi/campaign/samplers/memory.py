@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from mavfi.campaign.config import Campaign, MemorySampling
-from mavfi.campaign.copies import watched_in
-from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled, TargetBlocks
+from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled, TargetBlocks, watched_in
 from mavfi.detectors.detector import Detector
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import MemoryRequest
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
-from mavfi.hosts.instruction.case import check_watched
+from mavfi.hosts.local.case import check_watched
 from mavfi.hosts.local.memory_faults import memory_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import INLINE, Recovery
@@ -141,7 +141,7 @@ def draw_memory(
 ) -> tuple[MemoryFault, Flight]:  # fmt: skip
     """Draw the fault of a user's request; also returns the golden flight of the draw.
 
-    A detector, with its recovery, is flown only if the fault is in the memory of one of them.
+    A detector, with its recovery, is flown only if the fault is in its memory.
 
     Raises:
         BadInputError: The target's memory has no such word, or none with such a bit, at that instant.
@@ -166,10 +166,9 @@ def draw_memory(
 
 
 class MemorySampler:
-    """Draws one bit of a word in the memory of a kernel, a detector or recovery.
+    """Draws one bit of a word in the memory of a kernel or a detector.
 
-    Faults in a detector or recovery are drawn from the golden run of its arm, and injected in that arm alone; with arms
-    that differ in its copies alone, in each of these.
+    Faults in a detector are drawn from the golden run of its arm, and injected in that arm alone.
 
     Raises:
         BadInputError: The sampling names a target that is not part of the mission, or of one arm.
@@ -199,6 +198,8 @@ class MemorySampler:
         else:
             targets = {"memory": tuple((kernel, "") for kernel in kernels)}
         for kernel, _ in (site for sites in targets.values() for site in sites):
+            if dropped_name("kernels", kernel):
+                raise BadInputError(f"sampling: {dropped_name('kernels', kernel)}")
             if kernel not in (*self._known, *WATCHING):
                 raise BadInputError(f"sampling: no kernel {kernel!r}; allowed: {', '.join((*self._known, *WATCHING))}")
         return targets

@@ -12,7 +12,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.sensor_faults import check_read
 from mavfi.mission import Scenario
-from mavfi.states import GUARDS, WATCHING
+from mavfi.states import DETECTORS, WATCHING
 
 
 def draw_request(
@@ -35,7 +35,7 @@ def draw_request(
         return in_memory, None if request.kernel in WATCHING else flown
     if isinstance(request, SensorRequest):
         return draw_sensor(scenario, request, seed)
-    own = detector if request.kernel in GUARDS else None
+    own = detector if request.kernel in DETECTORS else None
     if isinstance(request, InstructionSite):
         return instruction_fault(scenario, request, own), None
     drawn = draw_instruction_faults(scenario, request, seed=seed, detector=own, recovery=recovery)

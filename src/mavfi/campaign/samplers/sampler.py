@@ -6,6 +6,8 @@ from functools import partial
 from typing import Any, Protocol
 
 from mavfi.campaign.config import Campaign
+from mavfi.detectors.registry import contains
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
 from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
@@ -35,6 +37,18 @@ class Block:
     draw: Callable[[int], Draw]  # draw of fault i
     first: int  # position of fault 0 in the environment's plan
     step: int = 1  # distance between the positions of faults i and i + 1
+
+
+def watched_in(campaign: Campaign, target: str) -> str:
+    """The arm in which a detector, also as a named configuration (`recommended`), is injected.
+
+    Raises:
+        BadInputError: It is in no arm, or in several.
+    """
+    arms = [name for name, arm in campaign.arms.items() if arm.detector and contains(arm.detector, arm.profile, target)]
+    if len(arms) != 1:
+        raise BadInputError(f"sampling.kernels: {target!r}: is in {len(arms)} arms; allowed: what is in one arm")
+    return arms[0]
 
 
 def alternating(campaign: Campaign, targets: Sequence[str]) -> list[Block]:

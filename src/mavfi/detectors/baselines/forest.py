@@ -2,23 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT
-from mavfi.detectors.baselines.library import (
-    RATES,
-    Inputs,
-    ModelScorer,
-    admit_by_model,
-    judge_model,
-    kinds_with,
-)
+from mavfi.detectors.baselines.library import RATES, Inputs
 from mavfi.numerics.elementary import exp
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.jit import kernel_jit
 
 
 class Branch(NamedTuple):
@@ -186,23 +177,3 @@ class _Nodes:
         field = int(self._inputs.columns[tree.column])
         self.words[place] = pack(limit_of(tree, self._inputs), field, len(self.words))
         return [(self._leaf(), tree.low), (self._leaf(), tree.high)]
-
-
-_KIND, _ADMISSION = kinds_with(forest_of([Trees([0.0], 1.0)], Inputs(np.zeros(1, np.int64), np.ones(1))))
-
-
-@kernel_jit
-def _forest_at(address: int) -> float:
-    return judge_model(*load(address, _KIND))
-
-
-@short_jit
-def _admit_forest(address: int, header: Any) -> bool:
-    return admit_by_model(header_of(header), *load(address, _ADMISSION))
-
-
-class ForestScorer(ModelScorer):
-    """Scores of a `Forest`."""
-
-    judge_at, admit_at = staticmethod(_forest_at), staticmethod(_admit_forest)
-    kind, admission = _KIND, _ADMISSION

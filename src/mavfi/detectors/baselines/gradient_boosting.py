@@ -12,21 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors.baselines.forest import Branch, Tree, limit_of, spans_of
-from mavfi.detectors.baselines.library import (
-    RATES,
-    Inputs,
-    LibraryDetector,
-    ModelScorer,
-    admit_by_model,
-    columns_of,
-    input_of,
-    judge_model,
-    kinds_with,
-)
-from mavfi.detectors.everything import Everything
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.detectors.baselines.library import RATES, Inputs, LibraryDetector, columns_of, input_of
+from mavfi.detectors.field_codes import FieldCodes
+from mavfi.numerics.jit import kernel_jit
 
 ROUNDS = 40
 OPTIONS: Mapping[str, Any] = {
@@ -217,32 +205,12 @@ def _tree(node: Mapping[str, Any], left_out: int) -> Tree:
     return Branch(column + (column >= left_out), float(node["threshold"]), low, high)
 
 
-_KIND, _ADMISSION = kinds_with(tables_of([[Regressor([0.0], 0, 1.0)]], Inputs(np.zeros(1, np.int64), np.ones(1))))
-
-
-@kernel_jit
-def _regressors_at(address: int) -> float:
-    return judge_model(*load(address, _KIND))
-
-
-@short_jit
-def _admit_by_regressors(address: int, header: Any) -> bool:
-    return admit_by_model(header_of(header), *load(address, _ADMISSION))
-
-
-class RegressorScorer(ModelScorer):
-    """Scores of `Regressors`."""
-
-    judge_at, admit_at = staticmethod(_regressors_at), staticmethod(_admit_by_regressors)
-    kind, admission = _KIND, _ADMISSION
-
-
 class GradientBoostingDetector(LibraryDetector):
     """Residuals of gradient-boosted regressions."""
 
-    model_kind, package, scorer_type = "gradient_boosting", "lightgbm", RegressorScorer
+    model_kind, package = "gradient_boosting", "lightgbm"
 
     @classmethod
-    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Regressors:
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Regressors:
         """See `LibraryDetector.tables`."""
-        return regressors(rows, slots, columns_of(everything), inputs)
+        return regressors(rows, slots, columns_of(field_codes), inputs)

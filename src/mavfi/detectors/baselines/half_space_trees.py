@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT
-from mavfi.detectors.baselines.forest import Branch, Forest, ForestScorer, Tree, Trees, forest_of
+from mavfi.detectors.baselines.forest import Branch, Forest, Tree, Trees, forest_of
 from mavfi.detectors.baselines.library import Inputs, LibraryDetector, columns_of
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.field_codes import FieldCodes
 
 _TREES, _HEIGHT, _WINDOW = 25, 8, 100
 _LEAST = 0.1
@@ -62,9 +62,9 @@ def _tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) ->
 class HalfSpaceTreesDetector(LibraryDetector):
     """Half-space trees of every state."""
 
-    model_kind, package, scorer_type = "half_space_trees", "river", ForestScorer
+    model_kind, package = "half_space_trees", "river"
 
     @classmethod
-    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Forest:
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Forest:
         """See `LibraryDetector.tables`."""
-        return half_spaces(rows, slots, columns_of(everything), inputs)
+        return half_spaces(rows, slots, columns_of(field_codes), inputs)

@@ -13,22 +13,18 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector, Holding, hold
-from mavfi.detectors.autoencoder import INPUT_LIMIT, Recent, no_recent, recall, representative, row_of
-from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
+from mavfi.detectors.code_scorer import CodeScorer, Judged, StateScorer, conclude, state_peaks
+from mavfi.detectors.field_codes import FieldCodes
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import OfStates, state_peaks
+from mavfi.detectors.residual_state import REGIME, SLOT, ResidualState
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import NotInstalledError
 from mavfi.numerics.jit import kernel_jit
 
 _FITTED = 16
 """Fitted models that a process keeps."""
-REMEMBERED = 64
-"""Inputs of each state whose scores are remembered: most publications repeat an earlier one."""
 RATES: dict[type, Callable[..., float]] = {}
 """Score functions, by the type of a model's tables, see `rate`."""
 
@@ -85,79 +81,47 @@ def rates(codes: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # no
 
 @kernel_jit
 def learn(
-    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
+    measured: ResidualState, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
 ) -> None:  # fmt: skip
     """Hold the codes of a normal publication; 0 for an anomalous one."""
-    hold(own, judged, limit, model, holding)
+    hold(measured, judged, limit, model, holding)
 
 
 @kernel_jit
-def update(own: Book, holding: Holding) -> None:
+def update(measured: ResidualState, holding: Holding) -> None:
     """The latest codes of all states: those held, and those of the publication measured last."""
-    first, last = own.spans[own.place[book.SLOT]]
+    first, last = measured.spans[measured.place[SLOT]]
     holding.vector[:] = holding.held
-    holding.vector[first:last] = own.codes[first:last]
+    holding.vector[first:last] = measured.codes[first:last]
 
 
 @kernel_jit
 def judge_model(
-    own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
+    measured: ResidualState, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
 ) -> float:  # fmt: skip
     """Score of the latest codes by a model, in units of the limit of their state and regime."""
-    learn(own, judged, limit, model, holding, floor)
-    update(own, holding)
-    slot = own.place[book.SLOT]
-    if own.place[book.REGIME] >= 0:
+    learn(measured, judged, limit, model, holding, floor)
+    update(measured, holding)
+    slot = measured.place[SLOT]
+    if measured.place[REGIME] >= 0:
         judged.distance[slot] = max(0.0, rate(holding.vector, slot, model) - floor)
-    return conclude(slot, slot + 1, own, judged, limit)
+    return conclude(slot, slot + 1, measured, judged, limit)
 
 
-@kernel_jit
-def admit_by_model(
-    header: Any, own: Book, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float,  # noqa: ANN401
-    recent: Recent,
-) -> bool:  # fmt: skip
-    """`judge_model` of a publication that is accepted without an alarm; the same codes have the same score."""
-    book.measure(header, own)
-    learn(own, judged, limit, model, holding, floor)
-    update(own, holding)
-    slot = own.place[book.SLOT]
-    if own.place[book.REGIME] >= 0:
-        row = slot * REMEMBERED + row_of(holding.vector, REMEMBERED)
-        if not recall(holding.vector, recent, row):
-            recent.errors[row, 0] = max(0.0, rate(holding.vector, slot, model) - floor)
-        judged.distance[slot] = recent.errors[row, 0]
-    return book.accept_unless_alarm(conclude(slot, slot + 1, own, judged, limit), own)
-
-
-_MEMORY = Holding(*np.zeros((2, 1), np.int16)), 0.0
-
-
-def kinds_with(model: Any) -> tuple[Any, Any]:  # noqa: ANN401
-    """`kind_with` an example of a model: for `judge_model`, and for `admit_by_model`."""
-    return kind_with(model, *_MEMORY), kind_with(model, *_MEMORY, no_scores(1, 1))
-
-
-def no_scores(slots: int, width: int) -> Recent:
-    """Before the first input of this width: as `no_recent`, with one score per row."""
-    return Recent(no_recent(slots * REMEMBERED, width).vector, *no_recent(slots * REMEMBERED, 1)[1:])
-
-
-class ModelScorer(OfStates):
+class ModelScorer(StateScorer):
     """Scores of a fitted model, from the latest codes of all states.
 
     Args:
-        everything: Computes the codes.
+        field_codes: Computes the codes.
         model: Tables of the fitted model.
         floor: Smallest score in training, subtracted from all scores.
     """
 
     judge, learns = staticmethod(judge_model), staticmethod(learn)
 
-    def __init__(self, everything: Everything, model: Any, floor: float) -> None:  # noqa: ANN401
-        holding = Holding(*np.zeros((2, len(everything.fields)), np.int16))
-        recent = no_scores(len(everything.slots), len(everything.fields))
-        super().__init__(everything, model, holding, floor, recent=recent)
+    def __init__(self, field_codes: FieldCodes, model: Any, floor: float) -> None:  # noqa: ANN401
+        holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
+        super().__init__(field_codes, model, holding, floor)
         self.kept = {**self.kept, "held": holding.held}
 
 
@@ -167,11 +131,11 @@ def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return found
 
 
-def columns_of(everything: Everything) -> list[np.ndarray]:
+def columns_of(field_codes: FieldCodes) -> list[np.ndarray]:
     """By state, the columns of its fields among all watched fields."""
-    place = np.cumsum(everything.quanta > 0.0) - 1
-    spans = [np.arange(*everything.range_of(slot)) for slot in range(len(everything.slots))]
-    return [place[own[everything.quanta[own] > 0.0]] for own in spans]
+    place = np.cumsum(field_codes.quanta > 0.0) - 1
+    spans = [np.arange(*field_codes.range_of(slot)) for slot in range(len(field_codes.slots))]
+    return [place[own[field_codes.quanta[own] > 0.0]] for own in spans]
 
 
 class LibraryDetector(AllFieldsDetector):
@@ -179,22 +143,20 @@ class LibraryDetector(AllFieldsDetector):
 
     Attributes:
         package: Package that must be installed.
-        scorer_type: Computes the scores of `tables`.
     """
 
-    package: str
+    package: ClassVar[str]
     extra = "bench"
-    scorer_type: ClassVar[type[ModelScorer]]
 
     @classmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scores of the library's model, refitted to the rows stored in `model`."""
-        count, given = len(everything.fields), model.parameters.get("rows")
+        count, given = len(field_codes.fields), model.parameters.get("rows")
         rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
         tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
-        return cls.scorer_type(everything, tables, float(model.numbers("floor")))
+        return ModelScorer(field_codes, tables, float(model.numbers("floor")))
 
     @classmethod
     def check_installed(cls) -> None:
@@ -203,43 +165,43 @@ class LibraryDetector(AllFieldsDetector):
 
     @classmethod
     @abstractmethod
-    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Any:  # noqa: ANN401
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Any:  # noqa: ANN401
         """Tables of a model that the library fits to normal publications.
 
         Args:
             rows: Their inputs. Shape (m, w).
             slots: Their states. Shape (m,).
-            everything: Codes from which they were made.
+            field_codes: Codes from which they were made.
             inputs: How.
         """
 
     @classmethod
-    def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, everything: Everything) -> Any:  # noqa: ANN401
+    def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, field_codes: FieldCodes) -> Any:  # noqa: ANN401
         """Fit the library's model to codes, dithered uniformly by half a code so that no field is constant."""
         cls.check_installed()
         generator = np.random.Generator(np.random.PCG64(0))
         dithered = rows + generator.uniform(-0.5, 0.5, rows.shape)
-        columns = np.flatnonzero(everything.quanta > 0.0)
-        return cls.tables(scaled(dithered, scale)[:, columns], slots, everything, Inputs(columns, scale[columns]))
+        columns = np.flatnonzero(field_codes.quanta > 0.0)
+        return cls.tables(scaled(dithered, scale)[:, columns], slots, field_codes, Inputs(columns, scale[columns]))
 
     @classmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model.
 
         Args:
             sample: Error-free flights.
-            everything: Codes from which the sample was made.
+            features: Codes from which the sample was made.
             figures: `largest_class`, training publications per state and regime; `calibrated`, publications per state
                 and regime from which limits are derived; `margin` and `smallest_regime`, see `regime_limits`.
         """
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
         rows = representative(sample, int(figures["largest_class"]))
-        model = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, everything)
+        model = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, features)
         chosen = representative(sample, int(figures["calibrated"]))
         part = Sample(*(getattr(sample, name)[chosen] for name in Sample.__annotations__))
         scores = rates(part.vectors, part.slots, model)
         floor = float(scores.min())
-        peaks, counts = state_peaks(scores - floor, part, len(everything.slots))
+        peaks, counts = state_peaks(scores - floor, part, len(features.slots))
         limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))
         return {
             "rows": sample.vectors[rows].tolist(), "slots": sample.slots[rows].tolist(), "scale": scale.tolist(),
@@ -250,5 +212,5 @@ class LibraryDetector(AllFieldsDetector):
 @functools.lru_cache(_FITTED)
 def _refitted(learned: Callable[..., Any], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Any:  # noqa: ANN401
     """Tables of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
-    everything, states = Everything(autopilot), np.frombuffer(slots, np.int64)
-    return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), everything)
+    field_codes, states = FieldCodes(autopilot), np.frombuffer(slots, np.int64)
+    return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), field_codes)

@@ -11,20 +11,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import book
 from mavfi.detectors.all_fields import AllFieldsDetector
-from mavfi.detectors.autoencoder import INPUT_LIMIT, Recent, recall, row_of
-from mavfi.detectors.baselines.library import REMEMBERED, LibraryDetector, no_scores, require, scaled
-from mavfi.detectors.book import Book
-from mavfi.detectors.code_scorer import CodeScorer, Judged, conclude, kind_with
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.autoencoder import INPUT_LIMIT
+from mavfi.detectors.baselines.library import LibraryDetector, require, scaled
+from mavfi.detectors.code_scorer import CodeScorer, Judged, StateScorer, conclude
 from mavfi.detectors.features import REGIMES
+from mavfi.detectors.field_codes import FieldCodes
 from mavfi.detectors.model import Model
-from mavfi.detectors.one_score import OfStates
+from mavfi.detectors.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
 from mavfi.detectors.samples import Sample
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.jit import kernel_jit
 
 LENGTH = 8
 """Publications per subsequence."""
@@ -125,28 +121,28 @@ def nearest(stretch: np.ndarray, history: np.ndarray, sums: np.ndarray, squares:
 
 
 @kernel_jit
-def learn(own: Book, judged: Judged, limit: np.ndarray, series: Series) -> None:
+def learn(measured: ResidualState, judged: Judged, limit: np.ndarray, series: Series) -> None:
     """Store a value that consumers received, normal or not, as in training.
 
     After an anomaly that was left out, the subsequence ended before it, and any next value was an anomaly as well.
     """
-    if own.place[book.LEARNED] == book.NEVER:
+    if measured.place[LEARNED] == NEVER:
         return
-    recent = series.recent[own.place[book.LEARNED]]
+    recent = series.recent[measured.place[LEARNED]]
     for place in range(LENGTH - 1):
         recent[place] = series.stretch[place + 1]
-    series.published[own.place[book.LEARNED]] += 1.0
-    own.place[book.LEARNED] = book.NEVER
+    series.published[measured.place[LEARNED]] += 1.0
+    measured.place[LEARNED] = NEVER
 
 
 @kernel_jit
-def extend(own: Book, series: Series) -> bool:
+def extend(measured: ResidualState, series: Series) -> bool:
     """Subsequence that ends with the publication measured last; whether it is complete."""
-    slot = own.place[book.SLOT]
-    first, last = own.spans[slot]
+    slot = measured.place[SLOT]
+    first, last = measured.spans[slot]
     for place in range(LENGTH - 1):
         series.stretch[place] = series.recent[slot, place]
-    series.stretch[LENGTH - 1] = largest_code(own.codes[first:last], series.scale[first:last])
+    series.stretch[LENGTH - 1] = largest_code(measured.codes[first:last], series.scale[first:last])
     return bool(series.published[slot] >= LENGTH - 1)
 
 
@@ -158,48 +154,13 @@ def distance_of(slot: int, series: Series) -> float:
 
 
 @kernel_jit
-def judge_stretch(own: Book, judged: Judged, limit: np.ndarray, series: Series) -> float:
+def judge_stretch(measured: ResidualState, judged: Judged, limit: np.ndarray, series: Series) -> float:
     """Score of the subsequence that a publication completes; 0 until the first is complete."""
-    learn(own, judged, limit, series)
-    slot, complete = own.place[book.SLOT], extend(own, series)
-    if own.place[book.REGIME] >= 0:
+    learn(measured, judged, limit, series)
+    slot, complete = measured.place[SLOT], extend(measured, series)
+    if measured.place[REGIME] >= 0:
         judged.distance[slot] = distance_of(slot, series) if complete else 0.0
-    return conclude(slot, slot + 1, own, judged, limit)
-
-
-@kernel_jit
-def admit_by_stretch(
-    header: Any, own: Book, judged: Judged, limit: np.ndarray, series: Series, recent: Recent  # noqa: ANN401
-) -> bool:  # fmt: skip
-    """`judge_stretch` of a publication that is accepted without an alarm; the same values have the same distance."""
-    book.measure(header, own)
-    learn(own, judged, limit, series)
-    slot, complete = own.place[book.SLOT], extend(own, series)
-    if own.place[book.REGIME] >= 0:
-        judged.distance[slot] = 0.0
-        if complete:
-            stretch = series.stretch.view(np.int16)
-            row = slot * REMEMBERED + row_of(stretch, REMEMBERED)
-            if not recall(stretch, recent, row):
-                recent.errors[row, 0] = distance_of(slot, series)
-            judged.distance[slot] = recent.errors[row, 0]
-    return book.accept_unless_alarm(conclude(slot, slot + 1, own, judged, limit), own)
-
-
-_EXAMPLE = Series(
-    np.zeros((1, 1, 1)), np.zeros((1, 1)), np.zeros(1, np.int64), np.zeros(1), np.zeros((1, 1)), *np.zeros((3, 1))
-)
-_KIND, _ADMISSION = kind_with(_EXAMPLE), kind_with(_EXAMPLE, no_scores(1, 1))
-
-
-@kernel_jit
-def _stretch_at(address: int) -> float:
-    return judge_stretch(*load(address, _KIND))
-
-
-@short_jit
-def _admit_stretch(address: int, header: Any) -> bool:
-    return admit_by_stretch(header_of(header), *load(address, _ADMISSION))
+    return conclude(slot, slot + 1, measured, judged, limit)
 
 
 def subsequences(series: np.ndarray) -> np.ndarray:
@@ -210,20 +171,19 @@ def subsequences(series: np.ndarray) -> np.ndarray:
     return found[:, np.argsort(found.sum(axis=0), kind="stable")]
 
 
-class StretchScorer(OfStates):
+class StretchScorer(StateScorer):
     """Distances of the latest subsequences.
 
     Args:
-        everything: Computes the codes.
+        field_codes: Computes the codes.
         histories: Training series, by state.
         scale: Largest code of each field in training. Shape (n,).
     """
 
-    judge, judge_at, learns = staticmethod(judge_stretch), staticmethod(_stretch_at), staticmethod(learn)
-    admit_at, kind, admission = staticmethod(_admit_stretch), _KIND, _ADMISSION
+    judge, learns = staticmethod(judge_stretch), staticmethod(learn)
 
-    def __init__(self, everything: Everything, histories: list[np.ndarray], scale: np.ndarray) -> None:
-        slots, parts = len(everything.slots), [subsequences(one) for one in histories]
+    def __init__(self, field_codes: FieldCodes, histories: list[np.ndarray], scale: np.ndarray) -> None:
+        slots, parts = len(field_codes.slots), [subsequences(one) for one in histories]
         counts = np.array([part.shape[1] for part in parts], np.int64)
         series = Series(
             np.zeros((slots, LENGTH, max(counts))), np.zeros((slots, max(counts))), counts, scale,
@@ -231,7 +191,7 @@ class StretchScorer(OfStates):
         )  # fmt: skip
         for own, sums, part in zip(series.history, series.sums, parts, strict=True):
             own[:, : part.shape[1]], sums[: part.shape[1]] = part, part.sum(axis=0)
-        super().__init__(everything, series, recent=no_scores(slots, 4 * LENGTH))
+        super().__init__(field_codes, series)
         self.kept = {**self.kept, "recent": series.recent, "published": series.published}
 
 
@@ -242,14 +202,14 @@ class MatrixProfileDetector(AllFieldsDetector):
     extra = LibraryDetector.extra
 
     @classmethod
-    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
         """Scorer of the distance between the newest subsequence of each state and those of training."""
         cls.check_installed()
-        states = len(everything.slots)
+        states = len(field_codes.slots)
         given = model.parameters.get("history")
         rows = given if isinstance(given, list) and len(given) == states else [[]] * states
         history = [Model.numbers(_of(model, row), "row", len(row)) for row in rows]
-        return StretchScorer(everything, history, model.numbers("scale", len(everything.fields), least=1.0))
+        return StretchScorer(field_codes, history, model.numbers("scale", len(field_codes.fields), least=1.0))
 
     @classmethod
     def check_installed(cls) -> None:
@@ -257,12 +217,12 @@ class MatrixProfileDetector(AllFieldsDetector):
         require("stumpy")
 
     @classmethod
-    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model.
 
         Args:
             sample: Error-free flights.
-            everything: Codes from which the sample was made.
+            features: Codes from which the sample was made.
             figures: `history`, stored values per state, from the first half of its series; `calibrated`, subsequences
                 of the second half from which limits are derived; `margin`, limit / largest distance.
         """
@@ -270,9 +230,9 @@ class MatrixProfileDetector(AllFieldsDetector):
         from stumpy.core import mass_absolute
 
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
-        histories, limit = [], np.full((len(everything.slots), REGIMES), _NEVER)
+        histories, limit = [], np.full((len(features.slots), REGIMES), _NEVER)
         for slot in range(len(limit)):
-            own = slice(*everything.range_of(slot))
+            own = slice(*features.range_of(slot))
             series = np.abs(scaled(sample.vectors[sample.slots == slot, own], scale[own])).max(axis=1)
             half = len(series) // 2
             history, rest = series[: min(half, int(figures["history"]))], series[half:]

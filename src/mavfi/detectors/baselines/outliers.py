@@ -6,22 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.baselines.forest import Branch, ForestScorer, Tree, Trees, forest_of
-from mavfi.detectors.baselines.library import (
-    RATES,
-    Inputs,
-    LibraryDetector,
-    ModelScorer,
-    admit_by_model,
-    input_of,
-    judge_model,
-    kinds_with,
-)
-from mavfi.detectors.everything import Everything
+from mavfi.detectors.baselines.forest import Branch, Tree, Trees, forest_of
+from mavfi.detectors.baselines.library import RATES, Inputs, LibraryDetector, input_of
+from mavfi.detectors.field_codes import FieldCodes
 from mavfi.numerics.elementary import log
-from mavfi.numerics.jit import kernel_jit, short_jit
-from mavfi.numerics.lent import header_of
-from mavfi.numerics.stored import load
+from mavfi.numerics.jit import kernel_jit
 
 
 class Components(NamedTuple):
@@ -90,45 +79,6 @@ def rate_by_ellipsoid(codes: np.ndarray, slot: int, model: Ellipsoid) -> float:
 
 
 RATES[Components], RATES[Ellipsoid] = rate_by_components, rate_by_ellipsoid
-_INPUTS = Inputs(np.zeros(1, np.int64), np.ones(1))
-_COMPONENTS, _BY_COMPONENTS = kinds_with(
-    Components(_INPUTS, np.zeros(1), np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.zeros(1))
-)
-_ELLIPSOID, _BY_ELLIPSOID = kinds_with(Ellipsoid(_INPUTS, np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
-
-
-@kernel_jit
-def _components_at(address: int) -> float:
-    return judge_model(*load(address, _COMPONENTS))
-
-
-@short_jit
-def _admit_by_components(address: int, header: Any) -> bool:
-    return admit_by_model(header_of(header), *load(address, _BY_COMPONENTS))
-
-
-@kernel_jit
-def _ellipsoid_at(address: int) -> float:
-    return judge_model(*load(address, _ELLIPSOID))
-
-
-@short_jit
-def _admit_by_ellipsoid(address: int, header: Any) -> bool:
-    return admit_by_model(header_of(header), *load(address, _BY_ELLIPSOID))
-
-
-class ComponentScorer(ModelScorer):
-    """Scores of `Components`."""
-
-    judge_at, admit_at = staticmethod(_components_at), staticmethod(_admit_by_components)
-    kind, admission = _COMPONENTS, _BY_COMPONENTS
-
-
-class EllipsoidScorer(ModelScorer):
-    """Scores of an `Ellipsoid`."""
-
-    judge_at, admit_at = staticmethod(_ellipsoid_at), staticmethod(_admit_by_ellipsoid)
-    kind, admission = _ELLIPSOID, _BY_ELLIPSOID
 
 
 class _OutlierDetector(LibraryDetector):
@@ -137,12 +87,12 @@ class _OutlierDetector(LibraryDetector):
     package = "pyod"
 
     @classmethod
-    def tables(cls, rows: np.ndarray, slots: np.ndarray, everything: Everything, inputs: Inputs) -> Any:  # noqa: ANN401
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Any:  # noqa: ANN401
         """See `LibraryDetector.tables`."""
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(1):
-            return cls.tables_of(cls.make().fit(rows), inputs, len(everything.slots))
+            return cls.tables_of(cls.make().fit(rows), inputs, len(field_codes.slots))
 
     @classmethod
     @abstractmethod
@@ -158,7 +108,7 @@ class _OutlierDetector(LibraryDetector):
 class IsolationForestDetector(_OutlierDetector):
     """Isolation forest (Liu, Ting and Zhou, ICDM 2008): 100 trees of 256 rows."""
 
-    model_kind, scorer_type = "isolation_forest", ForestScorer
+    model_kind = "isolation_forest"
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
@@ -204,7 +154,7 @@ def single_limit(threshold: float) -> float:
 class PcaDetector(_OutlierDetector):
     """Weighted distances along the principal components (Shyu et al., ICDM Workshop 2003)."""
 
-    model_kind, scorer_type = "pca", ComponentScorer
+    model_kind = "pca"
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
@@ -225,7 +175,7 @@ class PcaDetector(_OutlierDetector):
 class MahalanobisDetector(_OutlierDetector):
     """Mahalanobis distance with the minimum covariance determinant (Rousseeuw and Van Driessen, Technometrics 1999)."""
 
-    model_kind, scorer_type = "mahalanobis", EllipsoidScorer
+    model_kind = "mahalanobis"
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401

@@ -2,17 +2,16 @@
 
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked
-from mavfi.faults.instruction.instrumented import Counting, Injecting, Locating, Profiling, Resolving
-from mavfi.faults.instruction.plan import budget_for, injection_of
+from mavfi.faults.instruction.instrumented import Profiling, Resolving
+from mavfi.faults.instruction.plan import budget_for, choose, injection_of
 from mavfi.faults.instruction.refusal import MismatchError
-from mavfi.faults.instruction.strata import Estimate, Stratum, choose, draw_stratified, estimate
 from mavfi.faults.instruction.table import Site
 from mavfi.ir.forked import Ended, ForkPoint, run_in_child
 from mavfi.ir.refusal import BuildError, RefusedError
 
 __all__ = [
-    "BuildError", "Counting", "Ended", "Estimate", "ForkPoint", "InjectedCall", "Injecting", "InstructionFault",
-    "Locating", "MismatchError", "Profiling", "RefusedError", "Resolving", "Site", "Stratum", "budget_for", "choose",
-    "count", "draw", "draw_stratified", "estimate", "histogram", "inject", "injection_of", "resolve", "run_forked",
+    "BuildError", "Ended", "ForkPoint", "InjectedCall", "InstructionFault",
+    "MismatchError", "Profiling", "RefusedError", "Resolving", "Site", "budget_for", "choose",
+    "count", "draw", "histogram", "inject", "injection_of", "resolve", "run_forked",
     "run_in_child",
 ]  # fmt: skip

@@ -1,7 +1,8 @@
-"""Instruction faults: choice of the changed bits, match of fault and function, and record of the injection."""
+"""Instruction faults: choice of instruction and bits, match of fault and function, and record of the injection."""
 
 import re
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,18 @@ _LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
 """Sign bit and lowest exponent bit."""
 
 
+def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
+    """Draw dynamic instructions of a whole flight, uniformly; returns call and index in the call, in draw order.
+
+    `counts` has the number of instructions of each call; those of several functions may be concatenated.
+    """
+    ends = np.cumsum(counts)
+    positions = random.integers(int(ends[-1]), size=n)
+    calls = np.searchsorted(ends, positions, side="right")
+    starts = ends - np.asarray(counts)
+    return [(int(call), int(position - starts[call])) for call, position in zip(calls, positions, strict=True)]
+
+
 def plan(
     random: np.random.Generator, function: str, ir_sha256: str, site: Site, index: int, model: Model = "one_bit",
     count: int = 2, **more: Any,
@@ -30,7 +43,7 @@ def plan(
 
     Args:
         random: Random stream of the fault.
-        function: Module and name.
+        function: Module and name of a user's own function; "" for one of a kernel, given by `more`.
         ir_sha256: Digest of the IR.
         site: The static instruction.
         index: Dynamic index.
@@ -76,11 +89,11 @@ def budget_for(total: int) -> int:
 
 def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
     """Raise a MismatchError if a fault was drawn for another function or other machine code."""
-    if fault.function != name_of(function):
+    if fault.function and fault.function != name_of(function):
         raise MismatchError(f"fault in {fault.function}: given to {name_of(function)}")
     if fault.ir_sha256 != variant.ir_sha256:
         raise MismatchError(
-            f"fault in {fault.function}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
+            f"fault in {fault.site}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
             "source, numba or llvmlite differ"
         )
 

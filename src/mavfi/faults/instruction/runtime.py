@@ -10,18 +10,43 @@ from enum import IntEnum
 from mavfi.faults.instruction.arena import BASE, CONSTANTS, LINE, SIZE
 from mavfi.ir.forked import HANG_EXIT, WILD_EXIT
 
-Control = IntEnum(
-    "Control",
-    "COUNTER THRESHOLD MODE TARGET BUDGET INJECTED REPORT STOP HISTOGRAM TRACE TRACE_ROOM TRACE_LENGTH "
-    "EVENTS EVENT_COUNT NEXT_EVENT EVENT_BLOCKS EVENT_OFFSETS PLANNED FRAME HEAP",
-    start=0,
-)
-"""Words of the control block `mavfi_control` (64 bits each), in order."""
-Mode = IntEnum("Mode", "INJECT PROFILE RESOLVE LOCATE", start=0)
-"""Behaviour beyond the threshold."""
+
+class Control(IntEnum):
+    """Words of the control block `mavfi_control` (64 bits each), by index."""
+
+    COUNTER = 0  # values written so far
+    THRESHOLD = 1  # counter beyond which `mavfi_slow` is called
+    MODE = 2  # a `Mode`
+    TARGET = 3  # dynamic index of the fault (INJECT)
+    BUDGET = 4  # counter beyond which an injected call is a hang (INJECT)
+    INJECTED = 5  # 1 after the injection
+    REPORT = 6  # address of the report, see `REPORT_WORDS`
+    STOP = 7  # address of `_exit`
+    HISTOGRAM = 8  # address of the execution counts of all blocks (PROFILE, LOCATE)
+    TRACE = 9  # address of the executed blocks, in order (PROFILE)
+    TRACE_ROOM = 10  # largest length of the trace
+    TRACE_LENGTH = 11  # its present length
+    EVENTS = 12  # address of the wanted dynamic indices (RESOLVE), or executions by block (LOCATE)
+    EVENT_COUNT = 13  # number of wanted dynamic indices
+    NEXT_EVENT = 14  # position of the next wanted dynamic index
+    EVENT_BLOCKS = 15  # address of their blocks (RESOLVE), or of the next wanted execution of each block (LOCATE)
+    EVENT_OFFSETS = 16  # address of their offsets in these (RESOLVE), or of the indices where these start (LOCATE)
+    PLANNED = 17  # 1 if the call uses planned memory, see `arena`
+    FRAME = 18  # first free address for stack frames
+    HEAP = 19  # first free address for arrays
+
+
+class Mode(IntEnum):
+    """Behaviour beyond the threshold."""
+
+    INJECT = 0  # change one value, then check budget and memory accesses
+    PROFILE = 1  # count the executions of each block, and note their order
+    RESOLVE = 2  # find block and offset of dynamic indices
+    LOCATE = 3  # find the dynamic indices at which executions of blocks start
 
 
 WORDS = 32
+"""Size of the control block."""
 NEVER = 2**63 - 1
 """A threshold or index that is never reached."""
 MASK_BYTES = 512

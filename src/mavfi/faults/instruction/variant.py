@@ -41,14 +41,13 @@ class Report:
 
 
 class Passes:
-    """Wanted block executions: the k-th execution of a block, in one call or over several.
+    """Wanted block executions: the k-th execution of a block in a call.
 
     Attributes:
         passed: Executions of each block so far. Shape (blocks,).
         wanted: Wanted executions of each block in order, each list terminated by -1. Shape (m,).
         cursors: Index in `wanted` of the next wanted execution of each block. Shape (blocks,).
-        starts: Dynamic index, in its call, at which a wanted execution starts; -1 = not reached. Shape (m,).
-        calls: Its call, from 0; -1 = not reached. Shape (m,).
+        starts: Dynamic index at which a wanted execution starts; -1 = not reached. Shape (m,).
     """
 
     def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
@@ -64,19 +63,11 @@ class Passes:
             self._places.update({(block, number): len(passes) + i for i, number in enumerate(numbers)})
             passes += [*numbers, -1]
         self.wanted = np.array(passes, np.int64)
-        self.starts, self.calls = (np.full(len(passes), -1, np.int64) for _ in range(2))
-
-    def close_call(self, call: int) -> None:
-        """Assign `call` to the executions located since the last assignment."""
-        self.calls[(self.starts >= 0) & (self.calls < 0)] = call
+        self.starts = np.full(len(passes), -1, np.int64)
 
     def start(self, block: int, number: int) -> int:
         """Dynamic index at which a wanted execution starts; -1 = not reached."""
         return int(self.starts[self._places[block, number]])
-
-    def call(self, block: int, number: int) -> int:
-        """Call of a wanted execution; -1 = not reached."""
-        return int(self.calls[self._places[block, number]])
 
 
 class Variant:

@@ -29,14 +29,14 @@ class Instant:
 class Checkpoint:
     """An instant of a flight (None = its end) from which this or another flight can continue.
 
-    It holds the numbers of rows, events and publications (`shown`), the alarms with their outcomes so far, counts (see
-    `Record.counts`), a copy of the injector tap, and the memory of detector (see `Watched`) and recovery.
+    It holds the numbers of rows, events and publications, the alarms with their outcomes so far, counts (see
+    `Record.counts`), a copy of the injector tap, and the memory of detector (see `DetectorKeeper`) and recovery.
     """
 
     instant: Instant | None
     rows: int
     events: int
-    shown: int
+    publications: int
     alarms: tuple[AlarmRecord, ...]
     counts: tuple[int, ...]
     injector: CounterWatch | StateInjector
@@ -49,10 +49,10 @@ class Checkpoint:
         return self.instant
 
 
-class Watched:
-    """A detector (`content`) that implements `memory()` and `restore()`."""
+class DetectorKeeper:
+    """Saves and restores a detector, `content`."""
 
-    def __init__(self, detector: Any) -> None:  # noqa: ANN401
+    def __init__(self, detector: Detector) -> None:
         self.content = detector
 
     def save(self) -> Any:  # noqa: ANN401
@@ -68,17 +68,39 @@ class Watched:
         return bool(self.content.memory() == saved)
 
 
-def keeper_of(detector: Detector | None) -> Watched | Foreign[Any]:
-    """Adapter that saves a detector's memory; a detector without `memory` and `restore` is copied whole."""
-    explicit = all(callable(getattr(detector, name, None)) for name in ("memory", "restore"))
-    return Watched(detector) if explicit else Foreign(detector)
+def can_save_detector(detector: Detector | None) -> bool:
+    """Whether checkpoints can contain a detector: not if it has attributes that cannot be copied."""
+    if detector is None:
+        return True
+    detector.start()
+    try:
+        detector.memory()
+    except Exception:  # noqa: BLE001 - any exception of a user's object
+        return False
+    return True
+
+
+def can_save_kernels(loop: Loop) -> bool:
+    """Whether checkpoints can contain all kernels: a user's own planner and map are copied whole."""
+    keepers = [keeper for kernel in _kernels(loop).values() for keeper in kernel.keepers]
+    return all(_can_copy(keeper) for keeper in keepers if isinstance(keeper, Foreign))
+
+
+def _can_copy(keeper: Foreign[Any]) -> bool:
+    try:
+        keeper.save()
+    except Exception:  # noqa: BLE001 - any exception of a user's object
+        return False
+    return True
 
 
 def take(loop: Loop, *, scratch: bool = False) -> Instant:
     """The current instant of a loop; `scratch`: with the work arrays of all kernels, which must be known."""
     _settle(loop)
     kernels = {name: kernel.save() for name, kernel in _kernels(loop).items()}
-    arrays = {name: tuple(one.save() for one in own) for name, own in _scratch(loop).items()} if scratch else None
+    arrays = None
+    if scratch:
+        arrays = {name: tuple(array.save() for array in arrays) for name, arrays in _scratch(loop).items()}
     return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels, arrays)
 
 
@@ -89,8 +111,8 @@ def put(loop: Loop, instant: Instant) -> None:
     for name, kernel in _kernels(loop).items():
         kernel.restore(instant.kernels[name])
     for name, saved in (instant.scratch or {}).items():
-        for own, content in zip(_scratch(loop)[name], saved, strict=True):
-            own.restore(content)
+        for array, content in zip(_scratch(loop)[name], saved, strict=True):
+            array.restore(content)
 
 
 def has_scratch(loop: Loop) -> bool:
@@ -100,9 +122,10 @@ def has_scratch(loop: Loop) -> bool:
 
 def fill(loop: Loop, kernels: Collection[str]) -> None:
     """After `put`: write the contents of the work arrays of some kernels, as well: those that faults will be in."""
-    for name, own in _scratch(loop).items():
-        for one in own if name in kernels else ():
-            one.fill()
+    scratch = _scratch(loop)
+    for name in kernels:
+        for array in scratch.get(name, ()):
+            array.fill()
 
 
 def is_at(loop: Loop, instant: Instant) -> bool:
@@ -131,7 +154,7 @@ def _settle(loop: Loop) -> None:
     request keeps its mark.
     """
     waiting = sorted(loop.queue, key=lambda entry: entry[:2])
-    loop.queue = [(time, place, action, given) for place, (time, _, action, given) in enumerate(waiting)]
+    loop.queue = [(time, number, action, details) for number, (time, _, action, details) in enumerate(waiting)]
     loop.order = len(loop.queue)
     for kernel in loop.kernels.values():
         if kernel.stage is Stage.PLANNING and kernel.name not in (*loop.busy, *loop.requests):

@@ -39,7 +39,7 @@ def fly(  # noqa: PLR0913 - each is independent
         recovery: The recovery policy for its alarms.
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
-        functions: Functions that kernels and recovery call: compiled or instrumented.
+        functions: Functions that kernels call: compiled or instrumented.
         observers: Called with the loop before the flight, see `hosts.loop.observe`.
         make_plant: Constructs the vehicle in its world.
 

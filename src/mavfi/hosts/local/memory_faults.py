@@ -1,6 +1,6 @@
 """Injection of faults into persistent memory, as the first action of the loop at the fault's instant.
 
-Targets are kernels and, in flights with a detector, the detector and recovery.  A kernel or detector that subsequently
+Targets are kernels and, in flights with a detector, the detector.  A kernel or detector that subsequently
 raises an exception terminates its node, under the mission's policy for dead nodes.
 """
 
@@ -11,16 +11,14 @@ from weakref import proxy
 import numpy as np
 
 from mavfi.detectors.detector import Detector, part_of
-from mavfi.detectors.replicas import INJECTED
 from mavfi.errors import BadInputError, machine_failure
 from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
-from mavfi.mission import FROM_MEMORY
 from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.words import change, words_of
-from mavfi.states import DETECTORS, RECOVERY, WATCHING, State
+from mavfi.states import DETECTORS, WATCHING, State
 
 _ACTION = "memory_fault"
 _RESTART_US = round(1e6 * RESTART_S)
@@ -49,10 +47,8 @@ def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Reme
     """
     if target not in WATCHING:
         return None if target in loop.down else cast("Remembers | None", loop.kernels.get(target))
-    if target == RECOVERY:
-        return cast("Remembers | None", loop.taps.detector)  # `Watch`
     part = None if loop.taps.detector is None else part_of(detector, target)
-    return None if part is None or INJECTED in getattr(detector, "dead", ()) else DetectorMemory(part)
+    return None if part is None else DetectorMemory(part)
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:
@@ -79,9 +75,7 @@ class MemoryInjector:
 
     def __init__(self, loop: Loop, fault: MemoryFault, detector: Detector | None = None) -> None:
         self._loop, self._fault, self._detector = proxy(loop), fault, detector  # the loop owns this object
-        policy = loop.scenario.dead_node
-        # not from memory: it is corrupted
-        self._restarts = Restarts(loop, "fresh" if policy in FROM_MEMORY else policy)
+        self._restarts = Restarts(loop, loop.scenario.dead_node)
         self._injection: Injection | None = None
         self.effect: KernelEffect | None = None
         if fault.has_site:
@@ -109,14 +103,10 @@ class MemoryInjector:
     def _guard(self) -> None:
         """Make exceptions of a kernel or detector terminate its node instead of the flight."""
         target = self._fault.kernel
-        if target == RECOVERY:
-            return  # bounded operations on numbers
         part: Any = part_of(self._detector, target) if target in DETECTORS else self._loop.kernels[target]
         for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
             if hasattr(part, name):
                 setattr(part, name, self._guarded(getattr(part, name), answer))
-        if hasattr(part, "step_by_step"):
-            part.step_by_step(True)
 
     def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -145,8 +135,6 @@ class MemoryInjector:
         if part is not None:
             for name in _CHECKS:
                 vars(part).pop(name, None)
-            if hasattr(part, "step_by_step"):
-                part.step_by_step(False)
 
     @property
     def injections(self) -> list[Injection]:

@@ -1,33 +1,48 @@
-"""In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full."""
+"""In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full.
+
+What is fast-forwarded is decided before a flight, by what can be saved in a checkpoint: the plant (the simulator, with
+a flight controller that is `rewindable`), the kernels, and the detector.  Faults in states start from checkpoints, and
+so do faults in instructions of kernels if the work arrays of these can be saved, too.
+"""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from typing import Any
 
+import numpy as np
+
+from mavfi.detectors.custom import is_custom
+from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.instruction import Resolving
-from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.local.branch import takes_part
-from mavfi.hosts.local.fast_forward import FastForward
+from mavfi.hosts.local.checkpoints import can_save_detector
+from mavfi.hosts.local.fast_forward import FastForward, FlownArm, takes_part
 from mavfi.hosts.local.flight import LocalFault, fly
-from mavfi.hosts.local.forks import InjectedRuns, WatchedArm, fly_from_checkpoints
+from mavfi.hosts.local.forks import InjectedRuns, fly_from_checkpoints, fly_instruction_faults
+from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.golden_prefix import check_prefix, fly_until
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.sim.controller import is_rewindable
 from mavfi.sim.simulator import Simulator
-from mavfi.states import GUARDS
-
-Found = TypeVar("Found")
+from mavfi.states import DETECTORS
 
 
 class LocalHost:
     """The deterministic in-process host.
 
     Args:
-        make_plant: Constructs the vehicle in its world; with another one than the simulator there is no fast-forward,
-            and faults in instructions, whose runs are forked, are refused.
+        make_plant: Constructs another vehicle in its world than the simulator.
+
+    Attributes:
+        make_plant: Constructs the vehicle in its world.
+        supports_fast_forward: Whether the vehicle can be saved, restored and forked.  If not, all flights start from
+            take-off, and faults in instructions, whose runs are forked, are refused.
     """
 
     name = "local"
@@ -36,8 +51,9 @@ class LocalHost:
     flies = True
     in_process = True
 
-    def __init__(self, make_plant: MakePlant = Simulator) -> None:
-        self._make_plant = make_plant
+    def __init__(self, make_plant: MakePlant | None = None) -> None:
+        self.make_plant: MakePlant = Simulator if make_plant is None else make_plant
+        self.supports_fast_forward = make_plant is None
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`."""
@@ -48,148 +64,61 @@ class LocalHost:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
-        return LocalFlights(self, arms, fast_forward, self._make_plant)
+        return LocalFlights(self, arms, fast_forward=fast_forward)
+
+
+@dataclass(frozen=True, slots=True)
+class _InstructionRun:
+    """A run with a fault in an instruction; `number` is its index among the requested runs."""
+
+    number: int
+    fault: InstructionFault
 
 
 class LocalFlights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def __init__(
-        self, host: LocalHost, arms: Mapping[str, ArmSetup], fast_forward: bool, make_plant: MakePlant
-    ) -> None:
+    def __init__(self, host: LocalHost, arms: Mapping[str, ArmSetup], *, fast_forward: bool) -> None:
         super().__init__(host, arms)
-        self._simulated, self._make_plant = make_plant is Simulator, make_plant
-        self._fast = fast_forward and self._simulated
-        self._forward: dict[str, FastForward] = {}
-        self._watched, self._scratch = True, False
+        self._local_host = host
+        self._fast_forward = fast_forward and host.supports_fast_forward
+        self._forwards: dict[str, FastForward] = {}  # by key of the scenario
+        self._can_save_detector: dict[str, bool] = {}  # by arm
+        self._has_watched_runs = True
+        self._expects_instruction_faults = False
 
-    def know(self, arm: str, flight: Flight) -> None:
-        """See `MissionFlights.know`: faults in instructions follow."""
-        super().know(arm, flight)
-        self._scratch = True
+    @contextmanager
+    def _forwarding(self, arm: str) -> Iterator[FastForward | None]:
+        """The fast-forward of an arm's mission; None = flights of this arm start from take-off.
 
-    def counted(self, arm: str, functions: Mapping[str, Callable[..., Any]]) -> FlightLog | None:
-        """The golden flight of an arm without a detector, with instrumented functions of its kernels, by name.
-
-        It takes the checkpoints; None if there are none, or if they have been taken already.
+        It is shared by all arms of the same scenario, and discarded after an exception, which may have ended a flight
+        half-way.
         """
-        setup = self._arms[arm]
-        key = setup.scenario.key()
-        if setup.make_detector is not None or setup.scenario.protection is not None or key in self._forward:
-            return None
-        self._scratch = True
-
-        def fly_first(forward: FastForward, name: str) -> FlightLog:
-            with forward.instrumented(functions):
-                return forward.golden(None, name).log
-
-        return self._forwarded(arm, fly_first)
-
-    def resolve(self, arm: str, functions: Mapping[str, Resolving]) -> bool:
-        """Resolve instructions of calls in a flight that was `counted`; whether that was possible."""
-
-        def visit(forward: FastForward, name: str) -> bool:
-            del name
-            forward.resolve(functions)
-            return True
-
-        return self._forwarded(arm, visit) is True
-
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
-        """See `MissionFlights.injected`: faults in instructions come last, by arm, those of kernels before others."""
-        self._watched = any(self._arms[arm].make_detector is not None for arm, _ in runs)
-        batches: dict[tuple[bool, str], list[tuple[int, InstructionFault]]] = {}
-        others = []
-        for place, (arm, fault) in enumerate(runs):
-            if isinstance(fault, InstructionFault):
-                batches.setdefault((fault.kernel in GUARDS, arm), []).append((place, fault))
-            else:
-                others.append(place)
-        for number, flight in one_by_one([runs[place] for place in others], self._fly_injected):
-            yield others[number], flight
-        known: dict[tuple[str, InstructionFault], Flight] = {}
-        arms = {arm for _, arm in batches}
-        for (_, arm), batch in sorted(batches.items(), key=lambda item: item[0][0]):
-            for place, fault in batch:
-                if (arm, fault) in known:
-                    yield place, known[arm, fault]
-            yield from self._instructions(arm, [one for one in batch if (arm, one[1]) not in known], arms, known)
-
-    def _instructions(
-        self, arm: str, batch: Sequence[tuple[int, InstructionFault]], arms: Collection[str],
-        known: dict[tuple[str, InstructionFault], Flight],
-    ) -> Iterator[tuple[int, Flight | Exception]]:  # fmt: skip
-        """Flights of a batch with faults in instructions; those of the other arms that follow from them get `known`."""
-        if not batch:
+        scenario = self._arms[arm].scenario
+        if not (self._fast_forward and is_rewindable(scenario.flight_controller)):
+            yield None
             return
-        faults = [fault for _, fault in batch]
-        try:
-            found = self._from_checkpoints(arm, faults, arms) or InjectedRuns(self._from_take_off(arm, faults), {})
-        except Exception as error:  # noqa: BLE001 - raised by one of the runs; each is retried separately
-            if len(batch) == 1:
-                yield batch[0][0], error
-                return
-            for one in batch:
-                yield from self._instructions(arm, [one], arms, known)
+        key = scenario.key()
+        if key not in self._forwards:
+            self._forwards[key] = FastForward(scenario, scratch=self._expects_instruction_faults)
+        forward = self._forwards[key]
+        if not (forward.supported and self._saves_detector(arm)):
+            yield None
             return
-        known.update(
-            ((other, faults[place]), flight) for other, own in found.watched.items() for place, flight in own.items()
-        )
-        yield from ((place, flight) for (place, _), flight in zip(batch, found.flights, strict=True))
-
-    def _from_take_off(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
-        setup = self._arms[arm]
-        if not self._simulated:
-            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
-        return fly_instruction_faults(
-            setup.scenario, faults, self._detector(arm), self._golden.get(arm), setup.recovery
-        ).flights  # fmt: skip
-
-    def _from_checkpoints(
-        self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
-    ) -> InjectedRuns | None:  # fmt: skip
-        """As `_from_take_off`, fast-forwarded; None if that is not possible."""
-        golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
-        if golden is None or takes_part(detector, recovery) or any(fault.kernel in GUARDS for fault in faults):
-            return None
-        followers = [other for other in arms if detector is None and self._follows(other, arm)]
-        watched = {other: self._watched_arm(other) for other in followers}
-
-        def fly_all(forward: FastForward, name: str) -> InjectedRuns | None:
-            if not forward.scratch:
-                return None
-            return fly_from_checkpoints(forward, faults, golden, detector, name, recovery, watched)
-
-        return self._forwarded(arm, fly_all)
-
-    def _follows(self, arm: str, plain: str) -> bool:
-        """Whether an arm differs from one without a detector by a detector alone, and can be fast-forwarded."""
-        setup, detector = self._arms[arm], self._detector(arm)
-        same = setup.scenario.key() == self._arms[plain].scenario.key()
-        return same and detector is not None and arm in self._golden and not takes_part(detector, setup.recovery)
-
-    def _watched_arm(self, arm: str) -> WatchedArm:
-        detector = self._detector(arm)
-        assert detector is not None  # as `_follows` requires
-        return WatchedArm(detector, self._arms[arm].recovery, self._golden[arm])
-
-    def _forwarded(self, arm: str, fly: Callable[[FastForward, str], Found]) -> Found | None:
-        """Result of `fly`, called with the fast-forward of an arm and the arm's name there; None if not possible."""
-        setup, detector = self._arms[arm], self._detector(arm)
-        if not self._fast:
-            return None
-        key = setup.scenario.key()
+        forward.watched = self._has_watched_runs
         try:
-            forward = self._forward.get(key)
-            forward = forward or FastForward(setup.scenario, scratch=self._scratch)
-            forward.watched = self._watched
-            found = fly(forward, arm if detector is not None else "")
-        except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
-            self._forward.pop(key, None)
-            return None
-        self._forward[key] = forward
-        return found
+            yield forward
+        except BaseException:
+            self._forwards.pop(key, None)
+            raise
 
+    def _saves_detector(self, arm: str) -> bool:
+        """Whether checkpoints can contain the detector of an arm."""
+        if arm not in self._can_save_detector:
+            self._can_save_detector[arm] = can_save_detector(self._detector(arm))
+        return self._can_save_detector[arm]
+
+    # ---- golden flights, and faults in states, memory, sensors and motors -------------------------------------------
     def _fly(self, arm: str, fault: LocalFault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
 
@@ -197,16 +126,157 @@ class LocalFlights(ArmFlights):
         checkpoints do not contain; and golden flights whose checkpoints nothing would start from.
         """
         setup, detector = self._arms[arm], self._detector(arm)
-        found = None
-        unused = self._scratch and takes_part(detector, setup.recovery)  # faults in instructions follow, from take-off
-        if (fault is None and not unused) or (isinstance(fault, StateFault) and fault.bit is not None):
-            found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
-        return found or fly(
+        if fault is None:
+            # Faults in instructions follow, from take-off if the detector takes part.
+            may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
+        else:
+            may_forward = isinstance(fault, StateFault) and fault.bit is not None
+        if may_forward and isinstance(fault, StateFault | None):
+            with self._forwarding(arm) as forward:
+                if forward is not None:
+                    return forward.fly(fault, detector, _name_of(arm, detector), setup.recovery)
+        return fly(
             setup.scenario,
             fault,
             detector,
             recovery=setup.recovery,
             profile=profile,
-            make_plant=self._make_plant,
+            make_plant=self._local_host.make_plant,
             observers=setup.observers,
         )
+
+    # ---- counting and resolving of instructions ---------------------------------------------------------------------
+    def count_instructions(self, arm: str, functions: Mapping[str, Callable[..., Any]]) -> Flight:
+        """Fly the golden flight of an arm with instrumented functions of its kernels and detector, by name.
+
+        Without a detector or protection it takes the checkpoints, unless they have been taken already.
+        """
+        setup, detector = self._arms[arm], self._detector(arm)
+        self._expects_instruction_faults = True
+        takes_checkpoints = (
+            detector is None and setup.scenario.protection is None and setup.scenario.key() not in self._forwards
+        )
+        if takes_checkpoints:
+            with self._forwarding(arm) as forward:
+                if forward is not None:
+                    with forward.instrumented(functions):
+                        self._golden[arm] = Flight(forward.fly().log)
+                    return self._golden[arm]
+        with _instrumented(detector, functions) as table:
+            self._golden[arm] = fly(setup.scenario, None, detector, recovery=setup.recovery, functions=table)
+        return self._golden[arm]
+
+    def resolve_instructions(self, arm: str, functions: Mapping[str, Resolving]) -> None:
+        """Repeat as much of a golden flight that was counted as is needed to resolve instructions of its calls.
+
+        Raises:
+            MavfiError: Two golden flights differ.
+        """
+        setup, detector = self._arms[arm], self._detector(arm)
+        if detector is None and setup.scenario.protection is None:
+            with self._forwarding(arm) as forward:
+                if forward is not None:
+                    forward.resolve(functions)
+                    return
+        with _instrumented(detector, functions) as table, np.errstate(all="ignore"):
+            loop = new_loop(setup.scenario, functions=table)
+            watch(loop, detector, setup.recovery)
+            fly_until(loop, lambda: all(function.done for function in functions.values()))
+        check_prefix(loop, self._golden[arm].log)
+
+    # ---- injected runs ----------------------------------------------------------------------------------------------
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
+        """See `MissionFlights.injected`: faults in instructions come last, by arm, those of kernels before others."""
+        self._has_watched_runs = any(self._arms[arm].make_detector is not None for arm, _ in runs)
+        in_kernels: dict[str, list[_InstructionRun]] = {}
+        in_detectors: dict[str, list[_InstructionRun]] = {}
+        others = []
+        for number, (arm, fault) in enumerate(runs):
+            if not isinstance(fault, InstructionFault):
+                others.append(number)
+            elif fault.kernel in DETECTORS:
+                in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
+            else:
+                in_kernels.setdefault(arm, []).append(_InstructionRun(number, fault))
+        for place, flight in one_by_one([runs[number] for number in others], self._fly_injected):
+            yield others[place], flight
+
+        # Arms without a detector are flown first: runs of arms with one may follow from theirs.
+        known: dict[tuple[str, InstructionFault], Flight] = {}
+        for arm, batch in (*in_kernels.items(), *in_detectors.items()):
+            yield from ((run.number, known[arm, run.fault]) for run in batch if (arm, run.fault) in known)
+            unknown = [run for run in batch if (arm, run.fault) not in known]
+            yield from self._fly_batch(arm, unknown, in_kernels.keys() | in_detectors.keys(), known)
+
+    def _fly_batch(
+        self, arm: str, batch: Sequence[_InstructionRun], arms: Collection[str],
+        known: dict[tuple[str, InstructionFault], Flight],
+    ) -> Iterator[tuple[int, Flight | Exception]]:  # fmt: skip
+        """Flights of a batch with faults in instructions; those of other arms that follow from them become `known`."""
+        if not batch:
+            return
+        faults = [run.fault for run in batch]
+        try:
+            injected = self._fly_instruction_faults(arm, faults, arms)
+        except Exception as error:  # noqa: BLE001 - ends only the run that raised it
+            if len(batch) == 1:
+                yield batch[0].number, error
+                return
+            for run in batch:
+                yield from self._fly_batch(arm, [run], arms, known)
+            return
+        for other_arm, flights in injected.watched.items():
+            known.update({(other_arm, faults[place]): flight for place, flight in flights.items()})
+        yield from ((run.number, flight) for run, flight in zip(batch, injected.flights, strict=True))
+
+    def _fly_instruction_faults(
+        self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
+    ) -> InjectedRuns:
+        setup, detector, golden = self._arms[arm], self._detector(arm), self._golden.get(arm)
+        if not self._local_host.supports_fast_forward:
+            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
+        in_detector = any(fault.kernel in DETECTORS for fault in faults)
+        if golden is not None and not in_detector and not takes_part(detector, setup.recovery):
+            with self._forwarding(arm) as forward:
+                if forward is not None and forward.scratch:
+                    flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
+                    return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
+        flights = fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery).flights
+        return InjectedRuns(flights, {})
+
+    def _watched_arms(self, plain: str, arms: Collection[str]) -> list[FlownArm]:
+        """Arms that differ from one without a detector by a detector alone, and can be fast-forwarded.
+
+        A custom detector is not called in the other arm's flights: it could end these.
+        """
+        watched: list[FlownArm] = []
+        if self._detector(plain) is not None:
+            return watched
+        for arm in arms:
+            setup, detector = self._arms[arm], self._detector(arm)
+            if detector is None or arm not in self._golden or takes_part(detector, setup.recovery):
+                continue
+            if is_custom(detector):
+                continue
+            if setup.scenario.key() == self._arms[plain].scenario.key() and self._saves_detector(arm):
+                watched.append(FlownArm(arm, detector, setup.recovery))
+        return watched
+
+
+def _name_of(arm: str, detector: Detector | None) -> str:
+    """Name of an arm in a `FastForward`: without a detector, flights of all arms of a scenario are the same."""
+    return "" if detector is None else arm
+
+
+@contextmanager
+def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> Iterator[KernelFunctions]:
+    """Function table of the kernels with instrumented functions; the detector uses those of its own meanwhile."""
+    parts = [part for part in (part_of(detector, source) for source in DETECTORS) if part is not None]
+    for part in parts:
+        part.instrument({name: function for name, function in functions.items() if name in part.compiled})
+    of_kernels = {field.name for field in fields(KernelFunctions)}
+    try:
+        yield PLAIN.instrumented(tuple(of_kernels.intersection(functions)), lambda name, _: functions[name])
+    finally:
+        for part in parts:
+            part.instrument({})

@@ -4,9 +4,9 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction import fly_with_publications
-from mavfi.hosts.instruction.case import Published
+from mavfi.hosts.local.case import Published
 from mavfi.hosts.local.flight import LocalFault, fly
+from mavfi.hosts.local.forks import fly_with_publications
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.states import State

@@ -8,7 +8,7 @@ from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.loop.duplicate import Duplicates
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.loop.recovery import Watch
+from mavfi.hosts.loop.recovery import DetectorTap
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import Scenario
@@ -30,7 +30,7 @@ def new_loop(
     Args:
         scenario: The mission.
         profile: Whether to record the publication times of each state.
-        functions: Functions that kernels and recovery call: compiled or instrumented.
+        functions: Functions that kernels call: compiled or instrumented.
         rewindable: Whether the flight can be restored to earlier instants (`hosts.local.checkpoints`): maps keep an
             undo log, and kernels are marked even without a detector.
         make_plant: Constructs the plant.
@@ -43,7 +43,7 @@ def new_loop(
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
     make = partial(make_kernels, config)
-    return Loop(scenario, world, plant, make, functions=functions, want_profile=profile, marks=rewindable)
+    return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
@@ -64,11 +64,15 @@ def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:
     return Restarts(loop, "readback") if recovery.restarts else None
 
 
-def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> Watch:
+def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> DetectorTap:
     """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
-    tap = Watch(loop, detector, recovery, **({} if restarts is None else {"restart": restarts.die}))
-    loop.taps.detector, loop.taps.watched = tap, tap.states
-    loop.taps.seal, loop.taps.again = tap.seal if tap.seals else None, tap.lost if recovery.resends else None
-    duplicates = getattr(detector, "duplicates", ())
-    loop.verify = Duplicates(loop, duplicates) if duplicates else None
+    if restarts is None:
+        tap = DetectorTap(loop, detector, recovery)
+    else:
+        tap = DetectorTap(loop, detector, recovery, restarts.die)
+    loop.taps.detector = tap
+    loop.taps.watched = tap.states
+    loop.taps.seal = tap.seal if tap.seals else None
+    loop.taps.again = tap.lost if recovery.resends else None
+    loop.verify = Duplicates(loop, detector.duplicates) if detector.duplicates else None
     return tap

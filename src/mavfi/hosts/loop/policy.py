@@ -4,12 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mavfi.errors import BadInputError
-from mavfi.hosts.loop.degraded import Degraded
 from mavfi.mission import RECOVERY, MissionSpec
-
-Coupling = Literal["inline", "observer"]
-Grain = Literal["stage", "kernel", "message"]
-SameTwice = Literal["accept", "escalate", "limit"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,22 +21,20 @@ class Recovery:
         answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
             0 = none.
         degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
-            continues the mission, all others give it up, see `degraded.Setpoints`.
-        copies: Number of copies of the detector that vote on an alarm, see `detectors.replicas`.
+            continues the mission, `hold` gives it up, see `degraded.HoldPosition`.
 
     Raises:
         BadInputError: A degraded mode with coupling `observer`, which cannot withhold commands.
     """
 
-    coupling: Coupling = "inline"
-    grain: Grain = "stage"
-    same_twice: SameTwice = "accept"
+    coupling: Literal["inline", "observer"] = "inline"
+    grain: Literal["stage", "kernel", "message"] = "stage"
+    same_twice: Literal["accept", "escalate", "limit"] = "accept"
     answer_s: float = 0.0
-    degraded: Degraded = "none"
-    copies: int = 1
+    degraded: Literal["none", "hold"] = "none"
 
     def __post_init__(self) -> None:
-        if self.degraded != "none" and self.coupling != "inline":
+        if self.degrades and not self.gates:
             raise BadInputError(f"degraded: {self.degraded}: withholds commands; allowed: with coupling inline")
 
     @staticmethod
@@ -50,9 +43,14 @@ class Recovery:
         return Recovery(*(getattr(spec, key) for key in RECOVERY))
 
     @property
+    def gates(self) -> bool:
+        """Whether the detector is a gate, which can withhold a value."""
+        return self.coupling == "inline"
+
+    @property
     def escalates(self) -> bool:
         """Whether a rule violated twice restarts a node; not with an observer, as its values are consumed first."""
-        return self.same_twice == "escalate" and self.coupling == "inline"
+        return self.same_twice == "escalate" and self.gates
 
     @property
     def restarts(self) -> bool:
@@ -67,7 +65,7 @@ class Recovery:
     @property
     def confirms(self) -> bool:
         """Whether another value after an alarm confirms it; an observer's next value differs in any case."""
-        return not self.limits or self.coupling == "inline"
+        return not self.limits or self.gates
 
     @property
     def resends(self) -> bool:
@@ -75,9 +73,14 @@ class Recovery:
         return self.grain == "message"
 
     @property
+    def degrades(self) -> bool:
+        """Whether there is a degraded mode."""
+        return self.degraded != "none"
+
+    @property
     def remembers(self) -> bool:
-        """Whether it depends on more than its own earlier alarms, on which a limit depends, see `Remembered`."""
-        return self.restarts or self.degraded != "none"
+        """Whether it depends on more than its own earlier alarms, on which a limit depends, see `decide.History`."""
+        return self.restarts or self.degrades
 
 
 INLINE = Recovery()

@@ -15,14 +15,13 @@ import numpy as np
 
 from mavfi.flight_log import FlightLog, Injection
 from mavfi.hosts.host import Flight
-from mavfi.hosts.loop.decision import SCANNING, Action, Awaited
+from mavfi.hosts.loop.decide import SCANNING, Action, Awaited, Response
 from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.loop.record import Publications, Record
 from mavfi.hosts.loop.sensing import SensorMemory, Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario
-from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
 from mavfi.platforms.compute import latency, redo_latency, stage_latency
@@ -87,9 +86,9 @@ class Loop:
 
     def __init__(
         self, scenario: Scenario, world: World, plant: Plant, make_kernels: Callable[[], dict[str, Kernel]], *,
-        functions: KernelFunctions = PLAIN, want_profile: bool = False, marks: bool = False,
+        want_profile: bool = False, marks: bool = False,
     ) -> None:  # fmt: skip
-        self.scenario, self.world, self.plant, self.functions = scenario, world, plant, functions
+        self.scenario, self.world, self.plant = scenario, world, plant
         self.marks = marks
         self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
         self.kernels = make_kernels()
@@ -212,7 +211,7 @@ class Loop:
         """
         request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # perception: `capture`
         if request is not None:
-            if request.kind != "recompute":
+            if request.kind is not Response.RECOMPUTE:
                 kernel.mark()  # the request replaces the step of this period
             self.recompute(request, now)
             return
@@ -312,8 +311,11 @@ class Loop:
         """Restore memory and repeat the step, or request another way-point; charges the latency again."""
         kernel: Any = self.kernels[action.kernel]
         cost = self.charge(action)
-        if action.kind != "recompute":
-            self.finish(kernel, kernel.stop() if action.kind == "stop" else kernel.abandon(now), now, cost)
+        if action.kind is Response.STOP:
+            self.finish(kernel, kernel.stop(), now, cost)
+            return
+        if action.kind is Response.ABANDON:
+            self.finish(kernel, kernel.abandon(now), now, cost)
             return
         if action.alone:
             repeat(kernel)

@@ -3,7 +3,6 @@
 `run_trial` runs this module as a process in a private network; no process of a trial outlives it.
 """
 
-import ctypes
 import hashlib
 import json
 import os
@@ -28,10 +27,9 @@ from mavfi.flight_logs.probe import LONGEST_LIST
 from mavfi.hosts.node.bench import Bench, Drive
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.hosts.ros1.folder import own_path
-from mavfi.hosts.ros1.supervisor import end_all, loopback_up, private_network
+from mavfi.hosts.ros1.supervisor import adopt_orphans, end_all, end_with_parent, loopback_up, private_network
 from mavfi.outcomes import Effect
 
-_PARENT_DIED, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _LONGEST_S = 300.0
 _PACE_S = 0.005
 """Pause between two rounds of inputs while the injection is prepared, as the tracer needs processor time (s)."""
@@ -196,9 +194,8 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
 
 def main() -> None:
     """Read the trial's specification from stdin, and write its result to stdout."""
-    libc = ctypes.CDLL(None)
-    libc.prctl(_PARENT_DIED, signal.SIGTERM)
-    libc.prctl(_SUBREAPER, 1)
+    end_with_parent(signal.SIGTERM)
+    adopt_orphans()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     loopback_up()
     order = json.load(sys.stdin)

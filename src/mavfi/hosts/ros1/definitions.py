@@ -5,57 +5,60 @@ instant, the sequence `number` of the publication, then the fields of the state 
 Element fields are arrays of the same name; a header field whose name is also an element field becomes `header_<name>`.
 """
 
+from enum import IntEnum
+
 from mavfi.states import STATES, StateSpec
 
 PACKAGE = "mavfi_msgs"
 _TYPES = {"f8": "float64", "f4": "float32", "i4": "int32", "?": "bool"}
 
+
+class Action(IntEnum):
+    """What the world asks of a node, one `mavfi_msgs/Operation` each."""
+
+    RECEIVE = 0  # the kernel receives the publication `number`
+    STEP = 1  # the kernel computes; its results get the numbers from `number` on
+    PUBLISH = 2  # the result `number` is published
+    MARK = 3  # the kernel marks its memory
+    ROLLBACK = 4  # the kernel's memory becomes that of the last mark
+    STOP = 5  # the setpoint generator abandons its trajectory
+    ABANDON = 6  # the setpoint generator skips a way-point
+    AGAIN = 7  # the kernel prepares to repeat its last step
+    GIVE = 8  # the publication `number` is `value`: one of before the node's restart
+    RESUME = 9  # the kernel continues from what was given
+    RESET = 10  # the node's kernels are constructed anew
+    CHECK = 11  # the detector checks the publication `number`
+    ACCEPT = 12  # the detector records the publication `number`
+
+
 SERVICES = {
-    "Drive": """# Lock-step: what a node's kernels do next, and what came of the last operation.
+    "Drive": """# Lock-step: what a node does next, and what came of the last operation.
 mavfi_msgs/Operation[] operations
 ---
 bool due
 string[] states
 uint64[] numbers
-""",
-    "Recall": """# Asks a node for a value that it has published or consumed, as it was on its topic.
-string state
-uint64 number
----
-bool held
-uint8[] value
+mavfi_msgs/Alarm[] alarms
 """,
 }
 """Definition of each service of the package, by name."""
+_ACTIONS = "\n".join(f"uint8 {action.name} = {action.value}" for action in Action)
 _OTHERS = {
-    "Operation": """# One operation of one kernel; state: of the number, where that matters;
+    "Operation": f"""# One operation of a kernel or of the detector; state, value: of the number, where that matters;
 # publish_us: stamp of what is published at once, -1 = it is held.
-uint8 RECEIVE = 0
-uint8 STEP = 1
-uint8 PUBLISH = 2
-uint8 MARK = 3
-uint8 ROLLBACK = 4
-uint8 STOP = 5
-uint8 ABANDON = 6
-uint8 AGAIN = 7
-uint8 RECALL = 8
-uint8 RESUME = 9
-uint8 RESET = 10
-uint8 FORGET = 11
-uint8 BYPASS = 12
+{_ACTIONS}
 uint8 action
 string kernel
 uint64 number
 int64 time_us
 int64 publish_us
 string state
+uint8[] value
 """,
-    "Verdict": """# What a detector says of one publication.
+    "Alarm": """# A detector's alarm on one publication.
 std_msgs/Header header
 uint64 number
 string state
-bool raised
-bool withheld
 string source
 string stage
 bool abandon_waypoint
@@ -63,22 +66,6 @@ bool stop
 float64 score
 string[] fields
 bool hard
-""",
-    "Recompute": """# A detector's request: some kernels put their memory back, and one of them computes again.
-std_msgs/Header header
-string kind
-string stage
-string kernel
-string[] restores
-""",
-    "Bypass": """# Whether the gate is down: nodes in front of it publish to its consumers themselves.
-std_msgs/Header header
-bool on
-""",
-    "Injection": """# What an injector did.
-std_msgs/Header header
-string state
-string record
 """,
 }
 

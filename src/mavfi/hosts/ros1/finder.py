@@ -19,21 +19,17 @@ ROOT_VARIABLE = "MAVFI_ROS_ROOT"
 DIST_PACKAGES = Path("usr/lib/python3/dist-packages")
 WORKSPACE_MARK = Path("usr/.catkin")
 """Marker file by which catkin recognizes an installation prefix."""
-GENERATED = ("mavfi_msgs", "nav_msgs")
-"""Packages generated for each flight: `mavfi_msgs`, and one whose Debian package would install 144 MB."""
+GENERATED = "mavfi_msgs"
+"""Package generated for each flight."""
 _ROS = (
-    "rospy", "rosgraph", "rosgraph_msgs", "roslib", "rosmaster", "roslaunch", "rosnode", "rostopic", "rosparam",
-    "rosservice", "rosbag", "rosmsg", "rosclean", "roslz4", "roscpp", "genpy", "genmsg", "catkin",
-)  # fmt: skip
-_MESSAGES = (
-    "std_msgs", "std_srvs", "geometry_msgs", "sensor_msgs", "trajectory_msgs", "visualization_msgs",
-    "diagnostic_msgs", "tf2_msgs", "actionlib_msgs", "map_msgs",
+    "rospy", "rosgraph", "rosgraph_msgs", "roslib", "rosmaster", "roscpp", "genpy", "genmsg", "catkin", "std_msgs",
+    "std_srvs",
 )  # fmt: skip
 _HELPERS = ("rospkg", "catkin_pkg", "yaml", "defusedxml", "netifaces", "Cryptodome", "gnupg", "distro")
-ALLOWED = frozenset((*_ROS, *_MESSAGES, *_HELPERS))
+ALLOWED = frozenset((*_ROS, *_HELPERS))
 """Top-level names imported from Debian unless installed in this environment."""
-NEEDED_MODULES = ("rospy", "genpy", "genmsg", "std_srvs", "sensor_msgs", "trajectory_msgs", "tf2_msgs", "yaml")
-NEEDED_FILES = ("usr/bin/roslaunch", "usr/bin/rosmaster", "usr/share/nav_msgs/msg/Odometry.msg")
+NEEDED_MODULES = ("rospy", "genpy", "genmsg", "std_msgs", "std_srvs", "yaml")
+NEEDED_FILES = ("usr/bin/rosmaster", "usr/share/std_msgs/msg/Header.msg")
 _SYSTEM = Path("/")
 _LIBRARIES = ("usr/lib/x86_64-linux-gnu", "usr/lib", "lib/x86_64-linux-gnu")
 
@@ -51,7 +47,7 @@ class Finder(MetaPathFinder):
         """The spec of a listed top-level module, otherwise None."""
         if path is not None:
             return None
-        if fullname in GENERATED and self.generated is not None:
+        if fullname == GENERATED and self.generated is not None:
             return PathFinder.find_spec(fullname, [str(self.generated)])
         if fullname in ALLOWED:
             return PathFinder.find_spec(fullname, self.dist_packages)

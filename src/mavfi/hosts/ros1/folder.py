@@ -16,12 +16,10 @@ from mavfi.hosts.ros1 import finder
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 """Environment variable: folder of the flight to which a node belongs."""
-MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join", "pid"
+MESSAGES, LOG, JOIN, PID = "messages", "log", "join", "pid"
 FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
 INJECTIONS = "injections.json"
-LAUNCH_FILE, PACKAGE, EXECUTABLE = "flight.launch", "mavfi", "node"
 _PREFIX, _OWNER = "mavfi-ros-", "owner"
-_CORE = "roscore.xml"
 _PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
 _EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 
@@ -113,20 +111,12 @@ def environment(folder: Path) -> dict[str, str]:
     return {
         **os.environ, **given,
         "PYTHONPATH": os.pathsep.join(paths),
-        "ROS_PACKAGE_PATH": f"{folder}:{folder / MESSAGES}:{folder / DEFINITIONS}:{given['ROS_PACKAGE_PATH']}",
+        "ROS_PACKAGE_PATH": f"{folder / MESSAGES}:{given['ROS_PACKAGE_PATH']}",
         "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
-        "ROS_HOME": str(folder), "ROS_ETC_DIR": str(folder), "ROS_LOG_DIR": str(folder / LOG),
+        "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG),
         FOLDER_VARIABLE: str(folder),
         "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1",
     }  # fmt: skip
-
-
-def write_core(folder: Path) -> None:
-    """Write roslaunch's core file; Debian's version runs two programs to obtain these values, which takes 1 s."""
-    (folder / _CORE).write_text(
-        '<launch>\n  <param name="/rosdistro" value="Debian"/>\n'
-        '  <node pkg="rosout" type="rosout" name="rosout" respawn="true"/>\n</launch>\n'
-    )
 
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
@@ -137,6 +127,6 @@ def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
     exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)
     path = folder / JOIN
     path.write_text(
-        f'#!/bin/sh\nexec {prefix}env {exports} PATH="{finder.find_file("usr/bin/roslaunch").parent}:$PATH" "$@"\n'
+        f'#!/bin/sh\nexec {prefix}env {exports} PATH="{finder.find_file("usr/bin/rosmaster").parent}:$PATH" "$@"\n'
     )
     path.chmod(0o755)

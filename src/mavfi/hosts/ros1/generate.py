@@ -1,4 +1,4 @@
-"""Generates the Python classes of `mavfi_msgs` and `nav_msgs` with genpy, without catkin (about 50 ms)."""
+"""Generates the Python classes of `mavfi_msgs` with genpy, without catkin (about 50 ms)."""
 
 import importlib
 import io
@@ -8,70 +8,48 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.errors import MavfiError
-from mavfi.hosts.ros1 import definitions, finder
+from mavfi.hosts.ros1 import definitions
 from mavfi.hosts.ros1.finder import find_file
 from mavfi.states import STATES
 
-_SEARCHED = ("std_msgs", "geometry_msgs", "actionlib_msgs")
+_PACKAGE = (
+    f'<package format="2"><name>{definitions.PACKAGE}</name><version>1.0.0</version><description>Generated.'
+    '</description><maintainer email="mavfi@localhost">mavfi</maintainer><license>Apache-2.0</license></package>\n'
+)
+"""The `package.xml` by which ROS's own tools find the messages."""
 
 
 def generate(folder: Path) -> None:
-    """Write definitions and classes of `mavfi_msgs` and `nav_msgs`, one folder per package.
+    """Write the definitions and classes of `mavfi_msgs` to a folder.
 
     Raises:
         MavfiError: The generator fails.
     """
-    sources = folder / definitions.PACKAGE
-    for ending, texts in (("msg", definitions.messages()), ("srv", definitions.SERVICES)):
-        (sources / ending).mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (sources / ending / f"{name}.{ending}").write_text(text)
-    (sources / "package.xml").write_text(package_xml(definitions.PACKAGE))
-    search = {package: [str(find_file(f"usr/share/{package}/msg"))] for package in (*_SEARCHED, "nav_msgs")}
-    search[definitions.PACKAGE] = [str(sources / "msg")]
-    _generate(definitions.PACKAGE, sources, sources, search)
-    _generate("nav_msgs", find_file("usr/share/nav_msgs"), folder / "nav_msgs", search)
-
-
-def name_definitions(folder: Path) -> None:
-    """Link Debian's message packages, adding to each the `package.xml` that rosmsg requires and Debian omits."""
-    for root in reversed(finder.roots()):
-        for place in sorted((root / "usr/share").glob("*/msg")):
-            if not (place.parent / "package.xml").exists():
-                package = folder / place.parent.name
-                package.mkdir(parents=True, exist_ok=True)
-                (package / "package.xml").write_text(package_xml(package.name))
-                for kind in ("msg", "srv"):
-                    (package / kind).unlink(missing_ok=True)
-                    (package / kind).symlink_to(place.parent / kind)
-
-
-def package_xml(name: str) -> str:
-    """The `package.xml` of a generated package."""
-    return (
-        f'<package format="2"><name>{name}</name><version>1.0.0</version><description>Generated.</description>'
-        '<maintainer email="mavfi@localhost">mavfi</maintainer><license>Apache-2.0</license></package>\n'
-    )
-
-
-def _generate(package: str, sources: Path, folder: Path, search: dict[str, list[str]]) -> None:
     from genpy import generate_initpy
     from genpy.generator import MsgGenerator, SrvGenerator
 
-    for ending, generator in (("msg", MsgGenerator()), ("srv", SrvGenerator())):
-        files = sorted(str(path) for path in (sources / ending).glob(f"*.{ending}"))
-        target = folder / ending
+    package = definitions.PACKAGE
+    sources = folder / package
+    search = {"std_msgs": [str(find_file("usr/share/std_msgs/msg"))], package: [str(sources / "msg")]}
+    for ending, texts, generator in (
+        ("msg", definitions.messages(), MsgGenerator()), ("srv", definitions.SERVICES, SrvGenerator())
+    ):  # fmt: skip
+        target = sources / ending
         target.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (target / f"{name}.{ending}").write_text(text)
+        files = sorted(str(path) for path in target.glob(f"*.{ending}"))
         output = io.StringIO()
         with redirect_stdout(output), redirect_stderr(output):
             failed = generator.generate_messages(package, files, str(target), search)
             generate_initpy.write_modules(str(target))
         if failed:
-            raise MavfiError(f"ROS messages: {package}: {output.getvalue().strip()}")
+            raise MavfiError(f"ROS messages: {output.getvalue().strip()}")
         for path in target.glob("_*.py"):
             # genpy generates a method name that NumPy has removed
             path.write_text(path.read_text().replace(".tostring()", ".tobytes()"))
-    (folder / "__init__.py").touch()
+    (sources / "package.xml").write_text(_PACKAGE)
+    (sources / "__init__.py").touch()
 
 
 @cache
@@ -85,5 +63,5 @@ def state_types() -> dict[str, Any]:
 
 @cache
 def message_type(name: str) -> Any:
-    """Any other message class of `mavfi_msgs`, e.g. "Verdict"."""
+    """Any other message class of `mavfi_msgs`, e.g. "Alarm"."""
     return getattr(importlib.import_module(f"{definitions.PACKAGE}.msg"), name)

@@ -1,31 +1,19 @@
 """The ROS graph of a flight: nodes with their kernels, topics with their publishers and subscribers.
 
 Derived from the kernels' own `reads` and `writes`.  A value passes from its kernel to its consumers over one topic,
-`/mavfi/<stage>/<state>`; with an injector or a gating detector in between, the kernel publishes on `.../raw`, the
-injector on `.../injected`, and the last node of this chain on the topic itself.  While a gate is down, the node in
-front of it publishes on the topic itself.
+`/mavfi/<stage>/<state>`.  With an injector in between, the kernel publishes on `.../raw`, and the injector on the topic
+itself.  A detector reads all topics; the world delays the consumers until it has its answer.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mavfi.pipeline.kernel import Kernel
-from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage
+from mavfi.states import KERNELS, PERIODIC, STATES, Stage
 
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
-NODELET = "point_cloud_xyz"
-"""Debian's C++ nodelet for the point cloud, if selected; the node `point_cloud` then sends it the images."""
-IMAGE, INFO, POINTS = (f"/{NODELET}/{name}" for name in ("image_rect", "camera_info", "points"))
-"""Topics of the nodelet."""
 PREFIX = "/mavfi"
-VERDICT, ALARM = f"{PREFIX}/verdict", f"{PREFIX}/alarm"
-RECOMPUTE, INJECTION = f"{PREFIX}/recompute", f"{PREFIX}/injection"
-BYPASS = f"{PREFIX}/bypass"
-JUDGED_BY_WORLD = (
-    "control.command", "planning.waypoint", "planning.path", "planning.trajectory", "perception.collision_status",
-    ODOMETRY["estimator"],
-)  # fmt: skip
-"""States that the world subscribes to: it executes commands, adds the estimated pose to images, and records events."""
+ALARM = f"{PREFIX}/alarm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +24,6 @@ class Way:
     writer: str
     readers: tuple[str, ...]
     injected: bool = False
-    gated: bool = False
 
     @property
     def final(self) -> str:
@@ -46,32 +33,17 @@ class Way:
     @property
     def first(self) -> str:
         """Topic to which the writer publishes."""
-        return f"{self.final}/raw" if self.injected or self.gated else self.final
+        return f"{self.final}/raw" if self.injected else self.final
 
     @property
-    def after_injector(self) -> str:
-        """Topic to which the injector publishes."""
-        return f"{self.final}/injected" if self.gated else self.final
+    def sender(self) -> str:
+        """Node that publishes to the consumers."""
+        return INJECTOR if self.injected else self.writer
 
     @property
-    def before_gate(self) -> str:
-        """Topic to which a gating detector subscribes."""
-        return self.after_injector if self.injected else self.first
-
-    @property
-    def rejected(self) -> str:
-        """Topic to which a gating detector publishes withheld values."""
-        return f"{self.final}/rejected"
-
-    @property
-    def senders(self) -> tuple[str, ...]:
-        """Nodes that publish to consumers: the last one of the chain, and the one in front of a gate."""
-        return (self.writer, *self.taps)[-1 - self.gated :]
-
-    @property
-    def taps(self) -> tuple[str, ...]:
-        """Nodes between writer and consumers, in order."""
-        return (INJECTOR,) * self.injected + (DETECTOR,) * self.gated
+    def nodes(self) -> tuple[str, ...]:
+        """Nodes that a value passes before its consumers receive it, in order."""
+        return (self.writer, INJECTOR) if self.injected else (self.writer,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +65,16 @@ def face_of(kernel: Kernel) -> Face:
 
 
 class Graph:
-    """Nodes and topics of a flight; `injected`: state with an injector or None, `gate`: the detector is a gate."""
+    """Nodes and topics of a flight; `injected`: state with an injector, None = none."""
 
-    def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:
+    def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None) -> None:
         self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}
         self.nodes: dict[str, tuple[str, ...]] = {}
         for name in kernels:
             node = KERNELS[name].node
             self.nodes[node] = (*self.nodes.get(node, ()), name)
         self.ways = {
-            name: Way(name, self.node_of(spec.writer), self._readers(name), name == injected, gate)
+            name: Way(name, self.node_of(spec.writer), self._readers(name), name == injected)
             for name, spec in STATES.items()
             if spec.writer in self.faces or self._readers(name)
         }

@@ -55,7 +55,6 @@ class Ros1Flights(ArmFlights):
             patience_s=PATIENCE_S, profile=profile,
         )  # fmt: skip
         if first:
-            fly_begin(
-                plan.scenario, plan.detector, setup.recovery
-            )  # compile in advance, so that no node is mistaken for hung
+            # compile in advance: a detector that is compiled in its node would be mistaken for a hung one
+            fly_begin(plan.scenario, plan.detector, setup.recovery)
         return fly(plan).flight

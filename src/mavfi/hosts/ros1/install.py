@@ -10,16 +10,12 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.hosts.ros1 import finder
 
 _PYTHON = (
-    "rosmaster", "roslaunch", "rospy", "rosbag", "rostopic", "rosnode", "rosmsg", "rosservice", "rosparam", "std-msgs",
-    "geometry-msgs", "sensor-msgs", "trajectory-msgs", "visualization-msgs", "diagnostic-msgs", "tf2-msgs", "std-srvs",
-    "rosgraph-msgs", "genpy", "genmsg",
+    "rosmaster", "rospy", "rosbag", "rostopic", "rosnode", "rosmsg", "rosservice", "rosparam", "std-msgs",
+    "sensor-msgs", "tf2-msgs", "std-srvs", "rosgraph-msgs", "genpy", "genmsg",
 )  # fmt: skip
-_DEFINITIONS = (
-    "std-msgs", "geometry-msgs", "sensor-msgs", "trajectory-msgs", "visualization-msgs", "diagnostic-msgs", "tf2-msgs",
-    "rosgraph-msgs", "nav-msgs", "map-msgs", "actionlib-msgs", "robot-state-publisher",
-)  # fmt: skip
-PACKAGES = ("rosout", "topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".format, _DEFINITIONS))
-"""Excludes `python3-nav-msgs` (144 MB) and `python3-tf2-ros` (200 MB), which depend on development files."""
+_DEFINITIONS = ("std-msgs", "sensor-msgs", "tf2-msgs", "rosgraph-msgs", "robot-state-publisher")
+PACKAGES = ("topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".format, _DEFINITIONS))
+"""Nodes and tools; `robot_state_publisher` is the example of a node of others."""
 
 
 def main() -> int:
@@ -33,7 +29,7 @@ def main() -> int:
         sys.stderr.write(f"make ros: {error}\n")
         return 2
     how = "was here" if not before else "installed" if os.geteuid() == 0 else f"unpacked into {finder.own_root()}"
-    sys.stdout.write(f"ROS 1 {version()} {how}: {finder.find_file('usr/bin/roslaunch')}\n")
+    sys.stdout.write(f"ROS 1 {version()} {how}: {finder.find_file('usr/bin/rosmaster')}\n")
     return 0
 
 
@@ -68,7 +64,7 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
     for archive in sorted(archives.glob("*.deb")):
         _run(["dpkg", "-x", str(archive), str(folder)])
         archive.unlink()
-    (folder / finder.WORKSPACE_MARK).touch()  # otherwise roslaunch searches executables only under /usr
+    (folder / finder.WORKSPACE_MARK).touch()  # otherwise rosbag searches its executables only under /usr
     return len(wanted)
 
 

@@ -1,56 +1,47 @@
-"""Entry point of a node: `python -m mavfi.hosts.ros1.node NAME`, started by roslaunch."""
+"""A node of a flight, in a process that the supervisor has forked."""
 
+import os
 import signal
-import sys
 import traceback
 import warnings
+from typing import NoReturn
 
-from mavfi.hosts.ros1 import finder
-from mavfi.hosts.ros1.folder import FAILURE, MESSAGES, flight_folder
+from mavfi.hosts.ros1.folder import FAILURE, flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD
-from mavfi.hosts.ros1.plan import Plan, load_plan
-from mavfi.hosts.ros1.ports import die
-from mavfi.hosts.ros1.processes import end_with_parent
+from mavfi.hosts.ros1.plan import Plan
 
 
-def main(plan: Plan | None = None) -> None:
-    """Run the node named on the command line, with the given plan or the saved one, until shutdown."""
-    end_with_parent()  # no node outlives its roslaunch
-    finder.enable(flight_folder() / MESSAGES)
-    import rospy
-
-    name = rospy.myargv(sys.argv)[1]
-    plan = plan or load_plan()
-    warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)  # intentionally unqueued
-    rospy.init_node(name, disable_signals=True, disable_rostime=True, disable_rosout=True)
+def main(name: str, plan: Plan) -> NoReturn:
+    """Run a node until the supervisor ends it; an exception ends it at once, and in the world's node the flight."""
     try:
-        run(name, plan)
+        import rospy
+
+        # values are published without a queue: the order of transmission is that of the calls
+        warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)
+        rospy.init_node(name, argv=[], disable_signals=True, disable_rostime=True, disable_rosout=True)
+        _run(name, plan)
+        signal.pause()
     except BaseException:
-        if name != WORLD:
-            die()
-        (flight_folder() / FAILURE).write_text(traceback.format_exc())
-    signal.pause()  # the supervisor terminates all nodes together
+        traceback.print_exc()
+        if name == WORLD:
+            (flight_folder() / FAILURE).write_text(traceback.format_exc())
+    os._exit(1)
 
 
-def run(name: str, plan: Plan) -> None:
-    """Run a node by name."""
+def _run(name: str, plan: Plan) -> None:
     if name == WORLD:
         from mavfi.hosts.ros1.world import fly
 
         fly(plan)
-    elif name in plan.graph.nodes:
-        from mavfi.hosts.ros1.kernels import FreeNode, LockStepNode
-
-        (FreeNode if plan.free_running else LockStepNode)(name, plan).run()
     elif name == INJECTOR:
-        from mavfi.hosts.ros1.taps import Injector
+        from mavfi.hosts.ros1.taps import InjectorNode
 
-        Injector(plan).run()
+        InjectorNode(plan).run()
     elif name == DETECTOR:
-        from mavfi.hosts.ros1.taps import Watcher
+        from mavfi.hosts.ros1.taps import DetectorNode
 
-        Watcher(plan).run()
+        DetectorNode(plan).run()
+    else:
+        from mavfi.hosts.ros1.kernels import KernelNode
 
-
-if __name__ == "__main__":
-    main()
+        KernelNode(name, plan).run()

@@ -1,39 +1,30 @@
-"""Register faults during a flight: the world starts the tracer, and continues until the bit is flipped."""
+"""Register faults during a flight: the world starts a tracer, which injects while the flight goes on."""
 
-import os
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
 
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register import inject
 from mavfi.flight_log import Event, Injection
-from mavfi.hosts.ros1.graph import NODELET
-from mavfi.hosts.ros1.roll_call import HUNG, is_traced
+from mavfi.hosts.ros1.remote import SILENT
 
 PLANNED = "killed as planned"
-SILENT = ("does not answer", HUNG)
-"""Causes of a lost node, as in events: killed by `--kill`; killed after a hang.  Any other cause is a crash."""
+"""Cause of a lost node, as in events: killed by `--kill`."""
 _LAST_WORDS_S = 2.0
+_POLL_S = 0.01
 _TIMEOUT_S = 30.0
-_POLL_S, _ARMING_S = 0.01, 0.05
-_SYMBOLS = {NODELET: "_ZN16depth_image_proc7convertIfEE"}
-"""Part of the mangled name of the injected function: `depth_image_proc::convert<float>`, the back-projection."""
-_WALKS = {NODELET: 2_000}
-"""Number of instructions from function entry within which the fault is injected: set-up and the first pixels.  Of some
-50,000 for 64 x 48 pixels; but single-stepping takes 30 us per instruction, 100 times as much on a busy machine."""
 _WALK = 64
 
 
 def fault_in_node(node: str, time_us: int, registers: str = "all", seed: int = 0) -> RegisterFault:
-    """A register fault in a node, in the node's characteristic function if one is known."""
-    return RegisterFault(
-        registers, symbol=_SYMBOLS.get(node, ""), walk=_WALKS.get(node, _WALK), timeout=_TIMEOUT_S, node=node,
-        time_us=time_us, seed=seed,
-    )  # fmt: skip
+    """A register fault in a node, wherever it is at that instant."""
+    return RegisterFault(registers, walk=_WALK, timeout=_TIMEOUT_S, node=node, time_us=time_us, seed=seed)
 
 
 class RegisterInjector:
@@ -42,72 +33,72 @@ class RegisterInjector:
     Args:
         faults: All faults of the flight.
         pid_of: Returns the process id of a node.
-        hold: Whether the flight waits until the tracer is attached, so that the injected call is the first one after
-            the instant, independent of wall-clock time.
     """
 
-    def __init__(self, faults: Sequence[RegisterFault], pid_of: Callable[[str], int], hold: bool) -> None:
+    def __init__(self, faults: Sequence[RegisterFault], pid_of: Callable[[str], int]) -> None:
         self.injections: list[Injection] = []
         self._planned = sorted(faults, key=lambda fault: fault.time_us)
-        self._pid_of, self._hold = pid_of, hold
-        self._begun: list[tuple[threading.Thread, RegisterFault, list[Injection | Exception]]] = []
+        self._pid_of = pid_of
+        self._begun: list[tuple[RegisterFault, Future[list[Injection]]]] = []
 
     def __call__(self, now: int) -> None:
         """Start the faults that are due, and record the completed ones."""
         while self._planned and self._planned[0].time_us <= now:
             self._begin(self._planned.pop(0))
-        for thread, fault, done in list(self._begun):
-            if not thread.is_alive():
-                self._begun.remove((thread, fault, done))
-                self._note(fault, done, now)
+        for fault, tracing in list(self._begun):
+            if tracing.done():
+                self._begun.remove((fault, tracing))
+                self._note(fault, tracing, now)
 
     def finish(self, now: int) -> None:
         """End of the flight: record pending faults as not injected."""
-        for thread, fault, done in self._begun:
-            thread.join(_LAST_WORDS_S)
-            self._note(fault, done, now)
+        for fault, tracing in self._begun:
+            self._note(fault, tracing, now)
         for fault in self._planned:
-            self._note(fault, [], now)
+            self._miss(fault, "the flight was over first", now)
         self._begun, self._planned = [], []
 
     def _begin(self, fault: RegisterFault) -> None:
-        done: list[Injection | Exception] = []
+        """Start a tracer, and wait until it is attached: a node computes only while the flight goes on."""
         pid = self._pid_of(fault.node)
-        thread = threading.Thread(target=_run, args=(pid, fault, done), daemon=True)
-        thread.start()
-        self._begun.append((thread, fault, done))
+        tracing: Future[list[Injection]] = Future()
+        threading.Thread(target=_trace, args=(pid, fault, tracing), daemon=True).start()
+        self._begun.append((fault, tracing))
         end = time.monotonic() + _TIMEOUT_S
-        while self._hold and fault.symbol and thread.is_alive() and time.monotonic() < end:
-            if is_armed(pid):
-                time.sleep(_ARMING_S)
-                break
+        while not is_traced(pid) and not tracing.done() and time.monotonic() < end:
             time.sleep(_POLL_S)
 
-    def _note(self, fault: RegisterFault, done: Sequence[Injection | Exception], now: int) -> None:
-        if done and isinstance(done[0], Injection):
-            found = replace(done[0], time_s=1e-6 * now, details={"node": fault.node, **done[0].details})
+    def _note(self, fault: RegisterFault, tracing: Future[list[Injection]], now: int) -> None:
+        try:
+            injection = tracing.result(_LAST_WORDS_S)[0]
+        except TimeoutError:
+            self._miss(fault, "the flight was over first", now)
+        except (MavfiError, OSError, subprocess.SubprocessError) as error:
+            self._miss(fault, str(error), now)
         else:
-            why = str(done[0]) if done else "the flight was over first"
-            found = Injection(
-                fault.level, fault.site, 1e-6 * now, None, None, None, False, details={"node": fault.node, "why": why}
-            )
-        self.injections.append(found)
+            details = {"node": fault.node, **injection.details}
+            self.injections.append(replace(injection, time_s=1e-6 * now, details=details))
+
+    def _miss(self, fault: RegisterFault, why: str, now: int) -> None:
+        details = {"node": fault.node, "why": why}
+        self.injections.append(Injection(fault.level, fault.site, 1e-6 * now, None, None, None, False, details=details))
 
 
-def _run(pid: int, fault: RegisterFault, done: list[Injection | Exception]) -> None:
+def _trace(pid: int, fault: RegisterFault, tracing: Future[list[Injection]]) -> None:
+    """Inject, and pass on the injection or the exception."""
     try:
-        done.append(inject(pid, fault)[0])
-    except (MavfiError, OSError, subprocess.SubprocessError) as error:
-        done.append(error)
+        tracing.set_result(inject(pid, fault))
+    except Exception as error:  # noqa: BLE001 - raised again where the result is read
+        tracing.set_exception(error)
 
 
-def is_armed(pid: int) -> bool:
-    """Whether a tracer is attached to all threads of a process."""
+def is_traced(pid: int) -> bool:
+    """Whether a tracer is attached to a process or one of its threads."""
     try:
-        threads = os.listdir(f"/proc/{pid}/task")
+        states = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/status")]
     except OSError:
         return False
-    return all(is_traced(int(thread)) for thread in threads)
+    return any("TracerPid:\t0\n" not in state for state in states)
 
 
 def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> str | None:
@@ -123,4 +114,4 @@ def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> st
     causes = [data["why"] for data in lost if data["why"] != PLANNED]
     if not causes:
         return "alive"
-    return "hang" if causes[0] in SILENT else "crash"
+    return "hang" if causes[0] == SILENT else "crash"

@@ -1,4 +1,4 @@
-"""The world's side of lock-step: proxies of kernels in other processes, and the passage of values through the topics.
+"""The world's side of lock-step: proxies of kernels and of the detector in other processes.
 
 The world owns the event queue of the in-process host, and with it the order of all events.  A proxy has the interface
 of a kernel: an operation without a result (a non-triggering input, a mark) is sent with the next call that has one.
@@ -10,19 +10,24 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 
-from mavfi.hosts.ros1.generate import message_type
+from mavfi.detectors.detector import Alarm
+from mavfi.hosts.ros1.convert import to_msg
+from mavfi.hosts.ros1.definitions import Action
+from mavfi.hosts.ros1.generate import message_type, state_types
 from mavfi.hosts.ros1.graph import Face
 from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.taps import alarm_of
 from mavfi.platforms.compute import latency
 from mavfi.states import STATES, State
 
-RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON, AGAIN, RECALL, RESUME, RESET, FORGET, BYPASS = range(13)
-"""Constants of `mavfi_msgs/Operation`."""
 HELD = -1
+SILENT = "does not answer"
+"""Cause of a lost node, as in events: it did not answer in time, and was killed."""
 _WATCH_S = 0.1
 
 
@@ -59,17 +64,20 @@ class Watchdog:
         self._patience_s = patience_s
         self._lock = threading.Lock()
         self._call: tuple[float, Any] | None = None
+        self._has_barked = False
         threading.Thread(target=self._watch, daemon=True).start()
 
     def begin(self, proxy: Any) -> None:
         """Start the timer of a call."""
         with self._lock:
             self._call = time.monotonic() + self._patience_s, proxy
+            self._has_barked = False
 
-    def end(self) -> None:
-        """Stop the timer."""
+    def end(self) -> bool:
+        """Stop the timer; returns whether the call was aborted."""
         with self._lock:
             self._call = None
+            return self._has_barked
 
     def _watch(self) -> None:
         while True:
@@ -77,18 +85,19 @@ class Watchdog:
             with self._lock:
                 call = self._call
                 if call is not None and time.monotonic() > call[0] and call[1].transport is not None:
+                    self._has_barked = True
                     call[1].transport.socket.shutdown(2)
 
 
 @dataclass(slots=True)
 class Link:
-    """The connection to one kernel node.
+    """The connection to one node.
 
     Attributes:
         lost: Whether the node is down.
         life: Number of losses so far.
         since: Sequence number of the first publication that the current process can have received; the node must
-            recall earlier ones.
+            be given earlier ones.
     """
 
     node: str
@@ -98,7 +107,7 @@ class Link:
     lost: bool = True
     life: int = 0
     since: int = 0
-    _recalled: set[int] = field(default_factory=set)
+    _given: set[int] = field(default_factory=set)
     _pending: list[Any] = field(default_factory=list)
     _proxy: Any = None
 
@@ -119,33 +128,36 @@ class Link:
 
     def reset(self, kernel: str, since: int) -> None:
         """Initialize the memory of a kernel's node without restarting its process."""
-        self.note(RESET, kernel, 0, 0)
+        self.note(Action.RESET, kernel)
         self.since = since
-        self._recalled.clear()
+        self._given.clear()
 
     def _restart(self) -> None:
         self._pending.clear()
-        self._recalled.clear()
+        self._given.clear()
 
     def note(
-        self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD, state: str = ""
+        self, action: Action, kernel: str, number: int = 0, time_us: int = 0, publish_us: int = HELD, state: str = "",
+        value: bytes = b"",
     ) -> None:  # fmt: skip
         """Append an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
         if not self.lost:
-            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state))
+            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state, value))
 
-    def know(self, kernel: str, state: Publication) -> None:
-        """Have the node recall a value from its peers if it was published before the current process started."""
-        if state.number < self.since and state.number not in self._recalled:
-            self._recalled.add(state.number)
-            self.note(RECALL, kernel, state.number, 0, state=state.spec.name)
+    def note_input(self, kernel: str, state: Publication) -> None:
+        """Give the node a value that was published before the current process started."""
+        if state.number < self.since and state.number not in self._given:
+            self._given.add(state.number)
+            name, content = state.spec.name, BytesIO()
+            to_msg(state, state.number, 0, state_types()[name]).serialize(content)
+            self.note(Action.GIVE, kernel, state.number, state=name, value=content.getvalue())
 
     def flush(self) -> None:
         """Send all pending operations."""
         if self._pending:
             self._try_to_send()
 
-    def call(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
+    def call(self, action: Action, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
         """Send all pending operations, then this one; returns the response, None = the node is down."""
         if self.lost:
             return None
@@ -162,24 +174,18 @@ class Link:
     def _send(self) -> Any:
         import rospy
 
+        cause = ""
+        response = None
         self.watchdog.begin(self._proxy)
         try:
             response = self._proxy(self._pending)
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            raise NodeLostError(str(error)) from None
-        finally:
-            self.watchdog.end()
+            cause = str(error)
+        was_aborted = self.watchdog.end()
+        if response is None:
+            raise NodeLostError(SILENT if was_aborted else cause)
         self._pending = []
         return response
-
-
-@dataclass(slots=True)
-class ForeignLink(Link):
-    """Connection state of a foreign node, which the world does not drive."""
-
-    def connect(self, pid: int, since: int) -> None:
-        """Register a (re)started node."""
-        self.pid, self.since, self.lost = pid, since, False
 
 
 class Counter:
@@ -210,56 +216,79 @@ class RemoteKernel:
     def receive(self, state: State, time_us: int) -> bool:
         """Forward an input; returns whether a step is due."""
         assert isinstance(state, Publication)
-        self._link.know(self.name, state)
+        self._link.note_input(self.name, state)
         if state.spec.name not in self._triggers:
-            self._link.note(RECEIVE, self.name, state.number, time_us)
+            self._link.note(Action.RECEIVE, self.name, state.number, time_us)
             return False
-        response = self._link.call(RECEIVE, self.name, state.number, time_us)
+        response = self._link.call(Action.RECEIVE, self.name, state.number, time_us)
         return response is not None and bool(response.due)
 
     def step(self, time_us: int) -> list[State]:
         """Execute one step; returns placeholders for the results, whose payload stays in the node."""
-        return self._give(STEP, time_us)
+        return self._compute(Action.STEP, time_us)
 
     def stop(self) -> list[State]:
         """Setpoint generator only: abandon the trajectory and hold position."""
-        return self._give(STOP, 0)
+        return self._compute(Action.STOP, 0)
 
     def abandon(self, time_us: int) -> list[State]:
         """Setpoint generator only: replace the way-point in force by the next one."""
-        return self._give(ABANDON, time_us)
+        return self._compute(Action.ABANDON, time_us)
 
     def mark(self) -> None:
         """Mark the current memory for `rollback`."""
-        self._link.note(MARK, self.name, 0, 0)
+        self._link.note(Action.MARK, self.name)
 
     def rollback(self) -> None:
         """Restore the memory of the last mark; inputs are unchanged."""
-        self._link.note(ROLLBACK, self.name, 0, 0)
+        self._link.note(Action.ROLLBACK, self.name)
 
     def again(self) -> None:
         """Prepare to repeat the last step, see `pipeline.kernel.repeat`."""
-        self._link.note(AGAIN, self.name, 0, 0)
+        self._link.note(Action.AGAIN, self.name)
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """See `Kernel.resume`: the node recalls the values from its live peers."""
+        """See `Kernel.resume`: the node is given the values."""
         for name in (*self.reads, *self.writes):
             state = last.get(name)
             if isinstance(state, Publication):
-                self._link.know(self.name, state)
-        response = self._link.call(RESUME, self.name, 0, time_us)
+                self._link.note_input(self.name, state)
+        response = self._link.call(Action.RESUME, self.name, 0, time_us)
         return () if response is None else tuple(response.states)
 
-    def _give(self, action: int, time_us: int) -> list[State]:
+    def _compute(self, action: Action, time_us: int) -> list[State]:
         first = self._counter.take(len(self.writes))
         publish_us = time_us + self._latency_us if self._at_once else HELD
         response = self._link.call(action, self.name, first, time_us, publish_us)
         if response is None:
             return []
-        return [self._promise(*given) for given in zip(response.states, response.numbers, strict=True)]
+        return [self._promise(*result) for result in zip(response.states, response.numbers, strict=True)]
 
     def _promise(self, name: str, number: int) -> Publication:
         """Placeholder for a value that the node has computed."""
         spec, link = STATES[name], self._link
         empty = np.zeros(1, spec.header_dtype), np.zeros(0, spec.element_dtype)
         return Publication(spec, *empty, number, link, link.life, self.name, name in self._at_once)
+
+
+class RemoteDetector:
+    """Proxy of the detector in its node; while that is down, values pass unchecked."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def start(self) -> None:
+        """No operation: the node initializes its detector itself."""
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """The alarm of the node on a publication."""
+        assert isinstance(state, Publication)
+        response = self._link.call(Action.CHECK, state.spec.name, state.number, time_us)
+        if response is None or not response.alarms:
+            return None
+        return alarm_of(response.alarms[0])
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Let the node record a publication; sent with the next check."""
+        assert isinstance(state, Publication)
+        self._link.note(Action.ACCEPT, state.spec.name, state.number, time_us)

@@ -2,7 +2,7 @@
 
 import json
 import os
-import shlex
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -13,19 +13,17 @@ from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.compose import pipeline_config
-from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1 import folder as files
-from mavfi.hosts.ros1.generate import generate, name_definitions, package_xml
-from mavfi.hosts.ros1.graph import IMAGE, INFO, POINTS, WORLD
+from mavfi.hosts.ros1.generate import generate
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.supervisor import private_network
-from mavfi.hosts.ros1.template import KILLED, template_of_thread
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import build_world
 
+KILLED = "ROS: the process that starts the nodes was killed"
 _POLL_S = 0.02
 _LAST_WORDS_S = 20.0
 
@@ -71,8 +69,6 @@ def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None
         MavfiError: The flight failed; the message gives the cause and the folder of the nodes' logs.
     """
     finder.require()
-    if plan.foreign:
-        nodelets.require()
     command = isolation(allow_bind_all)
     began = time.time()
     with files.new_folder() as folder:
@@ -87,75 +83,48 @@ def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
     """Write all files of the flight to its folder."""
     finder.enable(folder / files.MESSAGES)
     generate(folder / files.MESSAGES)
-    name_definitions(folder / files.DEFINITIONS)
     plan.save(folder)
-    _write_package(plan, folder)
     (folder / files.LOG).mkdir()
     if not command:
         os.environ.update(files.free_port())
     files.write_join(folder, bool(command), "-Urn" in command)
 
 
-def launch_text(plan: Plan) -> str:
-    """The launch file: nodes are restarted when they die; the flight ends with the world node."""
-    ours = f'pkg="{files.PACKAGE}" type="{files.EXECUTABLE}"'
-    lines = ["<launch>", '  <param name="/use_sim_time" value="true"/>']
-    lines.append(f'  <node {ours} name="{WORLD}" args="{WORLD}" required="true"/>')
-    lines += [f'  <node {ours} name="{node}" args="{node}" respawn="true" respawn_delay="0"/>' for node in plan.nodes]
-    lines += [
-        f'  <node pkg="{files.PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>'
-        for node in plan.foreign
-    ]
-    return "\n".join([*lines, "</launch>", ""])
-
-
-def _write_package(plan: Plan, folder: Path) -> None:
-    """Write the launch file, and the package in which roslaunch finds the nodes, to the flight's folder."""
-    package = folder / files.PACKAGE
-    package.mkdir()
-    (package / "package.xml").write_text(package_xml(files.PACKAGE))
-    executable = package / files.EXECUTABLE
-    executable.write_text(
-        f'#!/bin/sh\nPYTHONPATH="{files.own_path()}" exec "{sys.executable}" -m mavfi.hosts.ros1.node "$@"\n'
-    )
-    executable.chmod(0o755)
-    for node in plan.foreign:
-        _write_foreign(package / node, folder)
-    files.write_core(folder)
-    (folder / files.LAUNCH_FILE).write_text(launch_text(plan))
-
-
-def _write_foreign(executable: Path, folder: Path) -> None:
-    """Write the script that runs Debian's nodelet; roslaunch appends the node name to its arguments."""
-    remappings = {"image_rect": IMAGE, "camera_info": INFO, "points": POINTS}
-    command, variables = nodelets.point_cloud_xyz(folder / "nodelets", remappings)
-    settings = [f"{name}={value}" for name, value in variables.items()]
-    executable.write_text(f'#!/bin/sh\nexec env {shlex.join([*settings, *command])} "$@"\n')
-    executable.chmod(0o755)
-
-
 def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) -> None:
     """Start the supervisor, and wait until the flight and all its processes have ended.
 
     Raises:
-        MachineError: The supervisor or the template was killed, as no fault can.
+        MachineError: The supervisor was killed, as no fault can.
     """
-    template = template_of_thread(folder / files.LOG / "template")
-    supervision = template.begin(folder, command)
+    program = [*command, sys.executable, "-m", "mavfi.hosts.ros1.supervisor", str(os.getpid())]
+    variables = {**files.environment(folder), "PYTHONPATH": files.own_path()}
+    with (folder / files.LOG / "supervisor.out").open("wb") as output:
+        supervisor = subprocess.Popen(
+            program, env=variables, stdin=subprocess.DEVNULL, stdout=output, stderr=output, cwd=folder,
+            start_new_session=True,
+        )  # fmt: skip
     try:
-        while not supervision.wait(_POLL_S):
+        while supervisor.poll() is None:
             if tell is not None and (folder / files.PID).exists():
                 tell(folder)
                 tell = None
+            time.sleep(_POLL_S)
     finally:
-        if not supervision.wait(0.0):
-            supervision.stop()
-            if not supervision.wait(_LAST_WORDS_S):
-                template.end()
-    if supervision.killed:
+        _end(supervisor)
+    if supervisor.returncode < 0:
         raise MachineError(KILLED)
-    if supervision.lost:
-        raise template.failure()
+
+
+def _end(supervisor: "subprocess.Popen[bytes]") -> None:
+    """End a supervisor that still runs; it ends all others first."""
+    if supervisor.poll() is not None:
+        return
+    supervisor.terminate()
+    try:
+        supervisor.wait(_LAST_WORDS_S)
+    except subprocess.TimeoutExpired:
+        supervisor.kill()
+        supervisor.wait()
 
 
 def _result(folder: Path, plan: Plan) -> Flight:

@@ -1,178 +1,105 @@
-"""Nodes between kernels: the injector, and the detector as gate or observer."""
+"""Nodes that are no kernels: the injector, in the channel of one state, and the detector, which reads all."""
 
-import json
-import threading
-from contextlib import suppress
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
 from mavfi.detectors.detector import Alarm
-from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.loop.decision import Action
-from mavfi.hosts.loop.recovery import Watch
 from mavfi.hosts.ros1.convert import to_stamp
+from mavfi.hosts.ros1.definitions import Action
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type
-from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTION, INJECTOR, RECOMPUTE, VERDICT
+from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTOR
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import Ports, fatal
-from mavfi.mission import Scenario
-from mavfi.pipeline.functions import PLAIN
-from mavfi.states import STATES, State, StateSpec, in_node
-
-if TYPE_CHECKING:
-    from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.ros1.ports import Inbox, Ports
+from mavfi.states import State
 
 
-class Injector:
+class InjectorNode:
     """Injects the fault of a plan into one state's values in transit."""
 
     def __init__(self, plan: Plan) -> None:
         fault = plan.state_fault
         assert fault is not None
         self._inject = StateInjector(fault)
-        self._spent = bool(read_injections())  # before a restart of this node
+        self._is_spent = bool(read_injections())  # before a restart of this node
         self._ports = Ports(INJECTOR, plan)
         way = self._ports.ways[fault.where.state]
-        self._injections = self._ports.publisher(INJECTION, "Injection")
-        self._outlet = self._ports.outlet(way, way.after_injector)
+        self._outlet = self._ports.outlet(way.state, way.final)
         self._ports.read(way.state, way.first, self._arrived)
 
     def run(self) -> None:
         """Serve until shutdown."""
-        import rospy
-        from mavfi_msgs.srv import Drive
-
-        rospy.Service(f"/{INJECTOR}/drive", Drive, fatal(self._drive))
-        self._ports.offer_ready()
-        rospy.spin()
-
-    def _drive(self, request: Any) -> Any:
-        """The only operation of this node: to publish around the gate, or no longer."""
-        from mavfi_msgs.srv import DriveResponse
-
-        for order in request.operations:
-            self._ports.bypass(order.number > 0)
-        return DriveResponse()
+        self._ports.serve()
 
     def _arrived(self, state: State, number: int, time_us: int) -> None:
-        if self._spent:
+        if self._is_spent:
             self._outlet.publish(state, number, time_us)
             return
         seen = self._inject(state, time_us)
         assert seen is not None  # a plan has no faults that lose messages
-        done = self._inject.injections
-        if done:
-            self._spent = True
-            write_injections(done)
+        if self._inject.injections:
+            self._is_spent = True
+            write_injections(self._inject.injections)
         self._outlet.publish(seen, number, time_us)
-        if done:
-            message = message_type("Injection")(state=state.spec.name, record=json.dumps(done[-1].to_json()))
-            to_stamp(message.header.stamp, time_us)
-            self._injections.publish(message)
 
 
-class Shadow:
-    """Stub of a loop for `Watch` in the detector's node: the world holds the real loop and executes the actions.
-
-    Attributes:
-        scenario, functions, awaited, requests, busy: As of `Loop`.
-        record: Alarms only; the world records events.
-    """
-
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario, self.functions = scenario, PLAIN
-        self.awaited: dict[str, Any] = {}
-        self.requests: dict[str, Any] = {}
-        self.busy: dict[str, Any] = {}
-        self.record = SimpleNamespace(alarms=[], note=lambda *_: None)
-
-    def charge(self, action: Action) -> int:
-        """No operation: the world charges the latency."""
-        return 0
-
-    def recompute(self, action: Action, now: int) -> None:
-        """No operation: the world requests the step from the node."""
-
-    def forget(self, kernel: str, now: int = 0, after_us: int = 0) -> None:
-        """Clear pending recomputations of a node that dies or restarts: its next publication is checked."""
-        for name in set(self.awaited):
-            if STATES[name].writer in in_node(kernel):
-                del self.awaited[name]
-
-
-class Watcher:
-    """Runs the detector of a plan on every value: as a gate before consumers receive it, or as an observer."""
+class DetectorNode:
+    """Checks and records the values that the world names, and publishes its alarms for other tools."""
 
     def __init__(self, plan: Plan) -> None:
         assert plan.detector is not None
-        plan.detector.start()
-        self._shadow = Shadow(plan.scenario)
-        self._watch = Watch(cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget)
-        self._gated, self._free = plan.gated, plan.free_running
-        self._lock = threading.Lock()
-        self._ports = ports = Ports(DETECTOR, plan)
-        self._verdicts = ports.publisher(VERDICT, "Verdict", awaited=not plan.free_running)
-        self._alarms = ports.publisher(ALARM, "Verdict")
-        self._requests = ports.publisher(RECOMPUTE, "Recompute")
-        self._outlets = {}
-        self._rejects = {}
-        for state, way in ports.ways.items():
-            if plan.gated:
-                self._outlets[state] = ports.outlet(way, way.final)
-                self._rejects[state] = ports.outlet(way, way.rejected)
-            ports.read(state, way.before_gate if plan.gated else way.final, self._arrived)
+        import rospy
+
+        self._detector = plan.detector
+        self._detector.start()
+        self._ports = Ports(DETECTOR, plan)
+        self._inbox = Inbox()
+        self._checked: tuple[int, State] | None = None
+        self._alarms = rospy.Publisher(ALARM, message_type("Alarm"), queue_size=None)
+        for state, way in self._ports.ways.items():
+            self._ports.read(state, way.final, lambda state, number, time_us: self._inbox.put(number, state))
 
     def run(self) -> None:
         """Serve until shutdown."""
-        import rospy
-        from mavfi_msgs.srv import Drive
-
-        rospy.Service(f"/{DETECTOR}/drive", Drive, fatal(self._drive))
-        self._ports.offer_ready()
-        rospy.spin()
+        self._ports.serve(self._drive)
 
     def _drive(self, request: Any) -> Any:
-        """The only operation of this node: a kernel node has died."""
         from mavfi_msgs.srv import DriveResponse
 
-        with self._lock:
+        response = DriveResponse()
+        with np.errstate(all="ignore"):
             for order in request.operations:
-                self._shadow.forget(order.kernel)
-        return DriveResponse()
+                state = self._take(order.number)
+                if order.action == Action.ACCEPT:
+                    self._detector.accept(state, order.time_us)
+                    continue
+                alarm = self._detector.check(state, order.time_us)
+                if alarm is not None:
+                    response.alarms = [alarm_message(alarm, state, order)]
+                    self._alarms.publish(response.alarms[0])
+        return response
 
-    def _arrived(self, state: State, number: int, time_us: int) -> None:
-        with self._lock, np.errstate(all="ignore"):
-            with suppress(BadInputError):  # an unknown stage: the world reports it
-                self._watch(state, time_us)
-            alarm, action = self._watch.alarm, self._watch.action
-            withheld = action is not None and action.withholds
-            if self._gated:
-                (self._rejects if withheld else self._outlets)[state.spec.name].publish(state, number, time_us)
-            if alarm is not None or not self._free:
-                self._tell(state.spec, alarm, action, number, time_us)
+    def _take(self, number: int) -> State:
+        """A value received over a topic; the one checked last is accepted next."""
+        if self._checked is None or self._checked[0] != number:
+            self._checked = number, self._inbox.take(number, self._ports.plan.patience_s)
+        return self._checked[1]
 
-    def _tell(self, spec: StateSpec, alarm: Alarm | None, action: Action | None, number: int, time_us: int) -> None:
-        withheld = action is not None and action.withholds
-        verdict = message_type("Verdict")(number=number, state=spec.name, withheld=withheld)
-        to_stamp(verdict.header.stamp, time_us)
-        if alarm is not None:
-            verdict.raised = True
-            for field, value in alarm.to_json().items():
-                setattr(verdict, field, value)
-            verdict.fields = list(alarm.fields)
-            self._alarms.publish(verdict)
-        if action is not None and action.kernel:
-            request = message_type("Recompute")(
-                kind=action.kind,
-                stage=str(self._ports.plan.graph.faces[action.kernel].stage),
-                kernel=action.kernel,
-                restores=list(action.restores),
-            )
-            to_stamp(request.header.stamp, time_us)
-            self._requests.publish(request)
-        if not self._free:
-            self._verdicts.publish(verdict)
+
+def alarm_message(alarm: Alarm, state: State, order: Any) -> Any:
+    """An alarm as a message; `order`: the operation that asked for the check."""
+    message = message_type("Alarm")(number=order.number, state=state.spec.name)
+    to_stamp(message.header.stamp, order.time_us)
+    for name, value in alarm.to_json().items():
+        setattr(message, name, value)
+    message.fields = list(alarm.fields)
+    return message
+
+
+def alarm_of(message: Any) -> Alarm:
+    """The alarm of a message."""
+    values = {field.name: getattr(message, field.name) for field in fields(Alarm)}
+    return Alarm(**{**values, "fields": tuple(message.fields)})

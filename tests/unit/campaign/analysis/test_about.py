@@ -23,9 +23,9 @@ def test_states():
 
 
 def test_instructions():
-    sampling = {"level": "instruction", "kernels": ["pid"], "scheme": "stratified", "share": "kernel"}
+    sampling = {"level": "instruction", "kernels": ["pid"], "share": "kernel"}
     found = described(sampling=sampling, mission={"autopilot": "hardened"})
-    assert found["lines"][0].endswith("instructions: all, model one_bit, drawn by value class and source line")
+    assert found["lines"][0].endswith("instructions: all, model one_bit")
     assert (found["profile"], found["each"], found["kernels"]) == ("hardened", "kernel", ["pid"])
 
 

@@ -10,11 +10,11 @@ from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flo
 
 HOUR = {
     kernel: {"instructions": count, "calls": 1, "lines": []}
-    for kernel, count in (("pid", 10), ("gaussian", 30), ("recovery", 5))
+    for kernel, count in (("pid", 10), ("gaussian", 30), ("acceptance", 5))
 }
 IN_DETECTOR = replace(INSTRUCTION, kernel="gaussian", entry="judge")
-IN_RECOVERY = replace(INSTRUCTION, kernel="recovery", entry="respond")
-NOWHERE = InstructionFault("", "", 0, NO_SITE, kernel="recovery")
+IN_RULES = replace(INSTRUCTION, kernel="acceptance", entry="judge_path")
+NOWHERE = InstructionFault("", "", 0, NO_SITE, kernel="acceptance")
 
 
 def counted(*kernels, seconds=1800.0):
@@ -46,17 +46,17 @@ def test_instructions_harm_and_failures_by_hand():
     assert rows["fi", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["n"] == 20
 
 
-def with_recovery(counts, fault, lost=range(0)):
-    """The campaign, in which recovery executes instructions only in missions with such counts; faults are elsewhere."""
+def with_rules(counts, fault, lost=range(0)):
+    """The campaign, in which rules execute instructions only in missions with such counts; faults are elsewhere."""
     idle = {"instructions": 0, "calls": 0, "lines": []}
     own = []
     for seed in range(10):
         number = counts if seed < 4 else idle
-        watched = replace(counted("pid", "gaussian"), counts={"pid": HOUR["pid"], "recovery": number})
+        watched = replace(counted("pid", "gaussian"), counts={"pid": HOUR["pid"], "acceptance": number})
         own += [golden(seed, counted("pid")), golden(seed, watched, arm="gaussian")]
         own += [injected(seed, flown(), INSTRUCTION, arm=arm, target="pid") for arm in ("", "gaussian")]
         struck = fault if seed < 4 else NOWHERE
-        own.append(injected(seed, flown(seed not in lost), struck, arm="gaussian", target="recovery"))
+        own.append(injected(seed, flown(seed not in lost), struck, arm="gaussian", target="acceptance"))
     return runs(*own)
 
 
@@ -64,27 +64,27 @@ def rows_of(own):
     return {(row["setting"], row["kernel"]): row for row in table(own, "failures_per_hour").entries()}
 
 
-def test_recovery_adds_its_instructions_times_its_harm_in_the_missions_that_execute_it():
-    rows = rows_of(with_recovery(HOUR["recovery"], IN_RECOVERY, lost=(1,)))
+def test_a_detector_adds_its_instructions_times_its_harm_in_the_missions_that_execute_it():
+    rows = rows_of(with_rules(HOUR["acceptance"], IN_RULES, lost=(1,)))
     upset = upsets_per_instruction(find_upsets()).value
-    recovery = rows["dr_gaussian", "recovery"]
+    rules = rows["dr_gaussian", "acceptance"]
     # 5 values in 4 of 10 flights of half an hour; a quarter of the faults that struck one loses the mission
-    assert recovery["instructions"] == pytest.approx(4) and recovery["n"] == 4
-    assert recovery["harm"].rate == pytest.approx(0.25)
-    assert recovery["failures"].value == pytest.approx(4 * 0.25 * upset)
+    assert rules["instructions"] == pytest.approx(4) and rules["n"] == 4
+    assert rules["harm"].rate == pytest.approx(0.25)
+    assert rules["failures"].value == pytest.approx(4 * 0.25 * upset)
     assert rows["dr_gaussian", "all"]["failures"].value == pytest.approx(4 * 0.25 * upset)
-    assert payoff(with_recovery(HOUR["recovery"], IN_RECOVERY, (1,)), "sparse", "dr_gaussian", 1.0).value == 1.0
+    assert payoff(with_rules(HOUR["acceptance"], IN_RULES, (1,)), "sparse", "dr_gaussian", 1.0).value == 1.0
 
 
-def test_recovery_that_executes_nothing_has_no_exposure_and_says_so():
-    own = with_recovery({"instructions": 0, "calls": 0, "lines": []}, NOWHERE)
+def test_a_detector_that_executes_nothing_has_no_exposure_and_says_so():
+    own = with_rules({"instructions": 0, "calls": 0, "lines": []}, NOWHERE)
     rows = rows_of(own)
-    recovery = rows["dr_gaussian", "recovery"]
-    assert (recovery["instructions"], recovery["n"], recovery["harm"]) == (0, 0, None)
-    assert (recovery["failures"].value, recovery["failures"].low, recovery["failures"].high) == (0, 0, 0)
+    rules = rows["dr_gaussian", "acceptance"]
+    assert (rules["instructions"], rules["n"], rules["harm"]) == (0, 0, None)
+    assert (rules["failures"].value, rules["failures"].low, rules["failures"].high) == (0, 0, 0)
     assert rows["dr_gaussian", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["failures"].value == 0
     [note] = [note for note in table(own, "failures_per_hour").notes if "0 instructions" in note]
-    assert note.startswith("recovery under dr_gaussian in sparse: ") and "no alarm" in note
+    assert note.startswith("acceptance under dr_gaussian in sparse: ")
     assert not any("0 instructions" in note for note in table(campaign(), "failures_per_hour").notes)
 
 

@@ -7,9 +7,9 @@ import pytest
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.samplers import instructions, sampler_for
-from mavfi.campaign.samplers.instruction import Drawn
-from mavfi.campaign.samplers.sampler import Sampled, draws_of
+from mavfi.campaign.samplers import instruction, sampler_for
+from mavfi.campaign.samplers.instruction import DrawnFaults
+from mavfi.campaign.samplers.sampler import draws_of
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight_record import End
@@ -42,9 +42,9 @@ def requests(monkeypatch):
             for kernel, count in request.kernels.items()
         }  # fmt: skip
         golden = fakes.fly(ArmSetup(scenario), None, None)
-        return Drawn(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
+        return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
 
-    monkeypatch.setattr(instructions, "draw_instruction_faults", draw)
+    monkeypatch.setattr(instruction, "draw_instruction_faults", draw)
     return asked
 
 
@@ -101,13 +101,12 @@ def test_each_kernel_has_its_own_number_where_kernels_are_compared():
 
 
 def test_a_mission_asks_for_what_it_needs(requests):
-    c = campaign("kernel", sampling={"which": "data", "model": "zero", "restart_s": 2.0, "scheme": "stratified"})
+    c = campaign("kernel", sampling={"which": "data", "model": "zero", "restart_s": 2.0})
     list(fly_mission(MissionPlan(c, "sparse", 10_002)))
     [(environment, seed, planner, address, request)] = requests
     assert (environment, seed, planner, address) == ("sparse", 10_002, "rrt_connect", ("sparse",))
     assert request.kernels == dict.fromkeys((*PERCEPTION, "pid"), 3)
-    asked = (request.which, request.model, request.restart_s, request.sampling)
-    assert asked == ("data", "zero", 2.0, "stratified")
+    assert (request.which, request.model, request.restart_s) == ("data", "zero", 2.0)
 
 
 def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
@@ -139,7 +138,7 @@ def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
     def explode(scenario, *_, seed, **__):
         raise ZeroDivisionError(seed)
 
-    monkeypatch.setattr(instructions, "draw_instruction_faults", explode)
+    monkeypatch.setattr(instruction, "draw_instruction_faults", explode)
     end = run_campaign(campaign(environments=["sparse"]), tmp_path)
     assert end.complete
     with Store.open(tmp_path) as store:
@@ -200,35 +199,6 @@ def test_the_golden_run_of_its_arm_counts_kernels_and_detector(monkeypatch, requ
     )
 
 
-def test_arms_that_differ_in_copies_alone_share_the_faults_of_their_detector(monkeypatch, requests):
-    arms = {
-        "one": {"detector": "gaussian"}, "two": {"detector": "gaussian", "copies": 2},
-        "three": {"detector": "gaussian", "mission": {"copies": 3}}, "other": {"detector": DETECTOR, "copies": 2},
-    }  # fmt: skip
-    c = with_detectors(monkeypatch, arms=arms)
-    runs, golden = flown(c)
-    counted = Counter((run.target, run.setting) for run in runs)
-    own = {setting: count for (target, setting), count in counted.items() if target == "gaussian"}
-    assert own == {"dr_one": 9, "dr_two": 9, "dr_three": 9}
-    assert {count for (target, _), count in counted.items() if target == "pid"} == {9}
-    faults = {arm: [run.fault for run in runs if run.target == "gaussian" and run.arm == arm] for arm in arms}
-    assert faults["one"] == faults["two"] == faults["three"] != [] == faults["other"]
-    kernels = {spec.arm: set(record.counts) for spec, record in golden.items()}
-    assert kernels["one"] == kernels["two"] == kernels["three"] == {"pid", "gaussian"} and kernels["other"] == set()
-    drawn = [request.kernels["gaussian"] for *_, request in requests if "gaussian" in request.kernels]
-    assert sorted(drawn) == [0] * 6 + [3] * 3, "drawn in the first of these arms, counted in all"
-    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
-    positions = [run.position for run in [*golden, *runs]]
-    assert len(set(positions)) == len(positions)
-
-
-def test_arms_that_differ_in_more_than_copies_do_not_share_faults():
-    for other in ({"profile": "tuned"}, {"coupling": "observer"}):
-        arms = {"a": {"detector": "gaussian"}, "b": {"detector": "gaussian", "copies": 2, **other}}
-        with pytest.raises(ValueError, match="2 arms; allowed: .*, or in arms that differ in copies alone"):
-            campaign("kernel", ("pid", "gaussian"), arms=arms)
-
-
 def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
     for arms, number in (
         ({}, 0),
@@ -254,60 +224,6 @@ def test_a_detector_and_its_named_configuration_are_two_arms_of_one():
         campaign("kernel", ("pid", "acceptance"), arms=arms)
 
 
-# ---- faults in recovery ------------------------------------------------------------------------------------------
-ARMS = {
-    "watched": {"detector": "gaussian"}, "again": {"detector": "gaussian", "copies": 2},
-    "other": {"detector": DETECTOR}, "slow": {"wind": 2.0},
-}  # fmt: skip
-
-
-def test_every_arm_with_a_detector_has_faults_in_its_own_recovery(monkeypatch, requests):
-    c = with_detectors(monkeypatch, kernels=("pid", "gaussian", "recovery"), arms=ARMS, faults=10)
-    runs, golden = flown(c)
-    own = [run for run in runs if run.target == "recovery"]
-    assert Counter(run.setting for run in own) == {"dr_watched": 10, "dr_again": 10, "dr_other": 10}
-    counted = {spec.arm: set(record.counts) for spec, record in golden.items()}
-    assert counted["watched"] == counted["again"] == {"pid", "gaussian", "recovery"}
-    assert counted["other"] == {"pid", "recovery"} and counted["slow"] == set()
-    asked = [request.kernels["recovery"] for *_, request in requests if "recovery" in request.kernels]
-    assert sorted(asked) == [0, 0, 0, 3, 3, 3, 3, 4, 4], "drawn in each arm, but where copies alone differ"
-    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
-    positions = [run.position for run in [*golden, *runs]]
-    assert len(set(positions)) == len(positions)
-
-
-def test_numbers_tell_the_faults_in_recovery_of_different_arms_apart(monkeypatch, requests):
-    c = with_detectors(monkeypatch, kernels=("pid", "recovery"), arms=ARMS, faults=10)
-    numbers = {}
-    for run in flown(c)[0]:
-        if run.target == "recovery":
-            numbers.setdefault(run.arm, set()).add(run.index)
-            assert run.seed == c.first_seed + run.index % c.missions
-    assert numbers["watched"] == numbers["again"] == set(range(10)) and numbers["other"] == set(range(12, 22))
-
-
-def test_the_faults_in_recovery_of_an_arm_are_those_drawn_in_its_golden_run(monkeypatch, requests):
-    sampler = sampler_for(with_detectors(monkeypatch, kernels=("recovery",), arms=ARMS))
-    first, second = (InstructionFault("f", "", number, kernel="recovery") for number in range(2))
-    draws = [block.draw(0) for block in sampler.blocks("sparse")]
-    golden = {"watched": drawn(first), "other": drawn(second)}
-    assert sampler.draw(draws, "sparse", golden) == [first, second]
-    assert sampler.draw(draws, "sparse", {"other": drawn(second)}) == [None, second], "the other golden run failed"
-
-
-def drawn(fault):
-    return Sampled(None, faults={"recovery": [fault]})
-
-
-def test_recovery_moves_nothing_else_in_the_plan(monkeypatch, requests):
-    def places(*kernels):
-        c = with_detectors(monkeypatch, kernels=kernels, arms=ARMS)
-        plan = Plan(c, sampler_for(c), arms_of(c), {}, {})
-        return [place for seed in c.seeds for place in plan.places("sparse", seed) if place[1].target != "recovery"]
-
-    assert places("pid", "gaussian", "recovery") == places("pid", "gaussian") != []
-
-
-def test_recovery_without_a_detector_is_refused():
-    with pytest.raises(ValueError, match="'recovery': is in 0 arms"):
-        campaign("kernel", ("pid", "recovery"), arms={"slow": {"wind": 2.0}})
+def test_recovery_is_no_target_any_more():
+    with pytest.raises(ValueError, match="kernel 'recovery': dropped; no fault in recovery lost a mission"):
+        campaign("kernel", ("pid", "recovery"), arms={"watched": {"detector": "gaussian"}})

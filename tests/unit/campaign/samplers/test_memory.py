@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.copies import watched_in
 from mavfi.campaign.samplers.memory import Exposure, MemorySampler, _Drawing
-from mavfi.campaign.samplers.sampler import Draw, Sampled
+from mavfi.campaign.samplers.sampler import Draw, Sampled, watched_in
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, MemoryFault
 from mavfi.faults.strata import WORD_BITS, bits_of
@@ -64,12 +63,11 @@ def campaign_of(*kernels, **arms):
 
 
 def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():
-    arms = {"gad": ("gaussian", {}), "rules": ("recommended", {}), "twice": ("recommended", {"copies": 2})}
+    arms = {"gad": ("gaussian", {}), "rules": ("recommended", {})}
     campaign = campaign_of("pid", "gaussian", "acceptance", **arms)
     sampler = MemorySampler(campaign)
     variants = {draw.target: draw.variant for block in sampler.blocks("sparse") for draw in (block.draw(0),)}
     assert variants == {"pid": "", "gaussian": "gad", "acceptance": "rules"}
-    assert watched_in(campaign_of("recovery", rules=("recommended", {})), "recovery") == "rules"
     tuned = campaign_of("physics_gate", gad=("gaussian", {}), tuned=("gaussian", {"profile": "tuned"}))
     assert watched_in(tuned, "physics_gate") == "tuned"
     for kernels, own in ((["acceptance"], {}), (["recovery"], arms), (["nothing"], arms), (["gaussian"], {})):

@@ -151,19 +151,24 @@ def test_the_digest_does_not_depend_on_the_folder_of_the_installation():
 
 
 CALLING = """
-define i32 @known(ptr %out, ptr %record) {{
+define i32 @_ZN{module}6kernelB2v{uid}Ed(ptr %out, ptr %record) {{
 entry:
-  %v1 = call i32 @_ZN5known6settleB2v5B4c8tJE5ArrayI6RecordILi{record}EELi{dimensions}E1C7mutable ( ptr %out )
+  %v1 = call i32 @"_ZN{module}6settleB2v5B4c8tJE5ArrayI6RecordILi{record}EELi1E1C7mutable" ( ptr %out )
   ret i32 %v1
 }}
 """
 
 
-def test_the_digest_does_not_depend_on_what_else_is_compiled():
-    """Numba numbers record types in the order in which a process first compiles something for them."""
+def test_the_digest_does_not_depend_on_what_else_is_compiled_nor_on_names_of_modules():
+    """Numba numbers functions and record types in the order in which a process first compiles them."""
 
-    def digest(record, dimensions=1):
-        return digest_of_text(CALLING.format(record=record, dimensions=dimensions))
+    def digest(module="5known", uid=1, record=919):
+        return digest_of_text(CALLING.format(module=module, uid=uid, record=record))
 
-    assert digest(919) == digest(2410)
-    assert digest(919) != digest(919, dimensions=2)
+    assert digest() == digest(uid=7, record=2410) == digest(module="6mavfi7unknown")
+
+
+def test_the_digest_tells_one_callee_from_another():
+    twice = "call void @_ZN1fEd()\ncall void @_ZN1fEd()"
+    assert digest_of_text(twice) != digest_of_text("call void @_ZN1fEd()\ncall void @_ZN1gEd()")
+    assert digest_of_text("call double @sin()") != digest_of_text("call double @cos()")

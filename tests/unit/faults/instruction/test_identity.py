@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.faults.instruction import Counting, resolve
+from mavfi.faults.instruction import Profiling, resolve
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.variant import variant_for
@@ -115,7 +115,7 @@ def counted_flight(scenario, names):
     counting = {}
 
     def make(name, function):
-        counting[name] = Counting(function)
+        counting[name] = Profiling(function)
         return counting[name]
 
     return fly(scenario, functions=PLAIN.instrumented(names, make)), counting

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.instruction import Injecting, MismatchError, RefusedError, count, draw, inject, run_forked
+from mavfi.faults.instruction import MismatchError, RefusedError, count, draw, inject, run_forked
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.ir.parser import parse_module
 from mavfi.numerics.jit import kernel_jit
@@ -141,13 +141,6 @@ def test_a_fault_for_other_machine_code_is_refused(call, fault):
         call(loop, replace(fault, ir_sha256="000"), *LOOP)
     with pytest.raises(MismatchError, match=r"kernels\.loop: given to .*kernels\.fill"):
         call(fill, fault, np.zeros(3), 1.0)
-    with pytest.raises(MismatchError):
-        Injecting(loop, replace(fault, ir_sha256="000"))(*LOOP)
-
-
-def test_an_injecting_function_wants_a_budget(fault):
-    with pytest.raises(BadInputError, match="budget 0"):
-        Injecting(loop, replace(fault, budget=0))
 
 
 @pytest.mark.parametrize("which", ["", "everything", "opcode:", "line:kernels.py", "line:kernels.py:a-b"])

@@ -1,0 +1,308 @@
+"""The monitored set `all`: the residuals of every consumed field, as 16-bit codes.
+
+One code is a quantum in the field's unit, too small to matter to a flight: 1 cm, 1 cm/s, 1 ms; for counters a tenth of
+a step, so that a step is not lost in rounding.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavfi.detectors import residual_state, residuals
+from mavfi.detectors.detector import Detector
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.samples import Sample
+from mavfi.detectors.vehicle import VehicleQueue
+from mavfi.numerics.jit import entry
+from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, bytes_of, floats, new_state
+
+MONITORED = "all"
+"""Name of the set, in models."""
+QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s": 0.001, "-": 0.1, "octave": 0.01}
+"""Quantum by unit."""
+
+
+class _Watched(NamedTuple):
+    """A state: its residuals, and the number of leading columns of the header or of an element that they read.
+
+    `names` are (name, field of the table, unit; "" = the field's); `from_vehicle`: they depend on its odometry.
+    """
+
+    measure: Callable[..., None]
+    names: tuple[tuple[str, str, str], ...]
+    in_list: bool
+    width: int
+    from_vehicle: bool = False
+
+
+def _fields(*names: str) -> tuple[tuple[str, str, str], ...]:
+    return tuple((name, name, "") for name in names)
+
+
+def _of(unit: str, *names: str) -> tuple[tuple[str, str, str], ...]:
+    return tuple((name, name, unit) for name in names)
+
+
+_WATCHED = {
+    "perception.collision_status": _Watched(
+        residual_state.measure_status,
+        (*_of("octave", "time_to_collision", "distance_to_blocked", "distance_to_unknown"),
+         *_fields("future_collision_seq", "trajectory_seq", "collision")),
+        False, 0,
+    ),
+    "planning.path": _Watched(
+        residual_state.measure_path,
+        (*_fields("entry_speed", "future_collision_seq", "junction"),
+         ("start", "x", ""), ("end", "x", ""), ("detour", "x", "")),
+        True, 3, True,
+    ),
+    "planning.trajectory": _Watched(
+        residual_state.measure_trajectory,
+        (*_fields("trajectory_seq", "future_collision_seq"),
+         ("step", "x", ""), ("change", "vx", ""), ("speed", "vx", ""), ("acceleration", "ax", ""),
+         ("duration", "duration", ""), ("turn", "yaw", ""), ("start", "x", ""), ("end", "x", "")),
+        True, 11, True,
+    ),
+    "planning.waypoint": _Watched(
+        residual_state.measure_waypoint,
+        _fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration", "trajectory_seq",
+                "future_collision_seq", "index"),
+        False, 11, True,
+    ),
+    "control.command": _Watched(
+        residual_state.measure_command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
+    ),
+    "control.tracking": _Watched(residual_state.measure_tracking, _fields("remaining"), False, 1),
+}  # fmt: skip
+
+_ALONE = "control.tracking"
+"""State that predicts nothing but its own residual."""
+
+COMPILED: dict[str, Callable[..., Any]] = {
+    **{own.measure.__name__: own.measure for own in _WATCHED.values()}, "note_vehicle": residual_state.note_vehicle,
+}  # fmt: skip
+"""Compiled functions that compute the codes, by name."""
+
+
+class FieldCodes:
+    """Codes of the residuals of all states during one flight.
+
+    Fields that no consumer reads under an autopilot profile are not watched: their code is 0.
+
+    Args:
+        autopilot: The autopilot profile.
+
+    Attributes:
+        fields: Names of the residuals, "state.field"; lists have residuals over all elements.
+        stages: Stage of each.
+        slots: Index of each state, by name.
+        states: Names of those that it reads, and of the vehicle's odometry.
+        quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
+        measured: The publication measured last, and the memory between publications.
+        vehicles: Odometry that is not yet stored.
+    """
+
+    def __init__(self, autopilot: str) -> None:
+        self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
+        self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
+        self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
+        self.quanta = np.array(
+            [_quantum(state, residual, autopilot) for state, own in _WATCHED.items() for residual in own.names]
+        )
+        ends = np.cumsum([len(own.names) for own in _WATCHED.values()])
+        self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
+        self.states = frozenset(filter(self._is_read, self.slots)).union(ODOMETRY.values())
+        self._watched = tuple(_WATCHED.values())
+        self._empty = [np.zeros((0, own.width)) for own in self._watched]
+        self.vehicles = VehicleQueue(self._store)
+        self.measured = residual_state.initial_state(self.quanta, np.array(self._ranges, np.int64))
+        self.instrument({})
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Replace functions of `COMPILED` by those of the same name in `made`; restore all others."""
+        note = made.get("note_vehicle", residual_state.note_vehicle)
+        self._note: Callable[..., bool] = entry(note, np.zeros(1, np.uint8), self.measured)
+        self._measures = [self._measure_of(name, made) for name in _WATCHED]
+
+    def _measure_of(self, state: str, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+        """The function that computes the codes of a state: of its header, its list if it has one, and `measured`."""
+        watched = _WATCHED[state]
+        function = made.get(watched.measure.__name__, watched.measure)
+        if watched.in_list:
+            return function
+        return entry(function, new_state(state).header, self.measured)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without machine code and addresses, which are valid in one process only."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_measures", "_note")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Inverse of `__getstate__`."""
+        self.__dict__.update(state)
+        self.instrument({})
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        self.measured.known[:] = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the publication measured last; the memory stays."""
+        self.vehicles.forget()
+        self.measured.place[residual_state.ACCEPTED] = 0
+        self.measured.place[residual_state.LEARNED] = residual_state.NEVER
+
+    def _is_read(self, name: str) -> bool:
+        """Whether something of a state is watched, or predicts residuals of other states."""
+        return name != _ALONE or bool(self.quanta[slice(*self._ranges[self.slots[name]])].any())
+
+    def range_of(self, slot: int) -> tuple[int, int]:
+        """First and one past the last index of a state's residuals."""
+        return self._ranges[slot]
+
+    def slot_of(self, index: int) -> int:
+        """Index of the state of a residual."""
+        return next(slot for slot, (_, last) in enumerate(self._ranges) if index < last)
+
+    def read(self, state: State, slot: int) -> None:
+        """Compute the codes of a publication of the state with this slot, in `measured`."""
+        watched = self._watched[slot]
+        if watched.from_vehicle:
+            self.vehicles.settle()
+        if watched.in_list:
+            elements = self._empty[slot]
+            if len(state.elements):
+                elements = floats(state.elements, watched.width).reshape(-1, watched.width)
+            self._measures[slot](state.header, elements, self.measured)
+        else:
+            self._measures[slot](state.header, self.measured)
+
+    def accept(self) -> None:
+        """The publication measured last was published: it is the reference for the next one."""
+        self.measured.place[residual_state.ACCEPTED] = 1
+
+    def measure(self, state: State, slot: int, codes: np.ndarray, keep: bool = False) -> int:
+        """Compute the codes of a publication.
+
+        Args:
+            state: The publication.
+            slot: Index of its state.
+            codes: Output, in the range `range_of(slot)`. Shape (n,), int16.
+            keep: Whether to store the publication as the reference for the next one.
+
+        Returns:
+            The regime, or -1 - regime if a watched number is not finite; -1 for a regime that does not exist.
+        """
+        self.read(state, slot)
+        own = slice(*self._ranges[slot])
+        codes[own] = self.measured.codes[own]
+        if keep:
+            self.accept()
+        return int(self.measured.place[residual_state.REGIME])
+
+    def note(self, state: State) -> None:
+        """Store position and velocity of the vehicle, if this state is odometry."""
+        if state.spec.name in _POSITIONS:
+            self.vehicles.add(state.header)
+
+    def _store(self, odometry: np.ndarray) -> bool:
+        return bool(self._note(bytes_of(odometry), self.measured))
+
+    def settle(self) -> None:
+        """Bring the memory up to date."""
+        residual_state.settle(self.measured)
+        self.vehicles.settle()
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the residuals of a publication, measured last, that divided by their quanta are not finite."""
+        first, last = self._ranges[self.slots[state.spec.name]]
+        values, quanta = self.measured.values[first:last], self.quanta[first:last]
+        with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, but overflows in centimetres
+            wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
+        return first + np.flatnonzero(wrong)
+
+
+_POSITIONS = tuple(ODOMETRY.values())
+_SIZES = np.array([len(own.names) for own in _WATCHED.values()])
+
+
+def _quantum(state: str, residual: tuple[str, str, str], autopilot: str) -> float:
+    _, field, unit = residual
+    found = STATES[state].find(field)
+    return 0.0 if autopilot in AUTOPILOTS and found.dead_in(autopilot) else QUANTA[unit or found.unit]
+
+
+class CodeRecorder(Detector):
+    """A recorder of all codes of a flight, for training.
+
+    Args:
+        autopilot: The autopilot profile.
+    """
+
+    def __init__(self, autopilot: str) -> None:
+        self._field_codes = FieldCodes(autopilot)
+        self._codes = np.zeros(len(self._field_codes.fields), np.int16)
+        self._own: list[bytes] = []
+        self._slots: list[int] = []
+        self._regimes: list[int] = []
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        self._field_codes.start()
+        self._own, self._slots, self._regimes = [], [], []
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Store the codes of a published value."""
+        slot = self._field_codes.slots.get(state.spec.name)
+        if slot is None:
+            self._field_codes.note(state)
+            return
+        self._regimes.append(self._field_codes.measure(state, slot, self._codes, keep=True))
+        self._slots.append(slot)
+        first, last = self._field_codes.range_of(slot)
+        self._own.append(self._codes[first:last].tobytes())
+
+    def codes(self) -> "Codes":
+        """Codes of all publications since `start`."""
+        own = np.frombuffer(b"".join(self._own), np.int16)
+        return Codes(np.array(self._slots, np.int8), np.array(self._regimes, np.int8), own)
+
+
+class Codes(NamedTuple):
+    """The codes of one flight.
+
+    Attributes:
+        slots: State of each publication. Shape (m,), int8.
+        regimes: Regime of each, see `FieldCodes.measure`. Shape (m,), int8.
+        own: Codes of the published states, concatenated. Shape (total,), int16.
+    """
+
+    slots: np.ndarray
+    regimes: np.ndarray
+    own: np.ndarray
+
+
+def codes_are_whole(flight: Codes) -> bool:
+    """Whether slots, regimes and codes are consistent."""
+    slots = flight.slots
+    if len(slots) != len(flight.regimes) or ((slots < 0) | (slots >= residuals.SLOTS)).any():
+        return False
+    return int(_SIZES[slots].sum()) == len(flight.own) and bool((np.abs(flight.regimes) <= REGIMES).all())
+
+
+def sample_of(flight: Codes, field_codes: FieldCodes) -> Sample:
+    """Sample of one flight, as a detector of all fields sees it."""
+    count = len(flight.slots)
+    vectors = np.zeros((count, len(field_codes.fields)), np.int16)
+    ends = np.cumsum(_SIZES[flight.slots])
+    for slot in np.unique(flight.slots):
+        first, last = field_codes.range_of(int(slot))
+        rows = np.flatnonzero(flight.slots == slot)
+        codes = flight.own[ends[rows, None] - (last - first) + np.arange(last - first)]
+        # a code holds until the next publication of its state
+        newest = np.searchsorted(rows, np.arange(count), side="right") - 1
+        vectors[:, first:last] = np.where((newest >= 0)[:, None], codes[np.maximum(newest, 0)], 0)
+    first_ones = np.zeros(count, bool)
+    first_ones[np.unique(flight.slots, return_index=True)[1]] = True
+    return Sample(vectors, flight.slots.astype(np.int64), flight.regimes.astype(np.int64), first_ones)

@@ -1,0 +1,303 @@
+"""Components of a detector: scorer, threshold and policy.
+
+A scorer measures the distance of a publication from normal, a threshold turns it into a score, a policy selects the
+recovery that an alarm requests.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavfi.detectors.detector import Alarm, Detector
+from mavfi.errors import BadInputError
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import State
+
+NOT_FINITE = 1e9
+"""Score of a publication with a value that is not finite: always an alarm."""
+_WAYPOINT = "planning.waypoint"
+_NONE = np.zeros(0, np.int64)
+
+
+class Reading(NamedTuple):
+    """Distance of a publication from normal, by field.
+
+    Attributes:
+        distance: Distance of each watched field from normal, >= 0. Shape (n,).
+        unit: Unit of each distance, e.g. a standard deviation; 0 for fields not yet judged. Shape (n,).
+        first: First field updated by the publication.
+        last: One past the last.
+        regime: Column of the limits; negative if a value is not finite.
+    """
+
+    distance: np.ndarray
+    unit: np.ndarray
+    first: int
+    last: int
+    regime: int
+
+
+class Verdict(NamedTuple):
+    """Result of applying a threshold to a reading.
+
+    Attributes:
+        score: In units of the threshold; > 1 is an alarm.
+        ratios: Distance / limit of each updated field. Shape (n,).
+    """
+
+    score: float
+    ratios: np.ndarray
+
+
+class Scorer(ABC):
+    """Measures publications against its model of normal behaviour; independent of alarms and policies.
+
+    Calls: `use` once; `start` before each flight; then, for each publication, `score`, and `accept` when the value is
+    passed on to its readers. A value that recovery replaces is scored and never accepted. `score` may be called more
+    than once for a publication, so it must not change the memory; what a scorer learns during a flight, it learns in
+    `accept`.
+
+    Attributes:
+        fields: Watched fields, "state.field".
+        stages: Stage of each.
+        states: Names of the states that it reads; None = all.
+        kept: Memory of a flight, as arrays by name; 0 at its start.
+        candidate: The publication scored last; None = none yet, or the memory was read.
+        threshold: Converts readings to scores.
+    """
+
+    fields: tuple[str, ...]
+    stages: tuple[str, ...]
+    states: frozenset[str] | None = None
+    kept: Mapping[str, np.ndarray] = {}
+    candidate: State | None = None
+    threshold: "Threshold"
+
+    def use(self, threshold: "Threshold") -> None:
+        """Set the threshold; called before the first flight."""
+        self.threshold = threshold
+
+    @property
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See `Detector`."""
+        return {}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:  # noqa: B027 - one in Python has none
+        """See `Detector`."""
+
+    @abstractmethod
+    def score(self, state: State) -> float | None:
+        """Score of a publication, None if it is not watched; does not change the memory."""
+
+    @abstractmethod
+    def judged(self) -> "tuple[Reading, Verdict]":
+        """Reading and verdict of the publication scored last; their arrays are valid until the next call."""
+
+    @abstractmethod
+    def accept(self, state: State) -> None:
+        """Record a published value of any state."""
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the watched fields of a publication that are not finite, for readings of a negative regime."""
+        return _NONE
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        for part in self.kept.values():
+            part[...] = 0
+
+    def memory(self) -> tuple[bytes, ...]:
+        """Memory between publications."""
+        return tuple(part.tobytes() for part in self.kept.values())
+
+    def restore(self, memory: tuple[bytes, ...]) -> None:
+        """Inverse of `memory`."""
+        for part, content in zip(self.kept.values(), memory, strict=True):
+            part[...] = np.frombuffer(content, part.dtype).reshape(part.shape)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name: the arrays themselves, not copies."""
+        return dict(self.kept)
+
+
+@kernel_jit
+def largest_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
+    """Largest distance of the updated fields in units of its limit.
+
+    Other fields are not judged: an accepted anomalous delta would otherwise raise its alarm again with every
+    publication until it is updated.
+
+    Args:
+        reading: Reading of a publication.
+        limit: Largest distance without an alarm, by field and regime, in units of the reading. Shape (n, regimes).
+        ratios: Output, for the updated fields. Shape (n,).
+    """
+    worst = 0.0
+    for index in range(reading.first, reading.last):
+        ratios[index] = 0.0
+        if reading.unit[index] > 0.0:
+            ratios[index] = reading.distance[index] / (limit[index, reading.regime] * reading.unit[index])
+        worst = max(worst, ratios[index])
+    return worst
+
+
+@kernel_jit
+def mean_square_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
+    """Mean squared distance of all fields, updated or not, in units of its limit, shape (1, 1); see `largest_ratio`."""
+    total = 0.0
+    for value in reading.distance:
+        total += value * value
+    score = float(total / len(reading.distance) / limit[0, 0])
+    ratios[reading.first : reading.last] = score
+    return score
+
+
+@kernel_jit
+def score_of(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
+    """Score of a reading: mean square ratio for a single limit, else the largest ratio."""
+    if reading.regime < 0:
+        return NOT_FINITE
+    if limit.shape == (1, 1):
+        return mean_square_ratio(reading, limit, ratios)
+    return largest_ratio(reading, limit, ratios)
+
+
+class Threshold:
+    """Converts readings to scores.
+
+    Attributes:
+        limit: See `limit` below.
+        ratios: Ratios of the reading judged last, see `Verdict`.
+
+    Args:
+        limit: By field and regime, shape (n, regimes); or for the mean squared distance, shape (1, 1).
+        size: Number of watched fields.
+        usual: Largest distance of each field in normal flights, shape (n,): an alarm names the field with the largest
+            distance relative to it, updated or not.  None: an alarm names all fields beyond their limits.
+    """
+
+    def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
+        self.limit, self._usual = limit, usual
+        self.ratios = np.zeros(size)
+
+    def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
+        """Indices of the fields that an alarm names.
+
+        Args:
+            reading: Reading of a publication.
+            verdict: Verdict on it.
+            not_finite: Indices of fields that are not finite; if there are any, the alarm names these.
+        """
+        if self._usual is not None:
+            return not_finite[:1] if len(not_finite) else np.array([np.argmax(reading.distance / self._usual)])
+        if len(not_finite):
+            return not_finite
+        return reading.first + np.flatnonzero(verdict.ratios[reading.first : reading.last] > 1.0)
+
+
+Policy = Callable[[Alarm, State, bool], Alarm]
+"""Recovery that an alarm requests.  Arguments: an alarm for the stage of the anomalous field, the publication, and
+whether the way-point in force was anomalous as well."""
+
+
+def keyed(alarm: Alarm, state: State, persists: bool) -> Alarm:
+    """Recompute the stage of the anomalous field."""
+    return alarm
+
+
+def abandon_waypoint(alarm: Alarm, state: State, persists: bool) -> Alarm:
+    """The paper's policy for the AAD: recompute control, and abandon an anomalous way-point for the next one.
+
+    If the last published way-point was anomalous as well, alarms persist: stop and replan.
+    """
+    waypoint = state.spec.name == _WAYPOINT
+    return replace(alarm, stage="control", abandon_waypoint=waypoint, stop=waypoint and persists)
+
+
+POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
+
+
+def find_policy(name: str) -> Policy:
+    """A recovery policy by name; `BadInputError` if unknown."""
+    if name not in POLICIES:
+        raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
+    return POLICIES[name]
+
+
+class ScoringDetector(Detector):
+    """A detector composed of scorer, threshold and policy.
+
+    Args:
+        source: Name in alarms.
+        scorer: Measures publications.
+        threshold: Converts measurements to scores.
+        policy: Recovery that an alarm requests, see `POLICIES`.
+    """
+
+    def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
+        self.source, self.scorer, self.threshold, self.policy = source, scorer, threshold, policy
+        scorer.use(threshold)
+        self.states = scorer.states
+        self._counts_waypoints = policy is not keyed
+        self._persists = np.zeros(1, np.bool_)
+        self._scored: State | None = None
+        self._score: float | None = None
+
+    def start(self) -> None:
+        """Reset the memory at the start of a flight."""
+        self._scored, self._persists[0] = None, False
+        self.scorer.start()
+
+    def score(self, state: State, time_us: int) -> float | None:
+        """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
+        if self._scored is not state:
+            self._scored, self._score = state, self.scorer.score(state)
+        return self._score
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """Check a publication."""
+        score = self.score(state, time_us)
+        return None if score is None or score <= 1.0 else self._alarm(state, score)
+
+    def _alarm(self, state: State, score: float) -> Alarm:
+        reading, verdict = self.scorer.judged()
+        lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
+        found = self.threshold.standing_out(reading, verdict, lacking)
+        names = tuple(self.scorer.fields[index] for index in found)
+        alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(score), fields=names)
+        return self.policy(alarm, state, bool(self._persists[0]))
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Record a published value."""
+        if self._counts_waypoints and state.spec.name == _WAYPOINT:
+            score = self.score(state, time_us)
+            self._persists[0] = self._persists[0] if score is None else not score <= 1.0
+        self._scored = None
+        self.scorer.accept(state)
+
+    @property
+    def compiled(self) -> Mapping[str, Callable[..., Any]]:
+        """See `Detector`."""
+        return self.scorer.compiled
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """See `Detector`."""
+        self.scorer.instrument(made)
+
+    def memory(self) -> tuple[tuple[bytes, ...], bool]:
+        """Memory between publications, see `Detector`."""
+        return self.scorer.memory(), bool(self._persists[0])
+
+    def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
+        """Inverse of `memory`."""
+        self._scored = None
+        kept, self._persists[0] = memory
+        self.scorer.restore(kept)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Memory between publications by name, see `Detector`."""
+        self._scored = None
+        return {**self.scorer.arrays(), "persists": self._persists}

@@ -1,1 +1,0 @@
-"""Kernels from alarm to response."""

@@ -1,0 +1,97 @@
+"""Custom detectors: which ones they are, and a call that ends its process, or does not return, is named."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from mavfi.detectors.chain import Chain
+from mavfi.detectors.custom import CustomCallError, NotedCalls, is_custom, split_noting_calls
+from mavfi.detectors.registry import NoDetector
+from mavfi.ir.forked import ForkPoint
+
+
+class Own:
+    """Does something else at each call of a method."""
+
+    def __init__(self, **calls):
+        self.calls = calls
+
+    def start(self): ...
+
+    def check(self, state, time_us):
+        return self.calls.get("check", lambda: None)()
+
+    def accept(self, state, time_us):
+        self.calls.get("accept", lambda: None)()
+
+
+def crash():
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def sleep():
+    time.sleep(60)
+
+
+def in_child(work, timeout=60.0):
+    """How a child ended that does some work."""
+    point = ForkPoint()
+    with point.guard():
+        ended = split_noting_calls(point, timeout)
+        if ended is None:
+            work()
+            point.finish(b"done")
+    return ended
+
+
+@pytest.mark.parametrize(
+    ("detector", "custom"), [(None, False), (NoDetector(), False), (Own(), True), (Chain(NoDetector(), Own()), True)]
+)
+def test_a_detector_is_custom_if_a_part_is_not_of_mavfi(detector, custom):
+    assert is_custom(detector) == custom
+
+
+@pytest.mark.parametrize(
+    ("end", "how"),
+    [(crash, r"ended its process \(SIGSEGV\)"), (lambda: os._exit(3), r"ended its process \(ended with status 3")],
+)
+@pytest.mark.parametrize("method", ["check", "accept"])
+def test_a_call_that_ends_its_process_is_named(end, how, method):
+    calls = NotedCalls(Own(**{method: end}))
+    with pytest.raises(CustomCallError, match=rf"^detector \S+test_custom:Own: {method} {how}"):
+        in_child(lambda: getattr(calls, method)(None, 0))
+
+
+def test_a_call_that_does_not_return_is_named():
+    with pytest.raises(CustomCallError, match=r"^detector \S+:Own: check did not return within 0.3 s$"):
+        in_child(lambda: NotedCalls(Own(check=sleep)).check(None, 0), timeout=0.3)
+
+
+def test_a_grandchild_that_ends_in_a_call_is_named_by_its_parent():
+    """A fork for an injected call, within a run that is flown alone."""
+
+    def work():
+        with pytest.raises(CustomCallError, match="check ended its process"):
+            in_child(lambda: NotedCalls(Own(check=crash)).check(None, 0))
+        crash()  # not in a call
+
+    assert in_child(work).detail == "SIGSEGV"
+
+
+def test_what_ends_otherwise_is_as_without_such_a_detector():
+    calls = NotedCalls(Own(check=lambda: "alarm"))
+    assert calls.check(None, 0) == "alarm", "in a process whose parent does not care"
+
+    def call_then_crash():
+        calls.check(None, 0)
+        crash()
+
+    assert in_child(lambda: calls.check(None, 0)).payload == b"done"
+    assert in_child(call_then_crash).detail == "SIGSEGV"
+
+    def fail():
+        raise ValueError("no such command")
+
+    assert in_child(lambda: NotedCalls(Own(accept=fail)).accept(None, 0)).detail == "ValueError: no such command"
