@@ -118,7 +118,7 @@ class KernelEffect:
     Attributes:
         effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception", "detected" or
             "not_activated".
-        detail: Signal, budget or exception; of "detected" by repetition "rerun" or "vote"; "" = none.
+        detail: Signal, budget or exception; "" = none.
         first_difference: The first published field that differs, as plain data (see `hosts.local.case`); None =
             all published fields are equal.
     """

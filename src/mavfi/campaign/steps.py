@@ -14,7 +14,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mavfi.campaign.overheads import processor
-from mavfi.campaign.store import FILE as LEDGER
 from mavfi.errors import BadInputError, writing
 from mavfi.version import __version__
 
@@ -47,10 +46,7 @@ class Steps:
         try:
             held = json.loads(path.read_text(encoding="utf-8"))
             seconds = {str(step): float(spent) for step, spent in held["seconds"].items()}
-            runs = [
-                {key: str(run[key]) for key in ("begun", "machine")} | {"program": str(run.get("program", ""))}
-                for run in held["runs"]
-            ]
+            runs = [{key: str(run[key]) for key in ("begun", "machine", "program")} for run in held["runs"]]
         except FileNotFoundError:
             return Steps(folder)
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -64,9 +60,6 @@ class Steps:
         spent = set_up_seconds()
         if spent is not None and SET_UP not in found.seconds:
             found = replace(found, seconds={SET_UP: spent, **found.seconds})
-        if not found.runs and any(folder.rglob(LEDGER)):  # flown by a version that did not keep this file
-            first = {"begun": "before this was recorded", "machine": "not recorded, for the first flights"}
-            found.runs.append({**first, "program": ""})
         begun = datetime.now(UTC).isoformat(" ", "seconds")
         where = f"{machine()}, {workers} worker{'s' * (workers != 1)}"
         found.runs.append({"begun": begun, "machine": where, "program": program()})

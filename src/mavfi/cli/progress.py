@@ -62,6 +62,7 @@ class Bar:
         self._first_is_open = True
         self._campaigns: dict[Path, CampaignProgress] = {}
         self._bar.update(self._task, description=label, completed=0, total=None, counts="", pace="")
+        self._live.update(self._bar)
 
     def show(self, done: int, total: int) -> None:
         """Show progress; the rate excludes the first unit, which includes compiling and loading."""
@@ -81,8 +82,10 @@ class Bar:
         if progress.compiling and not progress.flown:
             text = "compiling kernels and flying the first mission ..."
             self._bar.update(self._task, pace=text)
-            if not self._console.is_terminal:
-                self._console.print(f"{self._label}: {text}")
+            line = f"{self._label}: {text}"
+            if not self._console.is_terminal and line != self._line:  # campaigns that fly together say it once
+                self._line = line
+                self._console.print(line)
             return
         if progress.settings:
             self._live.update(Group(self._bar, success_counts(progress.settings)))
@@ -92,9 +95,12 @@ class Bar:
         """Show the progress of campaigns that fly together, in all; of a single one also its successes."""
         self._campaigns[directory] = progress
         campaigns = self._campaigns.values()
-        if len(campaigns) == 1 or (progress.compiling and not any(campaign.flown for campaign in campaigns)):
+        nothing_flown = not any(campaign.flown for campaign in campaigns)
+        if len(campaigns) == 1 or (progress.compiling and nothing_flown):
             self.show_campaign(progress)
             return
+        if nothing_flown:
+            self._done_before = None  # runs of earlier sessions, campaign by campaign, are no progress
         self.show(sum(campaign.done for campaign in campaigns), sum(campaign.total for campaign in campaigns))
 
     def _draw(self, done: int, total: int, pace: str) -> None:

@@ -80,11 +80,6 @@ class FunctionPlan(Config):
     predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
     certified: Coverage | None = Field(None, description="coverage measured with fresh missions and faults")
 
-    @property
-    def executions(self) -> int:
-        """How often each call is executed as a whole."""
-        return {"rerun": 2, "vote": 3}.get(self.kind, 1)
-
     @field_validator("sites", mode="before")
     @classmethod
     def _expanded(cls, given: Any) -> Any:

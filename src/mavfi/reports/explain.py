@@ -29,13 +29,6 @@ _KERNEL_EFFECTS = {
     "crash": "crashed", "hang": "hung", "exception": "raised an exception",
     "not_activated": "not reached by the fault",
 }  # fmt: skip
-_DETECTED = {
-    "": "detected by its protection; its step was computed again by plain code",
-    "rerun": "detected by a second execution; its step was computed again",
-    "vote": "detected by two more executions, with whose result its step was published in time",
-}
-"""What detected a fault, by detail of the kernel's effect."""
-_VOTED = "detected by the protection of the kernel, the majority of its executions was published"
 _ROLES = {
     "": "", "shadow": ", its shadow", "copy": ", a copy for its shadow", "check": ", the comparison with its shadow",
 }  # fmt: skip
@@ -99,7 +92,7 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
         return f"{kernel.effect}{detail} of {what}, {after_death(log)}; {_mission(log, golden)}"
     found = _EFFECTS.get(effect, effect.label)
     if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
-        found = f"{_VOTED if kernel.detail == 'vote' else _EFFECTS[Effect.DETECTED]}; {found}"
+        found = f"{_EFFECTS[Effect.DETECTED]}; {found}"
     return f"{found}; {_mission(log, golden)}"
 
 
@@ -183,7 +176,7 @@ def _bit(bit: int, fault: Fault | None) -> str:
 
 def _kernel(name: str, kernel: KernelEffect, after: str) -> str:
     if kernel.effect == Effect.DETECTED.label:
-        return f"{name}: {_DETECTED[kernel.detail]}"
+        return f"{name}: detected by its protection; its step was computed again by plain code"
     text = f"{name}: {_KERNEL_EFFECTS.get(kernel.effect, kernel.effect)}"
     if kernel.detail:
         text += f" ({kernel.detail}); {after}"

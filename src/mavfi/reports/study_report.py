@@ -98,7 +98,7 @@ class StudyReport:
     @property
     def programs(self) -> list[str]:
         """The programs that flew the study, with their commits; empty if it was not flown by `mavfi reproduce`."""
-        return list(dict.fromkeys(run["program"] or "not recorded" for run in self.steps.runs))
+        return list(dict.fromkeys(run["program"] for run in self.steps.runs))
 
     @property
     def provenance(self) -> list[str]:

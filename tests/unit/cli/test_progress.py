@@ -31,20 +31,19 @@ def test_campaigns_that_fly_together_have_one_count(capsys, clock, tmp_path):
 def test_each_step_of_a_study_has_a_bar_and_a_time_of_its_own(capsys, clock, tmp_path):
     with StudyBar("study paper", Steps(tmp_path)) as bar:
         with bar.timed("compilation", "tasks"):
-            bar.show(1, 3)  # the first one includes loading
-            clock[0] = 20.0
-            bar.show(2, 3)
-            bar.show(3, 3)
+            for done in range(4):  # the first one includes loading
+                bar.show(done, 3)
+                clock[0] += 20.0
         with bar.timed("flights"):
-            clock[0] = 120.0
-            bar.show(1, 100)
-            clock[0] = 180.0
-            bar.show(31, 100)
+            for done in (0, 1, 31):
+                bar.show(done, 100)
+                clock[0] += 60.0
         lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "study paper, compilation 2/3 tasks  0.05 tasks/s · 20 s left"
-    assert lines[1] == "study paper, compilation 3/3 tasks"
+    assert lines[1:3] == [
+        "study paper, compilation 2/3 tasks  0.05 tasks/s · 20 s left", "study paper, compilation 3/3 tasks"
+    ]  # fmt: skip
     assert lines[-1] == "study paper, flights 31/100 flights  0.50 flights/s · 2 min 18 s left"
-    assert bar.steps.seconds == {"compilation": 20.0, "flights": 160.0}
+    assert bar.steps.seconds == {"compilation": 80.0, "flights": 180.0}
 
 
 def test_a_step_that_is_stopped_is_not_shown_as_done(capsys, clock, tmp_path):
@@ -69,3 +68,14 @@ def test_a_cache_is_cold_until_a_flight_has_ended(terminal, monkeypatch, tmp_pat
         assert ("compiling kernels for this machine" in capsys.readouterr().err) is (cold and terminal)
     with compiling() as found:
         assert not found
+
+
+def test_runs_of_earlier_sessions_are_no_progress(capsys, clock, tmp_path):
+    with Bar("flights", "runs") as bar:
+        for number in range(4):  # each of the campaigns was stopped when it had flown 10 runs
+            clock[0] += 1.0
+            bar.show_campaigns(tmp_path / str(number), Progress(10, 20))
+        bar.show_campaigns(tmp_path / "0", Progress(11, 20, flown=1))
+        clock[0] += 20.0
+        bar.show_campaigns(tmp_path / "0", Progress(13, 20, flown=3))
+        assert capsys.readouterr().err.endswith("flights 43/80 runs  0.10 runs/s · 6 min 10 s left\n")

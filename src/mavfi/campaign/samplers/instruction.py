@@ -41,8 +41,6 @@ _MAX_ROUNDS = 6
 """Rounds of drawing for instructions of a class; more only if it is executed less than once in 240 instructions."""
 _SPARES = 40
 """Draws per fault of a class: those outside it are dropped."""
-_NEARBY = 200
-"""Dynamic indices on either side at which an instruction is looked for in another call."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,21 +34,20 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.instruction.arena import arena, own
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
-from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
+from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.case import DETECTED, WAITING, Case, ChildReport, Output, Published, case_of, flight_of
 from mavfi.hosts.local.checkpoints import fill, put
 from mavfi.hosts.local.counted_function import CountedFunction, Taken
 from mavfi.hosts.local.fast_forward import NO_DETECTOR, Branch, FastForward, FlownArm, Track
-from mavfi.hosts.local.protected import alarm_of, is_detection, paired, repetition_of, rewriting_of
+from mavfi.hosts.local.protected import alarm_of, is_detection, paired, rewriting_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import check_prefix, fly_until
 from mavfi.hosts.loop.policy import INLINE, Recovery
 from mavfi.hosts.loop.protection import check_flown
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
-from mavfi.ir.build import name_of
 from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -179,7 +178,6 @@ class Child:
         comparable: Whether, moreover, all differences from the golden flight are in results and memory of kernels, so
             that the flights are the same from an instant at which these are.
         output: Output of the injected step.
-        in_time: Whether the result of a detected call is published without further latency.
     """
 
     point: ForkPoint
@@ -189,7 +187,6 @@ class Child:
     planned: bool = True
     comparable: bool = True
     output: Output | None = None
-    in_time: bool = False
 
 
 class Forks:
@@ -265,13 +262,8 @@ class Forks:
 
         # 3. If it died, or the fault was detected, a second child continues without the result of the call.
         if case.how != "done":
-            repetition = self._repetition(function, args)
-            if case.how == DETECTED:
-                case.detail = repetition
             ended = self._fork(case, dead=True)
             if ended is None:
-                assert self.child is not None  # this is one
-                self.child.in_time = repetition == "vote"
                 if not case.kernel and self._detector is not None:
                     down_us = round(1e6 * case.fault.restart_s)
                     self._start.restarts().detector_dies(self._detector, self._loop.now, down_us)
@@ -306,11 +298,6 @@ class Forks:
             return None
         return fault if _has_bit(variant, fault, args) else None
 
-    def _repetition(self, function: Any, args: tuple[Any, ...]) -> str:
-        """See `repetition_of`."""
-        protection = self._loop.scenario.protection
-        return "" if protection is None else repetition_of(protection, name_of(function), signature_of(args))
-
     def _fork(self, case: Case, *, dead: bool) -> Ended | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
@@ -338,8 +325,7 @@ class Forks:
         child.dead = False
         if child.case.how == DETECTED:
             self._loop.record.alarms.append(alarm_of(kernel, states, now))
-            if not child.in_time:
-                self._start.restarts().recompute(kernel.name, now, states)
+            self._start.restarts().recompute(kernel.name, now, states)
         else:
             self._start.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
 
@@ -365,8 +351,6 @@ class Forks:
                 raise
             self._end(ChildReport(None, None, call_same=False, detected=True))
         child.call_same = same((result, args), golden)
-        if not child.call_same and self._repetition(function, args):
-            self._end(ChildReport(None, None, call_same=False, detected=True))
 
         # The flight need not be completed if the fault missed, or changed nothing.
         report = variant.report()
@@ -405,7 +389,7 @@ def _settle(case: Case, ended: Ended) -> None:
     if case.report.missed:
         case.call, case.how, case.report = case.call + 1, WAITING, None
     elif case.report.detected:
-        case.how = DETECTED
+        case.how, case.detail = DETECTED, ""
 
 
 def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:

@@ -5,10 +5,6 @@ instrumented variant of the protected code.  Its time is charged to the platform
 difference is handled as by a node that keeps its inputs: arguments and memory are those before the call, the step is
 computed again by plain code, its result is published one latency later, and an alarm is recorded.
 
-Functions of kind `rerun` and `vote` are executed as a whole two or three times, with memory put back in between; the
-fault is in one of the executions, whose results and arguments are compared.  A `rerun` that differs is handled as
-above; of a `vote` the majority is published in time.  A crash or hang of one execution is that of the node.
-
 A fault drawn in plain code is injected into the same execution of the same instruction of protected code, so that arms
 with and without protection are paired.  Faults in what the protection adds are drawn in missions that are protected
 themselves.
@@ -26,7 +22,6 @@ from mavfi.faults.instruction import budget_for
 from mavfi.faults.instruction.api import apart
 from mavfi.faults.instruction.variant import Variant
 from mavfi.flight_log import AlarmRecord
-from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import protection_of
 from mavfi.hardening.wrapper import MESSAGE
 from mavfi.ir.build import Rewriting
@@ -36,14 +31,6 @@ from mavfi.states import State
 
 SOURCE = "protection"
 """Source of the alarms."""
-
-
-def repetition_of(plan: Plan, kernel: str, signature: tuple[Any, ...]) -> str:
-    """Kind of protection by repetition of a function: "rerun" or "vote"; "" = none."""
-    function = plan.find(kernel, signature)
-    if function is None or function.executions <= 1:
-        return ""
-    return function.kind
 
 
 def rewriting_of(scenario: Scenario) -> Rewriting | None:
