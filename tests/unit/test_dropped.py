@@ -19,7 +19,7 @@ def test_a_shipped_name_is_not_refused():
     assert dropped_name("detectors", "acceptance") == ""
 
 
-@pytest.mark.parametrize(("key", "value"), VALUES)
+@pytest.mark.parametrize(("key", "value"), [pair for pair in VALUES if pair[0] in MissionSpec.model_fields])
 def test_a_dropped_value_is_refused_with_the_value_to_use(key: str, value: str):
     with pytest.raises(BadInputError) as refusal:
         parse(MissionSpec, {key: value}, "mission")
