@@ -40,7 +40,7 @@ OPTIONS: Mapping[str, str] = {
     "--until-halfwidth": "use --scale, or set missions in the campaign: their number does not depend on results",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",
-    "--machine": "use make machine-level, which flips bits of registers in plain and in protected code",
+    "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, with what to do instead."""
 
