@@ -2,7 +2,9 @@
 
 import pytest
 
-from mavfi.config import parse, shipped
+import mavfi
+from mavfi.campaign.config import load_campaign
+from mavfi.config import parse
 from mavfi.dropped import NAMES, VALUES, dropped_name
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
@@ -33,4 +35,10 @@ def test_a_dropped_key_is_refused():
 
 def test_a_dropped_campaign_is_refused():
     with pytest.raises(BadInputError, match="campaign 'replicas': dropped; use detector_instructions"):
-        shipped("campaigns", MissionSpec, "replicas")
+        load_campaign("replicas")
+
+
+def test_recovery_is_no_target_of_faults():
+    for text in ("memory:recovery.restarts_left", "instruction:recovery"):
+        with pytest.raises(BadInputError, match="kernel 'recovery': dropped; no fault in recovery lost a mission"):
+            mavfi.draw(text)

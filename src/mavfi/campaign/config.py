@@ -20,6 +20,7 @@ from mavfi.campaign.sampling import (
     label_of,
 )
 from mavfi.config import STORED, Config, Name, config_root, load, parse
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint, warn_of_older
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
@@ -357,6 +358,8 @@ def config_path(folder: str, name: str | Path) -> Path:
         return Path(name)
     shipped = {file.stem: file for file in sorted((config_root() / folder).glob("*.yaml"))}
     if str(name) not in shipped:
+        if dropped_name(folder, str(name)):
+            raise BadInputError(dropped_name(folder, str(name)))
         kind, what = {"campaigns": "campaign", "studies": "study"}[folder], "is a folder" if is_dir(Path(name)) else ""
         what = what or f"not known{hint(str(name), shipped)}"
         raise BadInputError(f"{kind} {str(name)!r}: {what}; allowed: {', '.join(shipped)}, or a path to a .yaml file")
