@@ -19,7 +19,7 @@ class Asked(Exception):  # noqa: N818 - no error
     """A detector was asked for; its argument is the mission that it was trained for."""
 
 
-def ask(scenario, name, profile, models_dir=None, trained_for=""):
+def ask(scenario, name, profile, models_dir=None, trained_for="", options=None):
     raise Asked(trained_for)
 
 

@@ -211,7 +211,7 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
 def with_model(monkeypatch, sha=None):
     """Detectors have a model now, whose sha256 is the name of its folder."""
 
-    def found(scenario, name, profile, models_dir=None, trained_for=""):
+    def found(scenario, name, profile, models_dir=None, trained_for="", options=None):
         return FakeDetector(), sha or (models_dir.name if models_dir else "shipped")
 
     monkeypatch.setattr(mission_module, "detector_for", found)
