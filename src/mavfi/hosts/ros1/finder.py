@@ -19,8 +19,8 @@ ROOT_VARIABLE = "MAVFI_ROS_ROOT"
 DIST_PACKAGES = Path("usr/lib/python3/dist-packages")
 WORKSPACE_MARK = Path("usr/.catkin")
 """Marker file by which catkin recognizes an installation prefix."""
-GENERATED = "mavfi_msgs"
-"""Package generated for each flight."""
+GENERATED = ("mavfi_msgs",)
+"""Packages generated for each flight."""
 _ROS = (
     "rospy", "rosgraph", "rosgraph_msgs", "roslib", "rosmaster", "roscpp", "genpy", "genmsg", "catkin", "std_msgs",
     "std_srvs",
@@ -47,7 +47,7 @@ class Finder(MetaPathFinder):
         """The spec of a listed top-level module, otherwise None."""
         if path is not None:
             return None
-        if fullname == GENERATED and self.generated is not None:
+        if fullname in GENERATED and self.generated is not None:
             return PathFinder.find_spec(fullname, [str(self.generated)])
         if fullname in ALLOWED:
             return PathFinder.find_spec(fullname, self.dist_packages)
