@@ -15,9 +15,9 @@ from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.loop.sensor_faults import check_read
-from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
-from mavfi.hosts.ros1.definitions import type_name
 from mavfi.hosts.ros1.graph import WORLD, Graph
+from mavfi.hosts.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
+from mavfi.hosts.ros1.messages import type_name
 from mavfi.hosts.ros1.session import configure
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers

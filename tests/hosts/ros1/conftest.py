@@ -24,6 +24,6 @@ def messages(tmp_path_factory):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         generated(tmp_path_factory.mktemp("messages"))
-        from mavfi.hosts.ros1.generate import state_types
+        from mavfi.hosts.ros1.messages import state_types
 
         return state_types()

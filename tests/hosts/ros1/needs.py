@@ -21,7 +21,7 @@ def environment():
 
 def generated(folder):
     """Message classes in a folder, importable from now on."""
-    from mavfi.hosts.ros1.generate import generate
+    from mavfi.hosts.ros1.messages import generate
 
     finder.enable(folder)
     generate(folder)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.hosts.ros1 import definitions
-from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg, to_stamp
+from mavfi.hosts.ros1 import messages as ros_messages
+from mavfi.hosts.ros1.messages import from_msg, from_stamp, to_msg, to_stamp
 from mavfi.states import STATES, State
 from tests.hosts.ros1.needs import ros
 
@@ -44,19 +44,19 @@ any_state = st.sampled_from(sorted(STATES)).flatmap(states)
 @pytest.mark.parametrize("name", STATES)
 def test_definitions_hold_every_field_of_the_table_in_its_order(name):
     spec = STATES[name]
-    lines = [line.split("#")[0].split() for line in definitions.message_text(spec).splitlines()]
+    lines = [line.split("#")[0].split() for line in ros_messages.message_text(spec).splitlines()]
     fields = [line for line in lines if len(line) == 2]
     assert fields[:2] == [["std_msgs/Header", "header"], ["uint64", "number"]]
     slots = [slot for _, slot in fields]
     assert len(set(slots)) == len(slots)
-    assert slots[2:] == [*definitions.header_slots(spec), *definitions.element_slots(spec)]
+    assert slots[2:] == [*ros_messages.header_slots(spec), *ros_messages.element_slots(spec)]
     kinds = {"f8": "float64", "f4": "float32", "i4": "int32", "?": "bool"}
     expected = [kinds[f.dtype] for f in spec.header] + [f"{kinds[f.dtype]}[]" for f in spec.elements]
     assert [kind for kind, _ in fields[2:]] == expected
 
 
 def test_type_names_differ():
-    assert len({definitions.type_name(spec) for spec in STATES.values()}) == len(STATES)
+    assert len({ros_messages.type_name(spec) for spec in STATES.values()}) == len(STATES)
 
 
 @pytest.mark.slow
@@ -86,14 +86,14 @@ def test_lists_of_unequal_length_are_cut():
 def other_store():
     """The same definitions in the library `rosbags`."""
     store = get_typestore(Stores.ROS1_NOETIC)
-    for name, text in definitions.messages().items():
-        store.register(get_types_from_msg(text, f"{definitions.PACKAGE}/msg/{name}"))
+    for name, text in ros_messages.definitions().items():
+        store.register(get_types_from_msg(text, f"{ros_messages.PACKAGE}/msg/{name}"))
     return store
 
 
-@pytest.mark.parametrize("name", definitions.messages())
+@pytest.mark.parametrize("name", ros_messages.definitions())
 def test_another_library_can_read_the_definitions(name):
-    assert f"{definitions.PACKAGE}/msg/{name}" in other_store().types
+    assert f"{ros_messages.PACKAGE}/msg/{name}" in other_store().types
 
 
 class TestOnTheWire:
@@ -112,7 +112,7 @@ class TestOnTheWire:
     @pytest.mark.parametrize("name", STATES)
     def test_another_library_sees_the_same_type_and_values(self, messages, name):
         spec, store = STATES[name], other_store()
-        full = f"{definitions.PACKAGE}/msg/{definitions.type_name(spec)}"
+        full = f"{ros_messages.PACKAGE}/msg/{ros_messages.type_name(spec)}"
         assert store.generate_msgdef(full)[1] == messages[name]._md5sum
         random = np.random.default_rng(3)
         state = State(spec, np.zeros(1, spec.header_dtype), np.zeros(4 if spec.elements else 0, spec.element_dtype))
@@ -123,7 +123,7 @@ class TestOnTheWire:
         to_msg(state, 5, 20_000, messages[name]).serialize(wire)
         came = store.deserialize_ros1(wire.getvalue(), full)
         assert came.number == 5
-        for slot, field in zip(definitions.header_slots(spec), spec.header, strict=True):
+        for slot, field in zip(ros_messages.header_slots(spec), spec.header, strict=True):
             assert getattr(came, slot) == state.header[field.name][0]
-        for slot, field in zip(definitions.element_slots(spec), spec.elements, strict=True):
+        for slot, field in zip(ros_messages.element_slots(spec), spec.elements, strict=True):
             assert np.array_equal(getattr(came, slot), state.elements[field.name])

@@ -16,7 +16,7 @@ from mavfi.faults.state import StateInjector, flip
 from mavfi.faults.strata import WORD_BITS
 from mavfi.faults.transit import parse, serialize, with_length
 from mavfi.flight_log import Profile
-from mavfi.hosts.ros1.definitions import element_slots, header_slots, message_text
+from mavfi.hosts.ros1.messages import element_slots, header_slots, message_text
 from mavfi.states import STATES, new_state
 
 LISTS = [name for name, spec in STATES.items() if spec.elements]

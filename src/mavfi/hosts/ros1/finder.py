@@ -19,8 +19,8 @@ ROOT_VARIABLE = "MAVFI_ROS_ROOT"
 DIST_PACKAGES = Path("usr/lib/python3/dist-packages")
 WORKSPACE_MARK = Path("usr/.catkin")
 """Marker file by which catkin recognizes an installation prefix."""
-GENERATED = "mavfi_msgs"
-"""Package generated for each flight."""
+GENERATED = ("mavfi_msgs",)
+"""Packages generated for each flight."""
 _ROS = (
     "rospy", "rosgraph", "rosgraph_msgs", "roslib", "rosmaster", "roscpp", "genpy", "genmsg", "catkin", "std_msgs",
     "std_srvs",
@@ -47,7 +47,7 @@ class Finder(MetaPathFinder):
         """The spec of a listed top-level module, otherwise None."""
         if path is not None:
             return None
-        if fullname == GENERATED and self.generated is not None:
+        if fullname in GENERATED and self.generated is not None:
             return PathFinder.find_spec(fullname, [str(self.generated)])
         if fullname in ALLOWED:
             return PathFinder.find_spec(fullname, self.dist_packages)
@@ -68,7 +68,7 @@ def roots() -> list[Path]:
 
 
 def find_file(name: str) -> Path:
-    """Path of a ROS file, e.g. "usr/bin/roslaunch"; a missing file yields its path under the system prefix."""
+    """Path of a ROS file, e.g. "usr/bin/rosmaster"; a missing file yields its path under the system prefix."""
     return next((path for root in roots() if (path := root / name).exists()), _SYSTEM / name)
 
 
@@ -110,7 +110,7 @@ def environment() -> dict[str, str]:
     if len(folders) > 1:
         own = folders[0]
         variables["PYTHONPATH"] = str(own / DIST_PACKAGES)
-        # for rosversion, which roslaunch executes
+        # for the programs that they start
         variables["PATH"] = os.pathsep.join([str(own / "usr/bin"), os.environ.get("PATH", os.defpath)])
         variables["LD_LIBRARY_PATH"] = _path(own / name for name in _LIBRARIES)
         variables["CMAKE_PREFIX_PATH"] = _path(root / "usr" for root in folders)

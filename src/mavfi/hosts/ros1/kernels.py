@@ -8,15 +8,13 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.ros1.convert import from_msg
-from mavfi.hosts.ros1.definitions import Action
-from mavfi.hosts.ros1.generate import state_types
+from mavfi.hosts.ros1.messages import Action, deserialized
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox, Ports
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.ppc import build_pipeline
-from mavfi.states import STATES, State
+from mavfi.states import State
 
 _LOADING_FLIGHT_US = 3_000_000
 """Simulated time within which every kernel has been executed (us)."""
@@ -121,9 +119,7 @@ class KernelNode:
     # ---- after a restart --------------------------------------------------------------------------------------------
     def _note_given(self, kernel: Kernel, order: Any) -> None:
         """Keep a value of before the restart."""
-        message = state_types()[order.state]()
-        message.deserialize(order.value)
-        self._given[order.number] = from_msg(message, STATES[order.state])
+        self._given[order.number] = deserialized(order.value, order.state)
 
     def _resume(self, kernel: Kernel, order: Any) -> tuple[str, ...]:
         latest = {self._given[number].spec.name: self._given[number] for number in sorted(self._given)}

@@ -11,8 +11,7 @@ from typing import Any, NoReturn, TypeVar
 from xmlrpc.client import ServerProxy
 
 from mavfi.errors import MavfiError
-from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg
-from mavfi.hosts.ros1.generate import state_types
+from mavfi.hosts.ros1.messages import from_msg, from_stamp, state_types, to_msg
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.states import STATES, State
 

@@ -10,16 +10,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.hosts.ros1.convert import to_msg
-from mavfi.hosts.ros1.definitions import Action
-from mavfi.hosts.ros1.generate import message_type, state_types
 from mavfi.hosts.ros1.graph import Face
+from mavfi.hosts.ros1.messages import Action, message_type, serialized
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.taps import alarm_of
 from mavfi.platforms.compute import latency
@@ -148,9 +145,8 @@ class Link:
         """Give the node a value that was published before the current process started."""
         if state.number < self.since and state.number not in self._given:
             self._given.add(state.number)
-            name, content = state.spec.name, BytesIO()
-            to_msg(state, state.number, 0, state_types()[name]).serialize(content)
-            self.note(Action.GIVE, kernel, state.number, state=name, value=content.getvalue())
+            value = serialized(state, state.number)
+            self.note(Action.GIVE, kernel, state.number, state=state.spec.name, value=value)
 
     def flush(self) -> None:
         """Send all pending operations."""

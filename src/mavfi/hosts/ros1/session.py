@@ -15,7 +15,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1 import folder as files
-from mavfi.hosts.ros1.generate import generate
+from mavfi.hosts.ros1.messages import generate
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.supervisor import private_network
 from mavfi.mission import Scenario

@@ -78,7 +78,7 @@ def _load(folder: Path) -> Plan:
         import rospy  # noqa: F401
 
         from mavfi.hosts.ros1 import kernels, taps, world  # noqa: F401
-        from mavfi.hosts.ros1.generate import state_types
+        from mavfi.hosts.ros1.messages import state_types
 
         state_types()
     with suppress(Exception):  # the node concerned reports the error

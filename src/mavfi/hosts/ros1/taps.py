@@ -7,11 +7,9 @@ import numpy as np
 
 from mavfi.detectors.detector import Alarm
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.ros1.convert import to_stamp
-from mavfi.hosts.ros1.definitions import Action
 from mavfi.hosts.ros1.folder import read_injections, write_injections
-from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTOR
+from mavfi.hosts.ros1.messages import Action, message_type, to_stamp
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox, Ports
 from mavfi.states import State

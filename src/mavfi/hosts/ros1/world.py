@@ -14,9 +14,9 @@ from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.sensor_faults import inject_sensor_fault
-from mavfi.hosts.ros1.definitions import Action
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
 from mavfi.hosts.ros1.graph import DETECTOR, WORLD
+from mavfi.hosts.ros1.messages import Action
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox, Ports
 from mavfi.hosts.ros1.register_injector import PLANNED, RegisterInjector
