@@ -1,4 +1,4 @@
-"""A sample of `make reliability ONLY=fuzz`, every input that it found, places that are no files, and bad readers that it must notice."""
+"""A sample of `tests.robustness.fuzz`, every input that it found, places that are no files, and bad readers that it must notice."""
 
 import copy
 import itertools
