@@ -1,4 +1,4 @@
-"""A sample of `tests.robustness.fuzz`, every input that it found, places that are no files, and bad readers that it must notice."""
+"""A sample of the long test `fuzz`, every input that it found, places that are no files, and bad readers."""
 
 import copy
 import itertools
