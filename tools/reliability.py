@@ -120,10 +120,11 @@ def main() -> int:
             sys.stdout.write(f"{test.name} ...\n")
             sys.stdout.flush()
             rows[test.name] = row_of(test, share)
-    rows = _written() | rows  # read now: another run may have written its own
-    page = write_page(rows)
     failed = [name for name, row in rows.items() if row["result"] == "FAILED"]
-    sys.stdout.write(f"wrote {page.relative_to(ROOT)}, {len(failed)} of {len(rows)} failed\n")
+    if share == 1:  # a page shows full runs only
+        page = write_page(_written() | rows)  # read now: another run may have written its own
+        sys.stdout.write(f"wrote {page.relative_to(ROOT)}\n")
+    sys.stdout.write(f"{len(failed)} of {len(rows)} failed\n")
     return 1 if failed else 0
 
 

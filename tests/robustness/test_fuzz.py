@@ -1,4 +1,4 @@
-"""A sample of `make reliability ONLY=fuzz`, its corpus, places that are no files, and bad readers to be noticed."""
+"""A sample of the long test `fuzz`, every input that it found, places that are no files, and bad readers."""
 
 import copy
 import itertools

@@ -1,4 +1,4 @@
-"""A sample of `make reliability ONLY=storm`: one flipped bit in a kernel's input never stops or derails a kernel."""
+"""A sample of the long test `storm`: one flipped bit in a kernel's input or memory never stops or derails a kernel."""
 
 from functools import cache
 
