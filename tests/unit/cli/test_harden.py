@@ -25,7 +25,7 @@ from mavfi.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_p
         (("--certify", "--plan", "p.yaml", "--html", "h.txt"), "--html: h.txt: allowed ending: .html"),
         (("--certify", "--plan", "p.yaml", "--addresses"), "--addresses: True: allowed: without --certify"),
         (("--faults", "9"), "--faults: 9: allowed: with --certify"),
-        (("--machine", "pid"), "--machine: dropped; use make machine-level"),
+        (("--machine", "pid"), "--machine: dropped; use make bench NAME=machine_level"),
         (("--budget", "-1"), "--budget: -1.0: allowed: 0 to 10"),
         (("--plan", "plan.json"), "--plan: plan.json: allowed endings: .yaml, .yml"),
         ((), "holds no campaign"),
