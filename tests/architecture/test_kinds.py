@@ -16,6 +16,7 @@ KINDS = {f"{level.capitalize()}{what}" for level in LEVELS for what in ("Fault",
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
+    "campaign/config.py": 1,  # the identity of ledgers at instruction level keeps a key of earlier versions
     "bridges/airsim/boundary.py": 3,  # a host of its own: faults in calls, and in the vehicle behind them
     "campaign/warm_up.py": 2,  # each instrumented kernel is machine code of its own, compiled ahead
     "cli/fly.py": 3,  # options before the slow imports: instrumented code, nodes that can die, flights that fork
