@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from mavfi.campaign import soundness
+from mavfi.campaign import integrity
 from mavfi.campaign import store as store_module
 from mavfi.campaign.store import Store
 from tests.robustness import damage
@@ -32,7 +32,7 @@ def test_a_ledger_that_is_not_checked_is_noticed(bench, monkeypatch):
 
 
 def test_checksums_that_do_not_cover_the_campaign_are_noticed(tmp_path, monkeypatch):
-    for module in (store_module, soundness):
+    for module in (store_module, integrity):
         monkeypatch.setattr(module, "salt_of", lambda connection: ())
     bench = damage.Bench(tmp_path, random.Random(2))
     damage.moves(bench, 4)

@@ -77,8 +77,8 @@ def test_a_run_in_a_child_has_three_attempts(tmp_path, monkeypatch, count, survi
 
 def test_the_wall_clock_is_no_effect_of_a_fault(monkeypatch):
     ends = iter([Ended("crash", detail="SIGSEGV"), Ended("hang", detail=WALL_CLOCK), Ended("crash", detail="SIGSEGV")])
-    really = alone.run_again
-    monkeypatch.setattr(alone, "run_again", lambda *arguments: next(ends, None) or really(*arguments))
+    really = alone._run_in_child
+    monkeypatch.setattr(alone, "_run_in_child", lambda *arguments: next(ends, None) or really(*arguments))
     _, found = flown(replace(MISSION, alone=True))
     [lost] = [item for item in found.values() if item.record.end is not End.FLOWN]
     assert (lost.record.end, lost.record.error) == (End.UNKNOWN, "took too long")
@@ -147,7 +147,7 @@ def test_names_that_are_not_known_end_the_mission():
 @pytest.mark.parametrize(("golden", "due"), [(lambda arm: None, True), (lambda arm: os._exit(9), False)])
 def test_a_process_that_dies_without_its_fault_too_is_a_failure_of_the_machine(golden, due):
     """What `fly_mission` does with a mission whose worker died; memory is not exhausted in a test."""
-    runs = alone.fly_alone([injected(1, None).spec], lambda spec: os._exit(9), golden, ())
+    runs = alone.fly_alone([injected(1, None).spec], lambda spec: os._exit(9), golden)
     if due:
         assert [flown.record.end for flown in runs] == [End.DUE]
     else:

@@ -88,7 +88,7 @@ def test_a_detector_without_a_shipped_model_is_left_out():
     scenario = resolve(MissionSpec(environment="sparse", seed=7, platform="cortex-a57"))
     with pytest.raises(BadInputError):
         detector_for(scenario, "gaussian", "paper")
-    warm_up._Detector(scenario, "gaussian", "paper", "").compile()
+    warm_up._Detector(scenario, "gaussian", "paper", "", {}).compile()
 
 
 def test_what_failed_is_compiled_again(compiled, monkeypatch):

@@ -11,7 +11,7 @@ from tests.unit.campaign.fakes import DETECTOR, small
 
 @pytest.fixture
 def ledger(tmp_path, monkeypatch):
-    def cost(scenario, name, profile, models_dir):
+    def cost(scenario, name, profile, models_dir, options):
         detection, recovery = (dict.fromkeys(overheads.STAGES, spent) for spent in (0.25, 0.5))
         return overheads.Cost(1.0, detection, recovery, 7, 0.0, 50.0)
 

@@ -95,8 +95,8 @@ def test_text_for_people_names_autopilot_effect_fault_and_digest(capsys, golden_
 
 
 def test_a_detector_without_a_model_is_printed_without_a_profile(capsys, golden_digest):
-    data = _fly(capsys, "--detector", "mavfi.detectors.registry:NoDetector")
-    assert data["detector"] == "mavfi.detectors.registry:NoDetector"
+    data = _fly(capsys, "--detector", "mavfi.detectors.detector:NoDetector")
+    assert data["detector"] == "mavfi.detectors.detector:NoDetector"
     assert data["digest"] == golden_digest
 
 
@@ -124,7 +124,7 @@ def test_saved_flight_and_picture(capsys, tmp_path, golden_digest):
 def test_names_are_whole_at_any_width(capsys, monkeypatch, golden_digest, width):
     """A user's own detector under its own name, which is one long word."""
     monkeypatch.setenv("COLUMNS", str(width))
-    detector, site = "mavfi.detectors.registry:NoDetector", "perception.collision_status.time_to_collision"
+    detector, site = "mavfi.detectors.detector:NoDetector", "perception.collision_status.time_to_collision"
     fault = ["--fault", f"state:{site}:bit=62@5"]
     assert run(["fly", "--environment", "sparse", "--seed", "7", "--detector", detector, *fault]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -153,7 +153,7 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         ),
         (["--profile", "tuned"], "--profile: tuned: nothing watches"),
         (["--models", "absent"], "--models: absent: nothing watches"),
-        (["--detector", "mavfi.detectors.registry:NoDetector", "--profile", "tuned"], "has no profiles"),
+        (["--detector", "mavfi.detectors.detector:NoDetector", "--profile", "tuned"], "has no profiles"),
         (["--trained-for", "published/i9-9940x"], "--trained-for: published/i9-9940x: nothing watches"),
         (["--trained-for", "published"], "--trained-for"),
         (

@@ -6,13 +6,12 @@ import time
 
 import pytest
 
-from mavfi.detectors.chain import Chain
 from mavfi.detectors.custom import CustomCallError, NotedCalls, is_custom, split_noting_calls
-from mavfi.detectors.registry import NoDetector
+from mavfi.detectors.detector import Chain, Detector, NoDetector
 from mavfi.ir.forked import ForkPoint
 
 
-class Own:
+class Own(Detector):
     """Does something else at each call of a method."""
 
     def __init__(self, **calls):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, StateFault
 from mavfi.flight_log import Profile
@@ -22,6 +23,15 @@ DATA, WRONG = InstructionFault("f", "sha", 1), InstructionFault("f", "wrong", 1)
 def check(faults):
     if WRONG in faults:
         raise BadInputError("other machine code")
+
+
+WATCHER = NoDetector()
+
+
+class Sealing(NoDetector):
+    """Seals values before they are published."""
+
+    seals = True
 
 
 class Scenario(SimpleNamespace):
@@ -83,7 +93,7 @@ def calls(monkeypatch):
 def arms(calls):
     def make():
         calls.detectors += 1
-        return "watcher"
+        return WATCHER
 
     return {
         "": ArmSetup(Scenario(name="own")), "g": ArmSetup(Scenario(name="own"), make, Recovery("observer")),
@@ -103,7 +113,7 @@ def test_flights_of_a_mission_share_what_is_known_of_their_scenario(calls, arms)
     flights.golden("g")
     assert [way for way, *_ in calls.flown] == ["fast"] * 5
     assert calls.made == ["own", "other"]
-    assert calls.flown[2] == ("fast", FAULT, "watcher", "g", Recovery("observer")), (
+    assert calls.flown[2] == ("fast", FAULT, WATCHER, "g", Recovery("observer")), (
         "known flights are distinguished by arm"
     )
     assert calls.flown[3][3] == "", "without a detector it is the scenario alone that counts"
@@ -178,8 +188,8 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
     assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: DATA, 2: other, 3: FAULT}
     assert calls.flown == [
         ("fast", None, None, "", INLINE),
-        ("fast", FAULT, "watcher", "g", Recovery("observer")), ("checkpoints", (DATA, other), None, "", INLINE),
-        ("instructions", (DATA,), "watcher", None, Recovery("observer")),
+        ("fast", FAULT, WATCHER, "g", Recovery("observer")), ("checkpoints", (DATA, other), None, "", INLINE),
+        ("instructions", (DATA,), WATCHER, None, Recovery("observer")),
     ], "without a golden flight of its own an arm flies from take-off"  # fmt: skip
     assert calls.made == ["own with scratch", "counts "]
 
@@ -221,7 +231,7 @@ def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms):
 
 @pytest.mark.parametrize("level", ["state", "instruction"])
 def test_golden_flights_whose_checkpoints_nothing_starts_from_are_flown_the_long_way(calls, arms, level):
-    sealing = SimpleNamespace(seal=None)
+    sealing = Sealing()
     flights = LocalHost().mission({**arms, "s": ArmSetup(Scenario(name="own"), lambda: sealing)})
     if level == "instruction":
         flights.count_instructions("", {})
@@ -231,5 +241,5 @@ def test_golden_flights_whose_checkpoints_nothing_starts_from_are_flown_the_long
     list(flights.injected([("s", FAULT)]))
     golden = "fast" if level == "state" else "long"
     assert [(way, detector) for way, _, detector, *_ in calls.flown] == [
-        ("fast", "watcher"), (golden, sealing), ("fast", sealing),
+        ("fast", WATCHER), (golden, sealing), ("fast", sealing),
     ]  # fmt: skip
