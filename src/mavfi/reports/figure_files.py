@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
-from matplotlib.container import BarContainer, ErrorbarContainer
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 
 from mavfi.errors import writing
 from mavfi.reports.column import fit_to_column
@@ -71,7 +69,7 @@ def _is_number(text: str) -> bool:
 
 
 def _points(axes: Axes) -> Iterator[Row]:
-    """Points of error bars, bars, lines, scatter plots and images of a panel."""
+    """Points of error bars and lines of a panel."""
     held: set[int] = set()
     labels = _colours(axes)
     for container in axes.containers:
@@ -79,33 +77,9 @@ def _points(axes: Axes) -> Iterator[Row]:
             line, caps, bars = container
             held |= {id(one) for one in (line, *caps)}
             yield from _with_intervals(line, bars, labels)
-        elif isinstance(container, BarContainer):
-            yield from map(_bar, container.patches, [_named(container)] * len(container.patches))
     for line in axes.lines:
         if id(line) not in held and line.get_transform() == axes.transData:
             yield from _rows(_series(line, labels), np.column_stack([line.get_xdata(), line.get_ydata()]))
-    for collection in axes.collections:
-        if isinstance(collection, PathCollection) and collection.get_alpha() != 0:
-            yield from _rows(_named(collection), np.asarray(collection.get_offsets()))
-    for image in axes.images:
-        yield from _cells(np.ma.filled(np.ma.asarray(image.get_array(), np.float64), np.nan))
-
-
-def _named(artist: Any) -> str:
-    """Label of a series; "" = none."""
-    label = str(artist.get_label())
-    return "" if label.startswith("_") else label
-
-
-def _bar(bar: Rectangle, series: str) -> Row:
-    x, low = bar.get_x() + bar.get_width() / 2, bar.get_y()
-    return {"series": series, "x": x, "y": low + bar.get_height(), "low": low}
-
-
-def _cells(cells: np.ndarray) -> Iterator[Row]:
-    """Cells of a heat map, with the value as series; colour images yield none."""
-    for (row, column), value in np.ndenumerate(cells) if cells.ndim == 2 else ():
-        yield {"series": f"{value:.6g}", "x": float(column), "y": float(row)}
 
 
 def _colours(axes: Axes) -> dict[str, str]:

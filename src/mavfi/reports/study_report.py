@@ -18,6 +18,7 @@ from mavfi.campaign.steps import SET_UP, Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, writing
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.flight_record import plain
@@ -152,6 +153,8 @@ def check_names(study: Study, where: str) -> None:
     for section in study.sections:
         for key, allowed in known.items():
             for name in getattr(section, key):
+                if dropped_name(key, name):
+                    raise BadInputError(f"{where}: section {section.title!r}: {dropped_name(key, name)}")
                 if name not in allowed:
                     raise BadInputError(
                         f"{where}: section {section.title!r}: {key}: {name!r}: not known; allowed: {', '.join(allowed)}"

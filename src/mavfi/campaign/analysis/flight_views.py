@@ -15,7 +15,6 @@ from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import NUMBER, PERCENT, POINTS, RATE
 from mavfi.campaign.analysis.views import View, has, register
-from mavfi.campaign.plan import FI
 
 ONE_FAULT = "rates are conditional on one fault per mission"
 _WILSON = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds"
@@ -191,20 +190,6 @@ register(
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
         ), applies=_compared,
     ),
-    View(
-        "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
-        (
-            m.count("pairs", "pairs"),
-            Measure("only_golden", "only golden succeeds", NUMBER, lambda own: m.against_golden(own).first_only),
-            Measure("only_fi", "only faulty succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
-            Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
-        ),
-        where=lambda runs: named_populations(
-            runs.injected.where("judged", pl.col("golden_success").is_not_null(), setting=FI)
-        ),
-        total=TOTAL, notes=lambda _: (f"p: {m.PAIRED_TEST}", ONE_FAULT),
-        applies=lambda runs: of_states(runs) or _compared(runs),
-    ),
 )  # fmt: skip
 
 
@@ -252,7 +237,6 @@ _by("by_unit", "Success by failing sensor or motor", ("state",), headings=("unit
 _by("by_failure", "Success by type of failure", ("field",), headings=("type", "setting"), **_of_failures)
 _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values)
 _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
-_by("by_every_field", "Success by field", ("state", "field"), applies=of_values, by_name=True)
 
 
 # ---- effects and endings -----------------------------------------------------------------------------------------
@@ -289,10 +273,6 @@ register(
         applies=of_values,
     ),
     View(
-        "outcomes_by_stage", "Effects of faults, by stage", (*SETTING, "stage"), _EFFECTS, notes=_effect_notes,
-        where=lambda runs: runs.injected, applies=of_values,
-    ),
-    View(
         "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,
         applies=of_values,
     ),
@@ -309,13 +289,4 @@ def paired(runs: Runs) -> Runs:
 
 
 register(
-    View(
-        "golden_flights", "Golden flights that succeed, medians", SETTING,
-        (
-            m.count("n", "n"), m.median("flight_time_s", "flight time", "number .1f s"),
-            m.median("energy_j", "energy", "number .1f kJ"), m.median("distance_m", "distance", "number .1f m"),
-            m.median("replans", "replans", "number g"),
-        ),
-        where=lambda runs: runs.golden.where("success"), applies=of_values,
-    ),
 )  # fmt: skip
