@@ -23,6 +23,10 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("views", "golden_flights"): "use flight_times, or Runs.golden in Python",
     ("views", "outcomes_by_stage"): "use outcomes, or by_stage",
     ("views", "by_every_field"): "use by_field",
+    **{
+        ("views", f"by_{key}_and_environment"): f"use by_{key}, or mavfi runs DIR --csv"
+        for key in ("stage", "target", "state", "failure", "bits", "field", "every_field")
+    },
     ("views", "overheads"): "use overheads_as_in_the_paper",
     ("views", "unmonitored_failures"): "use detections, which tells monitored fields from others",
     ("views", "acted_on"): "no replacement; mavfi states says which publications consumers act on",

@@ -37,7 +37,7 @@ def report(  # noqa: PLR0913 - one parameter per option
         int | None, typer.Option(help="Flights in the page, flown again for it; as many as fit by default.")
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width, and CSV.")
+        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width.")
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
@@ -91,7 +91,7 @@ def report(  # noqa: PLR0913 - one parameter per option
 def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     """Write figures; return one line of text."""
     from mavfi.cli.progress import Bar
-    from mavfi.reports.figure_files import write_figure
+    from mavfi.reports.column import write_figure
 
     paths: list[Path] = []
     with Bar("figures", "figures") as bar:

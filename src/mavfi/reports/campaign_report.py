@@ -12,7 +12,6 @@ from mavfi.campaign.analysis import views_for
 from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import TEXT, Table
-from mavfi.campaign.analysis.views import applicable
 from mavfi.errors import writing
 from mavfi.flight_record import plain
 from mavfi.reports import figures
@@ -44,14 +43,11 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
-        tables = {table.name: table.to_json() for table in self.tables}
-        # views omitted from reports, e.g. more detailed versions of other tables
-        more = [view.table(self.runs) for view in applicable(self.runs) if view.by_name and not view.of_model]
-        tables |= {table.name: table.to_json() for table in more if table.rows}
         data: dict[str, Any] = plain({
             "campaign": self.runs.campaign, "findings": self.findings,
             "null_runs": {"n": len(self.runs.null), "differing": differing_null_runs(self.runs)},
-            "unknown": self.runs.where(judged=False)["run_id"], "tables": tables,
+            "unknown": self.runs.where(judged=False)["run_id"],
+            "tables": {table.name: table.to_json() for table in self.tables},
         })  # fmt: skip
         return data
 

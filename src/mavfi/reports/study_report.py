@@ -161,13 +161,12 @@ def check_names(study: Study, where: str) -> None:
                     )
 
 
-def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
+def study_report(study: Study, folder: Path) -> StudyReport:
     """Compute the tables of a study from its ledgers, and write its figures; no other file is written.
 
     Args:
         study: The study, with sections in order.
         folder: Folder of its ledgers; figures are written to its subfolder `FIGURES_FOLDER`.
-        fly: Whether to replay runs for figures that need whole flights; otherwise these figures are omitted.
 
     Raises:
         BadInputError: A campaign does not exist, a name is unknown, or the folder cannot be written.
@@ -178,37 +177,36 @@ def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport
         for name, runs in campaigns.items()
         if (found := views_for(runs))
     )
-    reports = tuple(_section(section, campaigns, folder, fly=fly) for section in sections)
+    reports = tuple(_section(section, campaigns, folder) for section in sections)
     return StudyReport(study, campaigns, reports, Steps.load(folder))
 
 
-def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, fly: bool) -> SectionReport:
+def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path) -> SectionReport:
     runs = campaigns.get(section.campaign)
     tables = [claims_table(section.claims, campaigns.values())] if section.claims else []
     captions: dict[str, str] = {}
     shown = runs
     if runs is not None:
         tables += [table(runs, name) for name in section.views]
-        cases = {name: tuple(drawing(name).cases(runs)) for name in section.figures}
-        names = [name for name in section.figures if fly or not cases[name]]
-        wanted = [run_id for name in names for run_id in cases[name]]
-        shown = with_flights(runs, folder / section.campaign, wanted)
+        cases = [run_id for name in section.figures for run_id in drawing(name).cases(runs)]
+        shown = with_flights(runs, folder / section.campaign, cases)
         pictures = folder / FIGURES_FOLDER
-        if names:
+        if section.figures:
             with writing(pictures):
                 pictures.mkdir(parents=True, exist_ok=True)
         start = f"{runs.campaign['name']}_"
-        captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in draw(shown, pictures, names, start).items()}
+        written = draw(shown, pictures, section.figures, start)
+        captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in written.items()}
     return SectionReport(section, shown, tuple(table for table in tables if table.rows), captions)
 
 
-def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> StudyReport:
+def write_study(study: Study, scale: str, folder: Path) -> StudyReport:
     """Analyse a study flown at a scale, and write study.md, study.json, tables (CSV) and figures to its folder.
 
     Raises:
         BadInputError: See `study_report`.
     """
-    found = study_report(study, folder, fly=fly)
+    found = study_report(study, folder)
     files = [*write_texts(found, scale, folder), *(name for one in found.sections for name in one.captions)]
     return replace(found, files=tuple(folder / name for name in files))
 

@@ -50,7 +50,7 @@ def test_the_help_names_every_kind_of_file_that_is_written(capsys, flown):
 
 def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
     shutil.copytree(flown, tmp_path / "states")
-    write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path, fly=False)
+    write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path)
     text = printed(capsys, "report", tmp_path, "--figures", tmp_path / "out")
     assert "State level: success rates" in text and "wrote study.md, study.json, tables (1) in " in text
     shutil.rmtree(tmp_path / "states")
@@ -157,7 +157,7 @@ def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
 def test_figures_for_papers(capsys, flown, tmp_path):
     folder = tmp_path / "figures"
     assert "success.pdf" in printed(capsys, "report", flown, "--figures", folder)
-    assert {path.suffix for path in folder.iterdir()} == {".pdf", ".png", ".csv"}
+    assert {path.suffix for path in folder.iterdir()} == {".pdf", ".png"}
 
 
 @pytest.mark.parametrize(

@@ -138,7 +138,7 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert "Missions of an autonomous quadrotor in sparse: at most one flipped bit per mission" in page
     assert "without a fault, " in page and " with one at instruction level" in page
     assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
-    findings = study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings
+    findings = study_report(load_study(tmp_path / "small.yaml"), out).findings
     assert list(findings) == ["One", "Two"] and all(f"<h3>{title}</h3>" in page for title in findings)
     assert all(line in page for lines in findings.values() for line in lines)
 

@@ -205,38 +205,39 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
-    """Register a view over all environments, and one by environment for campaigns with several."""
-    applies, headings = more.pop("applies", of_states), more.pop("headings", ())
-    measures = more.pop("measures", (m.leading_success, m.other_success, m.hurt))
-    columns: dict[str, Any] = {"measures": measures, "notes": more.pop("notes", _slow_note)}
-    columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY, SENSOR)))
-    register(
-        View(name, title, (*by, "setting"), applies=applies, headings=headings, **columns, **more),
-        View(
-            f"{name}_and_environment", f"{title}, each environment", ("environment", *by, "setting"),
-            applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1,
-            headings=headings and ("environment", *headings), **columns, **more,
-        ),
-    )  # fmt: skip
+def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> View:
+    """A table of success by properties of the fault and by setting."""
+    options = {"applies": of_states, "measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
+    levels = pl.col("level").is_in((STATE, MEMORY, SENSOR))
+    return View(
+        name, title, (*by, "setting"), where=lambda runs: runs.injected.where("judged", levels), **{**options, **more}
+    )
 
 
-_by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
-_by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
-_by("by_state", "Success by inter-kernel state", ("state",))
-_of_failures: dict[str, Any] = {
+def _of_sensors_in_several(runs: Runs) -> bool:
+    return of_sensors(runs) and len(runs.values("environment")) > 1
+
+
+_OF_FAILURES: dict[str, Any] = {
     "applies": of_sensors,
     "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
     "notes": lambda _: (
         f"success, hurt: {INTERVALS}",
-        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
-        ONE_FAULT,
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes", ONE_FAULT,
     ),
-}
-_by("by_unit", "Success by failing sensor or motor", ("state",), headings=("unit", "setting"), **_of_failures)
-_by("by_failure", "Success by type of failure", ("field",), headings=("type", "setting"), **_of_failures)
-_by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values)
-_by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
+}  # fmt: skip
+_UNIT = "Success by failing sensor or motor"
+register(
+    _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages),
+    _by("by_target", "Success by group of fields", ("target",), applies=_by_groups),
+    _by("by_state", "Success by inter-kernel state", ("state",)),
+    _by("by_unit", _UNIT, ("state",), **_OF_FAILURES, headings=("unit", "setting")),
+    _by("by_unit_and_environment", f"{_UNIT}, each environment", ("environment", "state"),
+        **{**_OF_FAILURES, "applies": _of_sensors_in_several}, headings=("environment", "unit", "setting")),
+    _by("by_failure", "Success by type of failure", ("field",), **_OF_FAILURES, headings=("type", "setting")),
+    _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values),
+    _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST),
+)  # fmt: skip
 
 
 # ---- effects and endings -----------------------------------------------------------------------------------------

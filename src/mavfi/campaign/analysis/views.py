@@ -45,7 +45,6 @@ class View:
     leads: bool = False  # placed first in reports, as the headline
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
     by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
-    of_model: bool = False  # rows are computed by a model, independent of the runs
 
     def table(self, runs: Runs) -> Table:
         """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""

@@ -49,8 +49,6 @@ def test_tables_by_property_part_the_faults(fake, name):
     whole = [e["success"].n if e["success"] else 0 for e in entries(fake, name, setting="fi")]
     rest = [e["success_mantissa"].n if e["success_mantissa"] else 0 for e in entries(fake, name, setting="fi")]
     assert sum(whole) + sum(rest) == 2 * 60
-    each = entries(fake, f"{name}_and_environment", setting="fi")
-    assert sum(e["success"].n for e in each if e["success"]) == sum(whole)
 
 
 def test_who_is_hurt_has_interval_n_and_the_runs_behind_it(fake):

@@ -87,7 +87,7 @@ def test_nothing_flown_gives_no_table_and_no_view_raises():
     empty = Runs.of([])
     assert views_for(empty) == []
     for view in VIEWS.values():
-        assert view.of_model or view.table(empty).rows == []
+        assert view.name.startswith("redundancy") or view.table(empty).rows == []
 
 
 def test_every_column_has_a_form_that_can_be_written(own):
