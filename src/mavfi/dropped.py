@@ -32,6 +32,7 @@ NAMES: Mapping[tuple[str, str], str] = {
     ("views", "acted_on"): "no replacement; mavfi states says which publications consumers act on",
     ("views", "instructions_by_stage"): "use instructions_as_in_the_paper and kernel_effects",
     ("views", "instruction_alarms"): "use schemes_instructions",
+    ("views", "kernel_missions"): "use kernels_as_in_the_paper; mavfi vulnerability has both policies for dead nodes",
     ("views", "kernel_errors"): "mavfi explain DIR RUN_ID names the first value that differs",
     ("views", "kernel_instructions"): "use failures_per_hour, which has the instructions of each kernel",
     **{

@@ -39,14 +39,6 @@ class SectionReport:
     tables: tuple[Table, ...]  # in the order of the section, without empty ones
     captions: Mapping[str, str] = field(default_factory=dict)  # by figure file, relative to the study's folder
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        data: dict[str, Any] = plain({
-            **self.section.model_dump(mode="json"), "tables": [table.to_json() for table in self.tables],
-            "captions": dict(self.captions),
-        })  # fmt: skip
-        return data
-
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
@@ -126,12 +118,12 @@ class StudyReport:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: name, campaigns by folder, sections, times."""
+        """Plain data: name, campaigns by folder, programs, provenance; the tables are in files of their own."""
         campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
-        sections = [section.to_json() for section in self.sections]
-        data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
-                                      "programs": self.programs, "provenance": [*self.provenance, *self.digests],
-                                      **{table.name: table.to_json() for table in self.times}})  # fmt: skip
+        data: dict[str, Any] = plain({
+            "study": self.study.name, "campaigns": campaigns, "programs": self.programs,
+            "provenance": [*self.provenance, *self.digests],
+        })  # fmt: skip
         return data
 
 

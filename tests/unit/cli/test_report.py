@@ -95,7 +95,7 @@ def test_one_table_by_name(capsys, flown):
     assert {row["setting"] for row in rows} == {"golden", "golden_gaussian", "fi", "dr_gaussian"}
     assert json.loads(printed(capsys, "report", flown, "--view", "endings", "--json"))["name"] == "endings"
     names = [line.split()[0] for line in printed(capsys, "report", flown, "--view", "list").splitlines()]
-    assert "endings" in names and "kernel_missions" not in names
+    assert "endings" in names and "kernel_effects" not in names
 
 
 def test_runs_are_listed(capsys, flown):

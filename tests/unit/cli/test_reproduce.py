@@ -118,7 +118,7 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
     changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
     sections = [
-        {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "kernel_missions"]},
+        {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "flight_times"]},
         {"title": "Two", "campaign": ".", "views": ["endings"], "figures": ["flight_time"]},
     ]
     changes["study"] = {"sections": sections}
@@ -127,9 +127,9 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     printed = capsys.readouterr().out
     titles = ["One", VIEWS["kernel_effects"].title, "Two", VIEWS["endings"].title]
     assert sorted(titles, key=printed.index) == titles
-    assert VIEWS["kernel_missions"].title not in printed, "the first table of a section is printed"
+    assert VIEWS["flight_times"].title not in printed, "the first table of a section is printed"
     report = (out / "study.md").read_text(encoding="utf-8")
-    assert VIEWS["kernel_missions"].title in report and "(figures/table1_flight_time.png)" in report
+    assert VIEWS["flight_times"].title in report and "(figures/table1_flight_time.png)" in report
     assert (out / "figures" / "table1_flight_time.png").stat().st_size > 10_000
     table = (out / "tables" / "table1_instructions_kernel_effects.csv").read_text(encoding="utf-8")
     assert table.splitlines()[0].startswith("environment,kernel,") and len(table.splitlines()) > 1

@@ -9,7 +9,6 @@ from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.flight_views import (
     INSTRUCTION,
-    INTERVALS,
     ONE_FAULT,
     faulty_and_bare,
     separable_note,
@@ -28,10 +27,6 @@ _DYING = (
 )
 _RATES = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], successes / n; bits of all kinds"
 _LEVEL = "SDC rates may be quoted; crash, hang and exception rates are measured in LLVM IR, not machine code"
-_POLICIES = (
-    "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory, "
-    "if the mission's dead_node does not say otherwise; end = the mission has failed"
-)
 _EFFECTS = (
     "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "
     "Wilson, n reduced by the design effect of worlds"
@@ -119,7 +114,6 @@ _THREE = (
     m.rate("due", "due", _effect(*KERNEL_DUE)),
 )
 _FOUND = _effect("detected")
-_GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"))
 
 
 def _replayable_note(runs: Runs) -> str:
@@ -156,27 +150,5 @@ register(
             "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
             "values, or none: settings are compared as samples, not in pairs", _LEVEL,
         ), applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
-    ),
-    View(
-        "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),
-        (
-            Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
-            m.rate("success_restart", "success, restart", "success"),
-            m.rate("success_end", "success, end", "success_if_ended"),
-            m.rate("changed", "changed", pl.col("effect") != "masked"),
-            m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
-            m.quantile("inflation", 1.0, "worst", "worst"),
-            Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
-            Measure("paper", "paper's Fig. 3", TEXT, lambda own: paper.figure("kernels", kernel=own.first("kernel"))),
-        ),
-        where=kernel_runs, leads=True,
-        notes=lambda _: (
-            f"rates: {INTERVALS}", _POLICIES,
-            "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
-            "golden run, where both arrive",
-            "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
-            f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+z.1f} %, success lower by up to "
-            f"{100 * paper.figure('kernels_worst', quantity='success_loss'):.0f} points, both in planning and control",
-        ), applies=_of_instructions,
     ),
 )  # fmt: skip

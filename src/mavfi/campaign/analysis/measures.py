@@ -318,9 +318,3 @@ def worst_run(own: Runs) -> str | None:
     """Id of the run with the largest increase in flight time over its golden run."""
     known = own.frame.filter(pl.col("inflation").is_not_null())
     return None if known.is_empty() else str(known["run_id"][int(known["inflation"].arg_max() or 0)])
-
-
-def golden_rate(own: Runs) -> Rate:
-    """Success rate of the corresponding golden runs, counting each world once."""
-    golden = dict(zip(own["world"], own["golden_success"], strict=True))
-    return clustered_rate([bool(success) for success in golden.values()], list(golden))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from mavfi.campaign.analysis import table, views_for
-from mavfi.campaign.analysis.table import RATE
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import FlightRecord
 from tests.unit.campaign.analysis.handmade import (
@@ -67,25 +66,15 @@ def test_what_kernels_did(own):
     pid, planner = table(own, "kernel_effects").entries()
     assert (pid["kernel"], pid["n"], pid["sdc"].successes, pid["due"].successes) == ("pid", 2, 1, 1)
     assert (planner["n"], planner["masked"].successes, planner["due_kinds"]) == (2, 1, "0 / 1 / 0")
-    missions = table(own, "kernel_missions").entries()
-    assert (missions[0]["success_restart"].successes, missions[0]["success_end"].successes) == (2, 1)
-    assert missions[1]["golden"].n == 2 and missions[1]["paper"] == "flight time widely spread"
-    assert missions[1]["changed"].successes == 1, "one flight is bit for bit the golden run"
-
-
-def test_rates_of_kernels_are_shown_with_interval_and_n(own):
-    found = table(own, "kernel_missions")
-    assert [column.form for column in found.columns if column.key == "changed"] == [RATE]
-    assert any("95 % interval" in note for note in found.notes)
 
 
 def test_which_tables_a_campaign_of_kernels_has(own):
     names = [found.name for found in views_for(own)]
-    assert names[:2] == ["instructions_as_in_the_paper", "kernel_missions"]
-    assert {"kernel_effects", "kernel_missions", "recovery"} <= set(names)
+    assert names[0] == "instructions_as_in_the_paper"
+    assert {"kernel_effects", "recovery"} <= set(names)
     assert not {"success", "by_stage", "outcomes", "register_effects"} & set(names)
     per_kernel = replace(own, campaign={**own.campaign, "each": "kernel"})
-    assert views_for(per_kernel)[0].name == "kernel_missions"
+    assert views_for(per_kernel)[0].name == "kernels_as_in_the_paper"
     assert "instructions_as_in_the_paper" not in [found.name for found in views_for(per_kernel)]
 
 
