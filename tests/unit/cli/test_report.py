@@ -127,7 +127,7 @@ def test_runs_as_a_file(capsys, flown, tmp_path):
     [
         (["report", "DIR", "--csv"], "--csv: allowed: with --view NAME"),
         (["report", "DIR", "--view", "success", "--html", "r.html"], "--view: prints one table and writes nothing"),
-        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, detections, "),
+        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, by_bits, "),
         (["report", "NONE"], "holds no campaign"),
         (["runs", "NONE"], "holds no campaign"),
         (["report", "DIR", "--view", "golden_flights"], "view 'golden_flights': dropped; use flight_times"),
