@@ -158,7 +158,7 @@ def figure(runs: "Runs", name: str) -> "Figure":
 
     Args:
         runs: See `load`.
-        name: E.g. "success", "flight_time", "sites"; an unknown name is refused with all that there are.
+        name: E.g. "success", "flight_time", "states"; an unknown name is refused with all that there are.
 
     Raises:
         BadInputError: Unknown figure, or no data for it.

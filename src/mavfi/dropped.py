@@ -19,6 +19,32 @@ VALUES: Mapping[tuple[str, str], str] = {
 NAMES: Mapping[tuple[str, str], str] = {
     **{("detectors", f"rule_{number}"): f"use acceptance, options: {{rules: [{number}]}}" for number in range(1, 6)},
     ("kernels", "recovery"): "no fault in recovery lost a mission; inject a detector, e.g. acceptance",
+    ("views", "golden_against_faults"): "the first finding of a report has the same test; use success and recovery",
+    ("views", "golden_flights"): "use flight_times, or Runs.golden in Python",
+    ("views", "outcomes_by_stage"): "use outcomes, or by_stage",
+    ("views", "by_every_field"): "use by_field",
+    **{
+        ("views", f"by_{key}_and_environment"): f"use by_{key}, or mavfi runs DIR --csv"
+        for key in ("stage", "target", "state", "failure", "bits", "field", "every_field")
+    },
+    ("views", "overheads"): "use overheads_as_in_the_paper",
+    ("views", "unmonitored_failures"): "use detections, which tells monitored fields from others",
+    ("views", "acted_on"): "no replacement; mavfi states says which publications consumers act on",
+    ("views", "instructions_by_stage"): "use instructions_as_in_the_paper and kernel_effects",
+    ("views", "instruction_alarms"): "use schemes_instructions",
+    ("views", "kernel_missions"): "use kernels_as_in_the_paper; mavfi vulnerability has both policies for dead nodes",
+    ("views", "kernel_errors"): "mavfi explain DIR RUN_ID names the first value that differs",
+    ("views", "kernel_instructions"): "use failures_per_hour, which has the instructions of each kernel",
+    **{
+        ("views", f"kernel_effects_by_{column}"): f"use kernel_effects, or mavfi runs DIR --csv with its {stored}"
+        for column, stored in (("value_class", "value_class"), ("bit", "stratum"))
+    },
+    **{
+        ("views", f"register_{name}"): "use register_effects and mavfi runs DIR"
+        for name in ("functions", "corruptions")
+    },
+    ("views", "boundary_calls"): "use boundary_effects, or mavfi runs DIR --csv with its column state",
+    ("figures", "sites"): "use kernels or states, the paper's Fig. 3 and 4, or the tables by_state and by_target",
     ("campaigns", "replicas"): "use detector_instructions: copies of a detector made no difference",
     ("campaigns", "recovery_memory"): "use detector_memory: no fault in the memory of recovery lost a mission",
     ("campaigns", "recovery_instructions"): "use detector_instructions: no fault in recovery lost a mission",
@@ -38,11 +64,22 @@ OPTIONS: Mapping[str, str] = {
     "--no-forking": "use --no-fast-forward",
     "--instants": "no replacement: the smallest fault is searched for at the instant of the given one",
     "--until-halfwidth": "use --scale, or set missions in the campaign: their number does not depend on results",
+    "--draw-run": "use mavfi explain DIR RUN_ID --picture FILE.png",
+    "--no-draw-run": "a report draws no flight any more; mavfi explain DIR RUN_ID --picture FILE.png does",
+    "--monitored": "no replacement: the marked fields are those of paper-13, which all detectors of the paper watch",
+    "--where": "use mavfi runs DIR --csv, the filters of mavfi report DIR --html, or Runs.where in Python",
+    "--sort": "use mavfi runs DIR --csv, or Runs.frame in Python",
+    "states --json": "use mavfi.states.STATES in Python",
+    "shrink --json": "its last line is the command that flies the smallest fault",
+    "redundancy --json": "use mavfi report DIR --view redundancy --json",
+    "redundancy --csv": "use mavfi report DIR --view redundancy --csv",
+    "failures --json": "use mavfi report DIR --view failures_per_hour --json",
+    "failures --csv": "use mavfi report DIR --view failures_per_hour --csv",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
-"""Options of the command line, with what to do instead."""
+"""Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
 COMMANDS: Mapping[str, str] = {}
 """Commands ("ros mirror"), with what to do instead."""

@@ -29,7 +29,7 @@ from tests.unit.campaign.fakes import small
 
 VERBS = (
     ("campaign", "status", "{}"), ("campaign", "digest", "{}"), ("campaign", "verify", "{}", "--share", "0.02"),
-    ("report", "{}", "--no-draw-run"), ("runs", "{}"),
+    ("report", "{}"), ("runs", "{}"),
 )  # fmt: skip
 CUTS = 300
 _HALF = 40

@@ -301,14 +301,3 @@ def table(found: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[s
         *(f"{name}: not scored: {reason}" for name, reason in (left_out or {}).items()),
     )
     return Table("scores", "Detection at fixed rates of false alarms", tuple(columns), rows, notes=notes)
-
-
-def curves_csv(found: Mapping[str, Scores]) -> str:
-    """The curves of all detectors: scheme, threshold, false alarms per hour, recall of harmful faults, precision."""
-    lines = ["scheme,threshold,false_alarms_per_hour,detected,precision"]
-    for name, own in found.items():
-        for threshold, alarms, share in own.curve():
-            right, wrong = share * int(own.harmful.sum()), alarms * own.hours
-            precision = right / (right + wrong) if right + wrong > 0 else 1.0
-            lines.append(f"{name},{threshold!r},{alarms!r},{share!r},{precision!r}")
-    return "\n".join(lines) + "\n"

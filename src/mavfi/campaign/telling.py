@@ -1,51 +1,18 @@
-"""Selection of illustrative runs of a campaign, and their replay: injected, golden, and recovered by a detector."""
+"""Selection of illustrative runs of a campaign, and their replay."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.mission import host_of
 from mavfi.campaign.plan import FI
 from mavfi.campaign.replay import flight_again
-from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.flight_record import End
-from mavfi.hosts.host import Flight
 
 _INTERESTING = 0.02  # relative increase in flight time from which a successful run is worth a picture
-Row = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Telling:
-    """An injected run and the flights for comparison."""
-
-    injected: Row  # row of the injected run
-    saved: Row | None  # row of a successful run with the same fault and a detector
-    flight: Flight  # of the injected run
-    golden: Flight  # of its golden run
-    recovered: Flight | None  # of the run in `saved`
-
-
-def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
-    """Choose the most illustrative run of a ledger, and replay it with its golden run.
-
-    Returns:
-        None if `choose` finds no run, or the host leaves no flights to replay.
-    """
-    host = host_of(stored_campaign(store))
-    chosen = choose(runs) if host.flies and host.deterministic else None
-    if chosen is None:
-        return None
-    injected, saved = chosen
-    spec = store.run(injected["run_id"]).spec
-    golden = flight_again(store, replace(spec, fault=None))
-    recovered = None if saved is None else flight_again(store, store.run(saved["run_id"]).spec)
-    return Telling(injected, saved, flight_again(store, spec), golden, recovered)
 
 
 def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
@@ -60,31 +27,6 @@ def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
     with Store.open(directory) as store:
         flights = {run_id: flight_again(store, store.run(run_id).spec) for run_id in wanted}
     return replace(runs, flights={**runs.flights, **flights})
-
-
-def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
-    """Choose the most illustrative injected run, and a successful run with the same fault and a detector, if any.
-
-    Order of preference: a failed mission that a detector recovers, any failed mission, the largest delay.
-    """
-    rows = runs.filter(kind="injected", judged=True, site_outcome="activated").to_dicts()
-    faulty = [row for row in rows if row["setting"] == FI and row["golden_success"]]
-    watched: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        if row["detector"] and row["success"]:
-            watched.setdefault(_pair(row), []).append(row)
-    # long flights first: they show most
-    failed = sorted((row for row in faulty if not row["success"]), key=lambda row: -(row["distance_m"] or 0.0))
-    for row in failed:
-        if _pair(row) in watched:
-            return row, watched[_pair(row)][0]
-    if failed:
-        return failed[0], None
-    slowest = max(faulty, key=_inflation, default=None)
-    if slowest is None or _inflation(slowest) < _INTERESTING:
-        return None
-    faster = [row for row in watched.get(_pair(slowest), []) if _inflation(row) < _INTERESTING]
-    return slowest, faster[0] if faster else None
 
 
 def ordered(runs: pl.DataFrame) -> list[str]:
@@ -117,12 +59,3 @@ def partner(runs: pl.DataFrame, run_id: str) -> str | None:
     ).filter((pl.col("detector") != "") if not row["detector"] else (pl.col("setting") == FI))
     found: list[str] = same.sort("success", descending=True, maintain_order=True)["run_id"].to_list()
     return found[0] if found else None
-
-
-def _inflation(row: Row) -> float:
-    return row["inflation"] or 0.0
-
-
-def _pair(row: Row) -> tuple[Any, ...]:
-    """Environment, target and index of the fault, which identify it in every arm."""
-    return row["environment"], row["target"], row["index"]

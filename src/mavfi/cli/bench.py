@@ -184,12 +184,10 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
 
 
 def _write(own: "Mapping[str, Table]", scored: "Mapping[str, Scores]", page: str, out: Path) -> None:
-    from mavfi.campaign.scores import curves_csv
     from mavfi.reports.leaderboard import draw_curves
 
     texts = {"leaderboard.md": page, **{f"{name}.csv": table.to_csv() for name, table in own.items()}}
     if scored:
-        texts["curves.csv"] = curves_csv(scored)
         draw_curves(scored, out / "curves.png")
     for name, content in texts.items():
         with writing(out / name):

@@ -79,7 +79,7 @@ def run(  # noqa: PLR0913 - options
     if status.unknown and not allow_unknown:
         raise MavfiError(
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown{_most_frequent_reason(ledger)}: "
-            f"`mavfi runs {ledger} --where judged=false` lists them; --allow-unknown accepts them"
+            f"`mavfi runs {ledger} --failed` lists them with the reason; --allow-unknown accepts them"
         )
     if part != WHOLE:
         text = f"Done with shard {part}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"

@@ -123,8 +123,10 @@ def _dropped(arguments: Sequence[str]) -> str:
     """The refusal of an option or command that earlier versions had; "" = there is none in these words."""
     for word in arguments:
         option = word.partition("=")[0]
-        if option in OPTIONS:
-            return f"{option}: dropped; {OPTIONS[option]}"
+        of_command = f"{arguments[0]} {option}"
+        replacement = OPTIONS.get(option) or OPTIONS.get(of_command)
+        if replacement:
+            return f"{option}: dropped; {replacement}"
     for command, replacement in COMMANDS.items():
         if " ".join(arguments).startswith(command):
             return f"{command}: dropped; {replacement}"

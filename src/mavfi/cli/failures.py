@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import console
 from mavfi.errors import BadInputError
 
 
@@ -14,8 +14,6 @@ def failures(
     upsets: Annotated[
         str, typer.Option(metavar="NAME|FILE.yaml", help="Upset rates: shipped (configs/upsets), or your own.")
     ] = "low_altitude",
-    as_csv: Annotated[bool, typer.Option("--csv", help="The table as comma-separated values.")] = False,
-    as_json: options.AsJson = False,
 ) -> None:
     """Compare settings by failures per flight hour: upset rate x instructions x harm, of detectors and recovery too.
 
@@ -31,18 +29,10 @@ def failures(
     from mavfi.campaign.analysis.failure_views import failure_table, summary
     from mavfi.reports.terminal import show_table
 
-    if as_csv and as_json:
-        raise BadInputError("--csv: allowed: without --json")
     chosen, runs = find_upsets(upsets), Runs.read(directory)
     table = failure_table(runs, chosen)
     if not table.rows:
         raise BadInputError(f"{directory}: no faults in instructions whose golden runs were counted; needed: some")
-    if as_json:
-        write_json({"summary": summary(runs, chosen), "table": table.to_json()})
-        return
-    if as_csv:
-        typer.echo(table.to_csv(), nl=False)
-        return
     out = console()
     for sentence in summary(runs, chosen):
         out.print(Text(sentence))

@@ -5,9 +5,7 @@ from typing import Annotated
 
 import typer
 
-from mavfi.cli import options
-from mavfi.cli.console import PICTURES, check_file, console, write_json
-from mavfi.errors import BadInputError
+from mavfi.cli.console import PICTURES, check_file, console
 
 
 def redundancy(
@@ -20,8 +18,6 @@ def redundancy(
         ),
     ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the comparison.")] = None,
-    as_csv: Annotated[bool, typer.Option("--csv", help="The comparison as comma-separated values.")] = False,
-    as_json: options.AsJson = False,
 ) -> None:
     """Compare flight time and energy with redundant processors (DMR, TMR) and with detection, by a performance model.
 
@@ -37,20 +33,12 @@ def redundancy(
     from mavfi.reports.figures.redundancy import redundancy as draw
     from mavfi.reports.terminal import show_table
 
-    if as_csv and as_json:
-        raise BadInputError("--csv: allowed: without --json")
     check_file("--picture", picture, PICTURES)
     designs = [find_design(name) for name in vehicle] if vehicle else shipped_designs()
     tables = redundancy_tables(designs)
     if picture is not None:
         with style.house_style():
             style.write(draw(designs), picture)
-    if as_json:
-        write_json({"summary": summary(designs), "tables": {table.name: table.to_json() for table in tables}})
-        return
-    if as_csv:
-        typer.echo(tables[0].to_csv(), nl=False)
-        return
     out = console()
     for sentence in summary(designs):
         out.print(Text(sentence))

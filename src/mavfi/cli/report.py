@@ -30,7 +30,6 @@ def report(  # noqa: PLR0913 - one parameter per option
     show_all: options.AllTables = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="The table as comma-separated values (with --view).")] = False,
     as_json: options.AsJson = False,
-    draw_run: Annotated[bool, typer.Option(help="Fly a telling run again and draw it.")] = True,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write all of it, with runs and flights, as one page.")
     ] = None,
@@ -38,7 +37,7 @@ def report(  # noqa: PLR0913 - one parameter per option
         int | None, typer.Option(help="Flights in the page, flown again for it; as many as fit by default.")
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width, and CSV.")
+        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width.")
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
@@ -67,14 +66,14 @@ def report(  # noqa: PLR0913 - one parameter per option
         from mavfi.reports.campaign_report import write_report
         from mavfi.reports.html.report_page import drawn
 
-        written = write_report(directory, draw_run=draw_run)
+        written = write_report(directory)
         count = 0 if html is None else write_html(html, directory, written, flights, workers)
         pictures, show = partial(drawn, written.runs), partial(show_report, written, show_all)
     else:
         from mavfi.cli.study_report import show_study_report, write_study_report
         from mavfi.reports.html.report_page import drawn_of_study
 
-        written, count = write_study_report(*study, directory, html, flights, workers, draw_run=draw_run)
+        written, count = write_study_report(*study, directory, html, flights, workers)
         pictures, show = partial(drawn_of_study, written), partial(show_study_report, written, show_all)
     made = [] if html is None else [f"{html}, with {counted(count, 'flight')}, {html.stat().st_size / 1e6:.1f} MB"]
     if figures is not None:
@@ -92,7 +91,7 @@ def report(  # noqa: PLR0913 - one parameter per option
 def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     """Write figures; return one line of text."""
     from mavfi.cli.progress import Bar
-    from mavfi.reports.figure_files import write_figure
+    from mavfi.reports.column import write_figure
 
     paths: list[Path] = []
     with Bar("figures", "figures") as bar:

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from mavfi.cli import options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import console
 
 if TYPE_CHECKING:
     from mavfi.campaign.shrink import Shrunk
@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 def shrink(
     directory: options.Ledger,
     run_id: options.RunId,
-    as_json: options.AsJson = False,
 ) -> None:
     """Reduce the fault of a lost mission: shorter, fewer bits, a less significant bit.
 
@@ -22,14 +21,11 @@ def shrink(
     """
     from mavfi.campaign.shrink import shrink as make_smaller
     from mavfi.cli.flight_text import story_table
-    from mavfi.reports.shrink import lines, to_json
+    from mavfi.reports.shrink import lines
 
     progress = console(error=True)
     with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
         found = make_smaller(directory, run_id, lambda count: shown.update(f"{count} candidates flown"))
-    if as_json:
-        write_json({**to_json(found), "command": command(found)})
-        return
     out = console()
     out.print(story_table(lines(found)))
     out.print(f"to fly it   {command(found)}", soft_wrap=True, markup=False, highlight=False)  # one line, to be copied

@@ -1,19 +1,19 @@
 """`mavfi states`: the table of inter-kernel states."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from collections.abc import Collection, Mapping, Sequence
+from typing import Annotated
 
 import typer
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.cli import options
-from mavfi.cli.console import check_name, console, write_json
-from mavfi.states import AUTOPILOTS, MONITORED_SETS, ODOMETRY, Field, StateSpec, states_with
+from mavfi.cli.console import check_name, console
+from mavfi.states import AUTOPILOTS, MONITORED_SETS, ODOMETRY, StateSpec, states_with
 
-_DEFAULT_SET = "paper-13"
+_MONITORED = "paper-13"
+"""Set of fields that the paper's detectors watch."""
 _VEHICLE = "flight controller"
 """Reader of states that no kernel of the pipeline reads, i.e. the command."""
 
@@ -22,26 +22,16 @@ def states(
     autopilot: Annotated[
         str, typer.Option("--autopilot", help="Profile whose dead fields are marked: published or hardened.")
     ] = "published",
-    monitored: Annotated[
-        str, typer.Option(help="Set of fields that detectors watch: paper-13 or published-19.")
-    ] = _DEFAULT_SET,
     localization: Annotated[str, typer.Option(help="Whose states are shown: truth or estimator.")] = "truth",
-    as_json: options.AsJson = False,
 ) -> None:
     """Print every inter-kernel state: its writer and readers, and its injectable and monitored fields.
 
     Example: [bold]mavfi states --autopilot hardened[/bold]
     """
     check_name("--autopilot", autopilot, AUTOPILOTS)
-    check_name("--monitored", monitored, MONITORED_SETS)
     check_name("--localization", localization, ODOMETRY)
     readers = _readers(autopilot, localization)
-    rows = [_state(spec, autopilot, monitored, readers) for spec in states_with(localization).values()]
-    if as_json:
-        data = {"autopilot": autopilot, "localization": localization, "monitored_set": monitored, "states": rows}
-        write_json(data)
-        return
-    console().print(_page(rows, autopilot, monitored))
+    console().print(_page(states_with(localization).values(), autopilot, readers))
 
 
 def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
@@ -62,53 +52,40 @@ def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
     return readers
 
 
-def _state(spec: StateSpec, autopilot: str, monitored: str, readers: Mapping[str, list[str]]) -> dict[str, Any]:
-    watched = {field for state, field in MONITORED_SETS[monitored] if state == spec.name}
-    elements = [_field(field, spec.element, autopilot, set()) for field in spec.elements]
-    header = [_field(field, "", autopilot, watched) for field in spec.header]
-    return {
-        "state": spec.name, "stage": spec.stage.value, "writer": spec.writer,
-        "readers": readers.get(spec.name, [_VEHICLE]), "rate": spec.rate, "acted_on_when_grows": spec.acted_on,
-        "only_with_localization": spec.only_with, "fields": elements + header,
-    }  # fmt: skip
-
-
-def _field(field: Field, element: str, autopilot: str, watched: set[str]) -> dict[str, Any]:
-    return {
-        "field": field.name, "of_each": element, "dtype": field.dtype, "unit": field.unit,
-        "monitored": field.name in watched, "dead": field.dead_in(autopilot),
-    }  # fmt: skip
-
-
-def _page(rows: list[dict[str, Any]], autopilot: str, monitored: str) -> Group:
-    count = sum(len(row["fields"]) for row in rows)
+def _page(specs: Collection[StateSpec], autopilot: str, readers: Mapping[str, list[str]]) -> Group:
+    count = sum(len(spec.elements) + len(spec.header) for spec in specs)
     notes = (
-        f"{len(rows)} states, {count} fields. ● watched by detectors ({monitored}). "
+        f"{len(specs)} states, {count} fields. ● watched by detectors ({_MONITORED}). "
         f"dead = no consumer reads it in {autopilot}. f8, f4 = binary64, binary32; i4 = int32; ? = flag."
     )
-    title = Text(f"Inter-kernel states · autopilot {autopilot}", style="bold")
-    parts = [part for row in rows for part in (Text(), _heading(row), Padding(_fields(row["fields"]), (0, 0, 0, 2)))]
-    return Group(title, *parts, Text(), Text(notes, style="dim"))
+    parts: list[RenderableType] = [Text(f"Inter-kernel states · autopilot {autopilot}", style="bold")]
+    for spec in specs:
+        heading = _heading(spec, readers.get(spec.name, [_VEHICLE]))
+        parts += [Text(), heading, Padding(_fields(spec, autopilot), (0, 0, 0, 2))]
+    return Group(*parts, Text(), Text(notes, style="dim"))
 
 
-def _heading(row: dict[str, Any]) -> Group:
-    about = [row["rate"]]
-    if row["acted_on_when_grows"]:
-        about.append(f"acted on when {row['acted_on_when_grows']} grows")
-    if row["only_with_localization"]:
-        about.append(f"only with localization {row['only_with_localization']}")
-    lines = f"written by {row['writer']}, read by {', '.join(row['readers'])}", "; ".join(about)
-    return Group(Text(row["state"], style="bold"), *(Padding(Text(line, style="dim"), (0, 0, 0, 2)) for line in lines))
+def _heading(spec: StateSpec, readers: Sequence[str]) -> Group:
+    about = [spec.rate]
+    if spec.acted_on:
+        about.append(f"acted on when {spec.acted_on} grows")
+    if spec.only_with:
+        about.append(f"only with localization {spec.only_with}")
+    lines = f"written by {spec.writer}, read by {', '.join(readers)}", "; ".join(about)
+    return Group(Text(spec.name, style="bold"), *(Padding(Text(line, style="dim"), (0, 0, 0, 2)) for line in lines))
 
 
-def _fields(fields: list[dict[str, Any]]) -> Table:
+def _fields(spec: StateSpec, autopilot: str) -> Table:
+    """The fields of each element, then those of the header, which detectors may watch."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     for width in (28, 2, 7, 1, 4):
         table.add_column(min_width=width, no_wrap=True)
-    for field in fields:
-        each = f"[{field['of_each']}]" if field["of_each"] else ""
-        table.add_row(
-            Text.assemble(field["field"], (each, "dim")), field["dtype"], field["unit"],
-            "●" if field["monitored"] else "", Text("dead" if field["dead"] else "", style="dim"),
-        )  # fmt: skip
+    monitored = {field for state, field in MONITORED_SETS[_MONITORED] if state == spec.name}
+    of_elements = [(field, f"[{spec.element}]", False) for field in spec.elements]
+    of_header = [(field, "", field.name in monitored) for field in spec.header]
+    for field, each, is_watched in (*of_elements, *of_header):
+        name = Text.assemble(field.name, (each, "dim"))
+        watched = "●" if is_watched else ""
+        dead = Text("dead" if field.dead_in(autopilot) else "", style="dim")
+        table.add_row(name, field.dtype, field.unit, watched, dead)
     return table

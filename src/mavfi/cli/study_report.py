@@ -23,7 +23,7 @@ from mavfi.reports.terminal import show_table
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
     study: Study, scale: str, folder: Path, page: Path | None, flights: int | None, workers: int, *,
-    draw_run: bool = True, bar: StudyBar | None = None,
+    bar: StudyBar | None = None,
 ) -> tuple[StudyReport, int]:  # fmt: skip
     """Write the reports of a study and of its campaigns.
 
@@ -34,7 +34,6 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         page: HTML file to write; None = none.
         flights: Maximum number of flights in the page; None = as many as fit.
         workers: Number of processes.
-        draw_run: Whether to fly a run of each campaign again and draw it.
         bar: Shows the progress, and records the time of tables and page; None = the page has a bar of its own.
 
     Returns:
@@ -46,7 +45,7 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
     campaigns = [folder / name for name in study.campaigns]
     tasks: list[Callable[[], Any]] = [
         partial(write_study, study, scale, folder),  # the longest first
-        *(partial(write_report, directory, draw_run=draw_run) for directory in campaigns),
+        *(partial(write_report, directory) for directory in campaigns),
     ]
     show = None if bar is None else bar.show
     with nullcontext() if bar is None else bar.timed("tables and figures", "reports"):

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
 from itertools import takewhile
@@ -13,14 +12,9 @@ from mavfi.campaign.analysis import views_for
 from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import TEXT, Table
-from mavfi.campaign.analysis.views import applicable
-from mavfi.campaign.store import Store
-from mavfi.campaign.telling import Telling, fly_telling_run
 from mavfi.errors import writing
 from mavfi.flight_record import plain
-from mavfi.plugins import NotAllowedError
 from mavfi.reports import figures
-from mavfi.reports.picture import draw_flight
 from mavfi.reports.text import (
     checks,
     differing_null_runs,
@@ -28,11 +22,9 @@ from mavfi.reports.text import (
     markdown_grid,
     null_line,
     shown,
-    signed_percent,
     versions,
 )
 
-PICTURE = "flight.png"
 REMARKS = (
     "Rates are conditional on one fault per mission.",
     "Recomputation is charged in the platform's modelled time; nothing was measured on that hardware.",
@@ -51,14 +43,11 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
-        tables = {table.name: table.to_json() for table in self.tables}
-        # views omitted from reports, e.g. more detailed versions of other tables
-        more = [view.table(self.runs) for view in applicable(self.runs) if view.by_name and not view.of_model]
-        tables |= {table.name: table.to_json() for table in more if table.rows}
         data: dict[str, Any] = plain({
             "campaign": self.runs.campaign, "findings": self.findings,
             "null_runs": {"n": len(self.runs.null), "differing": differing_null_runs(self.runs)},
-            "unknown": self.runs.where(judged=False)["run_id"], "tables": tables,
+            "unknown": self.runs.where(judged=False)["run_id"],
+            "tables": {table.name: table.to_json() for table in self.tables},
         })  # fmt: skip
         return data
 
@@ -68,10 +57,8 @@ def report_of(runs: Runs) -> Report:
     return Report(runs, tuple(views_for(runs)), tuple(findings(runs)))
 
 
-def write_report(directory: Path, *, draw_run: bool = True) -> Report:
+def write_report(directory: Path) -> Report:
     """Analyse a campaign, and write report.md, readme_block.md, summary.json and PNG figures to its folder.
-
-    With `draw_run`, an illustrative run is replayed for an additional picture.
 
     Raises:
         BadInputError: The campaign does not exist, or the folder cannot be written.
@@ -81,7 +68,6 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
     captions: dict[str, str] = {}
     if found.runs.has_missions:
         captions |= figures.draw(found.runs, directory)
-        captions |= _draw_telling_run(directory, found.runs) if draw_run else {}
     texts = {
         "report.md": _markdown(found, captions, today),
         "summary.json": json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
@@ -92,32 +78,6 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
         with writing(directory / name):
             (directory / name).write_text(content, encoding="utf-8")
     return replace(found, files=tuple(directory / name for name in (*texts, *captions)))
-
-
-def _draw_telling_run(directory: Path, runs: Runs) -> dict[str, str]:
-    """Draw the most illustrative run (golden, with the fault, with a detector); return its caption by file name.
-
-    Nothing is drawn if that would run a program that the ledger names and the user has not allowed.
-    """
-    chosen = None
-    with Store.open(directory) as store, suppress(NotAllowedError):
-        chosen = fly_telling_run(store, runs.frame)
-    if chosen is None:
-        return {}
-    detector = "" if chosen.saved is None else str(chosen.saved["arm"])
-    draw_flight(directory / PICTURE, chosen.flight, chosen.golden, chosen.recovered, detector=detector)
-    return {PICTURE: _caption(chosen)}
-
-
-def _caption(telling: Telling) -> str:
-    row, injection = telling.injected, telling.flight.log.injections[0]
-    change = "" if row["inflation"] is None else f" ({signed_percent(row['inflation'])} flight time)"
-    bit = "" if injection.bit is None else f", bit {injection.bit}"
-    text = f"`{row['run_id']}`: {injection.site}{bit}, at {injection.time_s:.2f} s; "
-    text += f"ends in {row['status'].replace('_', ' ')}{change}."
-    if telling.saved is not None:
-        text += f" With {telling.saved['arm']} on it reaches the goal."
-    return f"{text} See `mavfi explain`."
 
 
 def _markdown(found: Report, captions: Mapping[str, str], today: str) -> str:

@@ -1,6 +1,7 @@
 """Figures at the width of a journal's column or page: sizes of letters, marks and lines, texts without overlaps."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
@@ -14,10 +15,13 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, MaxNLocator
 from matplotlib.transforms import Bbox
 
+from mavfi.errors import writing
+
 COLUMN, PAGE = 3.5, 7.16
 """Widths of one column and of the page (in), in IEEE's two-column format."""
 LETTERS, SMALL = 7.0, 5.0
 """Font sizes (pt): of all texts; of those in panels that are smaller than tick labels."""
+_DOTS_PER_INCH = 600
 _PANELS = 2  # maximum number side by side in one column
 _SCALE = 0.5
 """Least scale of marks and lines, so that they remain visible."""
@@ -31,6 +35,20 @@ _LETTERS_IN_LINE = 12
 """Least number of letters in a line of a wrapped text."""
 _SLACK = 1.1
 """Length of a label over that of its axis beyond which it is wrapped."""
+
+
+def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Write NAME.pdf and NAME.png; the figure is resized in place.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
+    fit_to_column(figure)
+    paths = [directory / f"{name}{ending}" for ending in (".pdf", ".png")]
+    for path in paths:
+        with writing(path):
+            figure.savefig(path, dpi=_DOTS_PER_INCH)
+    return paths
 
 
 def fit_to_column(figure: Figure) -> None:

@@ -1,6 +1,4 @@
-"""Results of `campaign.shrink` as text and as plain data."""
-
-from typing import Any
+"""Results of `campaign.shrink` as text."""
 
 from mavfi.campaign.samplers.request import text_of
 from mavfi.campaign.shrink import Shrunk, Trial
@@ -30,23 +28,3 @@ def _trial(trial: Trial) -> str:
         return f"{text}: {end}"
     before, after = change(trial.injection.before, trial.injection.after)
     return f"{text}: {before} → {after}, {end}"
-
-
-def to_json(found: Shrunk) -> dict[str, Any]:
-    """Plain data: run, faults, steps."""
-    return {
-        "run_id": found.spec.run_id, "smallest": _plain(found.smallest), "original": _plain(found.original),
-        "steps": [
-            {"what": step.what, "tried": step.tried, "found": None if step.found is None else _plain(step.found)}
-            for step in found.steps
-        ],
-    }  # fmt: skip
-
-
-def _plain(trial: Trial) -> dict[str, Any]:
-    injection = trial.injection
-    return {
-        "fault": trial.fault.to_json(), "text": text_of(trial.fault), "status": trial.status, "lost": trial.lost,
-        "time_s": trial.time_s, "before": None if injection is None else injection.before,
-        "after": None if injection is None else injection.after,
-    }  # fmt: skip

@@ -18,6 +18,7 @@ from mavfi.campaign.steps import SET_UP, Steps
 from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, writing
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.flight_record import plain
@@ -37,14 +38,6 @@ class SectionReport:
     runs: Runs | None  # of its campaign, with the flights needed by its figures
     tables: tuple[Table, ...]  # in the order of the section, without empty ones
     captions: Mapping[str, str] = field(default_factory=dict)  # by figure file, relative to the study's folder
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        data: dict[str, Any] = plain({
-            **self.section.model_dump(mode="json"), "tables": [table.to_json() for table in self.tables],
-            "captions": dict(self.captions),
-        })  # fmt: skip
-        return data
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +118,12 @@ class StudyReport:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: name, campaigns by folder, sections, times."""
+        """Plain data: name, campaigns by folder, programs, provenance; the tables are in files of their own."""
         campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
-        sections = [section.to_json() for section in self.sections]
-        data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
-                                      "programs": self.programs, "provenance": [*self.provenance, *self.digests],
-                                      **{table.name: table.to_json() for table in self.times}})  # fmt: skip
+        data: dict[str, Any] = plain({
+            "study": self.study.name, "campaigns": campaigns, "programs": self.programs,
+            "provenance": [*self.provenance, *self.digests],
+        })  # fmt: skip
         return data
 
 
@@ -152,19 +145,20 @@ def check_names(study: Study, where: str) -> None:
     for section in study.sections:
         for key, allowed in known.items():
             for name in getattr(section, key):
+                if dropped_name(key, name):
+                    raise BadInputError(f"{where}: section {section.title!r}: {dropped_name(key, name)}")
                 if name not in allowed:
                     raise BadInputError(
                         f"{where}: section {section.title!r}: {key}: {name!r}: not known; allowed: {', '.join(allowed)}"
                     )
 
 
-def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
+def study_report(study: Study, folder: Path) -> StudyReport:
     """Compute the tables of a study from its ledgers, and write its figures; no other file is written.
 
     Args:
         study: The study, with sections in order.
         folder: Folder of its ledgers; figures are written to its subfolder `FIGURES_FOLDER`.
-        fly: Whether to replay runs for figures that need whole flights; otherwise these figures are omitted.
 
     Raises:
         BadInputError: A campaign does not exist, a name is unknown, or the folder cannot be written.
@@ -175,37 +169,36 @@ def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport
         for name, runs in campaigns.items()
         if (found := views_for(runs))
     )
-    reports = tuple(_section(section, campaigns, folder, fly=fly) for section in sections)
+    reports = tuple(_section(section, campaigns, folder) for section in sections)
     return StudyReport(study, campaigns, reports, Steps.load(folder))
 
 
-def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, fly: bool) -> SectionReport:
+def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path) -> SectionReport:
     runs = campaigns.get(section.campaign)
     tables = [claims_table(section.claims, campaigns.values())] if section.claims else []
     captions: dict[str, str] = {}
     shown = runs
     if runs is not None:
         tables += [table(runs, name) for name in section.views]
-        cases = {name: tuple(drawing(name).cases(runs)) for name in section.figures}
-        names = [name for name in section.figures if fly or not cases[name]]
-        wanted = [run_id for name in names for run_id in cases[name]]
-        shown = with_flights(runs, folder / section.campaign, wanted)
+        cases = [run_id for name in section.figures for run_id in drawing(name).cases(runs)]
+        shown = with_flights(runs, folder / section.campaign, cases)
         pictures = folder / FIGURES_FOLDER
-        if names:
+        if section.figures:
             with writing(pictures):
                 pictures.mkdir(parents=True, exist_ok=True)
         start = f"{runs.campaign['name']}_"
-        captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in draw(shown, pictures, names, start).items()}
+        written = draw(shown, pictures, section.figures, start)
+        captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in written.items()}
     return SectionReport(section, shown, tuple(table for table in tables if table.rows), captions)
 
 
-def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> StudyReport:
+def write_study(study: Study, scale: str, folder: Path) -> StudyReport:
     """Analyse a study flown at a scale, and write study.md, study.json, tables (CSV) and figures to its folder.
 
     Raises:
         BadInputError: See `study_report`.
     """
-    found = study_report(study, folder, fly=fly)
+    found = study_report(study, folder)
     files = [*write_texts(found, scale, folder), *(name for one in found.sections for name in one.captions)]
     return replace(found, files=tuple(folder / name for name in files))
 

@@ -74,7 +74,6 @@ def _per_hour(found: EventRate) -> str:
 FORMS: dict[str, Callable[[Any], str]] = {
     RATE: rate,
     PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),
-    "percent 2": lambda share: percent(share, 2),
     "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
     POINTS: lambda found: f"{100 * (found.rate or 0.0):+z.1f} {_interval(found)}",
     POINTS_TEST: lambda found: f"{100 * found.rate:+z.1f} {_interval(found)}{_p(found)}",
@@ -82,9 +81,7 @@ FORMS: dict[str, Callable[[Any], str]] = {
     TIMES_TEST: lambda found: f"{found.rate:.2f}× [{found.low:.2f}, {found.high:.2f}]{_p(found)}",
     SIGNED: signed_percent,
     "signed points": lambda share: f"{100 * share:+z.1f}",
-    "points each way": lambda share: f"{100 * share:.1f}",
     SMALL: _small_percent,
-    "small percents": lambda shares: " / ".join(map(_small_percent, shares.values())),
     PER_HOUR: _per_hour,
     ESTIMATE: lambda found: f"{found.value:.1e} [{found.low:.1e}, {found.high:.1e}]",
     "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from mavfi.campaign.scores import Scores, _Scorer, curves_csv, table, unscored
+from mavfi.campaign.scores import Scores, _Scorer, table, unscored
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.states import new_state
 from tests.unit.campaign.fakes import small
@@ -65,10 +65,6 @@ def test_the_table_says_what_an_exposure_cannot_show():
     (row,) = table({"one": found}, ["a"]).entries()
     assert row["harmful"] == 2 and row["at_0.1"] is None
     assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h
-    assert curves_csv({"one": found}).splitlines()[1:] == [
-        "one,9.0,0.0,0.0,1.0", "one,3.0,0.0,0.5,1.0", "one,2.5,0.6666666666666666,0.5,0.5",
-        "one,2.0,0.6666666666666666,1.0,0.6666666666666666",
-    ]  # fmt: skip
 
 
 @given(made())

@@ -1,4 +1,3 @@
-import json
 import shlex
 
 import numpy as np
@@ -61,14 +60,14 @@ def test_the_steps_are_kept(directory, lost):
 
 
 def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory, lost):
-    assert run(["shrink", str(directory), lost[0], "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    text = data["smallest"]["text"]
-    assert data["command"].startswith("mavfi fly --environment dense --seed") and text in data["command"]
-    assert parse(text).resolve(0, "published").bit == data["smallest"]["fault"]["bit"]
+    found = shrink(directory, lost[0])
+    text = text_of(found.smallest.fault)
+    printed = command(found)
+    assert printed.startswith("mavfi fly --environment dense --seed") and text in printed
+    assert parse(text).resolve(0, "published").bit == found.smallest.fault.bit
     assert run(["shrink", str(directory), lost[0]]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == data["command"]
+    assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == printed
 
 
 @pytest.mark.parametrize(

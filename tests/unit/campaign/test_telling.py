@@ -1,7 +1,7 @@
 import polars as pl
 
 from mavfi.campaign.analysis.rows import SCHEMA
-from mavfi.campaign.telling import choose, ordered, partner
+from mavfi.campaign.telling import ordered, partner
 
 
 def _row(index, success, *, arm="", time=100.0, distance=50.0, **changes):
@@ -11,33 +11,6 @@ def _row(index, success, *, arm="", time=100.0, distance=50.0, **changes):
         "site_outcome": "activated", "success": success, "golden_success": True, "distance_m": distance,
         "inflation": time / 100.0 - 1 if success else None, **changes,
     }  # fmt: skip
-
-
-def _chosen(*rows):
-    chosen = choose(pl.DataFrame(rows, schema=SCHEMA))
-    return None if chosen is None else [None if row is None else row["run_id"] for row in chosen]
-
-
-def test_a_failure_that_a_detector_heals_comes_first():
-    rows = [_row(0, False, distance=90.0), _row(1, False), _row(1, True, arm="gaussian"), _row(2, True, time=200.0)]
-    assert _chosen(*rows) == ["1", "gaussian1"]
-
-
-def test_then_a_failure_then_the_slowest():
-    failed, slow = _row(0, False), _row(1, True, time=150.0)
-    assert _chosen(slow, failed) == ["0", None]
-    assert _chosen(slow, _row(2, True)) == ["1", None]
-    assert _chosen(slow, _row(1, True, arm="gaussian")) == ["1", "gaussian1"]
-
-
-def test_nothing_worth_a_picture():
-    assert _chosen() is None
-    assert _chosen(_row(0, True, time=100.5)) is None
-    assert _chosen(_row(0, False, site_outcome="not_activated")) is None
-
-
-def test_missions_whose_golden_run_fails_say_nothing_of_the_fault():
-    assert _chosen(_row(0, False, golden_success=False)) is None
 
 
 def _frame(*rows):

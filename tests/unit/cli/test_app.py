@@ -1,4 +1,3 @@
-import json
 import signal
 import subprocess
 import sys
@@ -67,7 +66,7 @@ def test_help_is_not_cut_in_a_terminal_of_80_columns(capsys, monkeypatch, verb):
 
 @pytest.mark.parametrize("word", ["--stack=hardened", "--stack"])
 def test_an_older_name_of_an_option_is_refused_with_the_new_one(capsys, word):
-    assert run(["states", "--json", word]) == 2
+    assert run(["states", word]) == 2
     assert capsys.readouterr().err == "mavfi: --stack: dropped; use --autopilot\n"
 
 
@@ -171,17 +170,17 @@ def test_help_loads_nothing_heavy():
 
 
 def test_states_print_the_registry(capsys):
-    assert run(["states", "--json", "--autopilot", "hardened"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert [row["state"] for row in data["states"]] == list(states_with("truth"))
-    assert sum(field["monitored"] for row in data["states"] for field in row["fields"]) == 13
-    dead = {(r["state"], f["field"]) for r in data["states"] for f in r["fields"] if f["dead"]}
-    assert ("sensor.odometry", "wx") in dead
-    assert ("control.tracking", "remaining") in dead
+    assert run(["states", "--autopilot", "hardened"]) == 0
+    text = capsys.readouterr().out
+    blocks = {block.split(maxsplit=1)[0]: block for block in text.split("\n\n")[1:-1]}
+    assert list(blocks) == list(states_with("truth"))
+    assert sum("●" in line for block in blocks.values() for line in block.splitlines()) == 13
+    dead = {(state, line.split()[0]) for state, block in blocks.items() for line in block.splitlines()
+            if line.rstrip().endswith(" dead")}  # fmt: skip
+    assert {("sensor.odometry", "wx"), ("control.tracking", "remaining")} <= dead
     assert ("planning.waypoint", "ax") not in dead
-    readers = {row["state"]: row["readers"] for row in data["states"]}
-    assert readers["perception.point_cloud"] == ["octomap"] and "pid" in readers["planning.waypoint"]
-    assert readers["control.command"] == ["flight controller"]
+    assert "read by octomap\n" in blocks["perception.point_cloud"]
+    assert "read by flight controller\n" in blocks["control.command"] and "pid" in blocks["planning.waypoint"]
 
 
 def test_states_as_a_table(capsys):

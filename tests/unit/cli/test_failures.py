@@ -1,5 +1,3 @@
-import json
-
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
@@ -23,15 +21,7 @@ def test_the_answer_comes_first_and_the_assumptions_after_it(ledger, capsys):
     assert text.index("dr_gaussian") < text.index("JESD89A")
 
 
-def test_as_csv_and_as_json(ledger, capsys):
-    assert run(["failures", ledger, "--csv"]) == 0
-    assert capsys.readouterr().out.splitlines()[0].startswith("environment,setting,kernel,failures_value,failures_low")
-    assert run(["failures", ledger, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["table"]["rows"][0]["kernel"] == "pid"
-
-
 def test_bad_input_is_one_line(tmp_path, capsys):
-    assert run(["failures", str(tmp_path), "--csv", "--json"]) == 2
     run_campaign(small(missions=1, faults=1), tmp_path, executor=LocalExecutor(1))
     capsys.readouterr()
     assert run(["failures", str(tmp_path)]) == 2

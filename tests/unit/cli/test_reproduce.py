@@ -118,19 +118,19 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
     changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
     sections = [
-        {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "kernel_missions"]},
-        {"title": "Two", "campaign": ".", "views": ["golden_flights"], "figures": ["sites"]},
+        {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "flight_times"]},
+        {"title": "Two", "campaign": ".", "views": ["endings"], "figures": ["flight_time"]},
     ]
     changes["study"] = {"sections": sections}
     out = tmp_path / "out"
     assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
-    titles = ["One", VIEWS["kernel_effects"].title, "Two", VIEWS["golden_flights"].title]
+    titles = ["One", VIEWS["kernel_effects"].title, "Two", VIEWS["endings"].title]
     assert sorted(titles, key=printed.index) == titles
-    assert VIEWS["kernel_missions"].title not in printed, "the first table of a section is printed"
+    assert VIEWS["flight_times"].title not in printed, "the first table of a section is printed"
     report = (out / "study.md").read_text(encoding="utf-8")
-    assert VIEWS["kernel_missions"].title in report and "(figures/table1_sites.png)" in report
-    assert (out / "figures" / "table1_sites.png").stat().st_size > 10_000
+    assert VIEWS["flight_times"].title in report and "(figures/table1_flight_time.png)" in report
+    assert (out / "figures" / "table1_flight_time.png").stat().st_size > 10_000
     table = (out / "tables" / "table1_instructions_kernel_effects.csv").read_text(encoding="utf-8")
     assert table.splitlines()[0].startswith("environment,kernel,") and len(table.splitlines()) > 1
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -138,23 +138,23 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert "Missions of an autonomous quadrotor in sparse: at most one flipped bit per mission" in page
     assert "without a fault, " in page and " with one at instruction level" in page
     assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
-    findings = study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings
+    findings = study_report(load_study(tmp_path / "small.yaml"), out).findings
     assert list(findings) == ["One", "Two"] and all(f"<h3>{title}</h3>" in page for title in findings)
     assert all(line in page for lines in findings.values() for line in lines)
 
-    assert run(["report", str(out), "--html", str(tmp_path / "page.html"), "--flights", "1", "--no-draw-run"]) == 0
+    assert run(["report", str(out), "--html", str(tmp_path / "page.html"), "--flights", "1"]) == 0
     printed = capsys.readouterr().out
     assert all(title in printed for title in titles)
     again = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Study small" in again and "mavfi reproduce small --scale quick --out" in again
-    assert run(["report", str(out / "instructions"), "--no-draw-run", "--json"]) == 0
+    assert run(["report", str(out / "instructions"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1_instructions"
 
     sections[1]["headline"] = True
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 0)
     assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
-    assert VIEWS["golden_flights"].title in printed and VIEWS["kernel_effects"].title not in printed
+    assert VIEWS["endings"].title in printed and VIEWS["kernel_effects"].title not in printed
 
 
 @pytest.mark.parametrize(

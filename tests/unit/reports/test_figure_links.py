@@ -86,16 +86,6 @@ def test_curves_of_flight_time_open_all_missions_of_which_they_show_the_share(fl
         assert axes.get_title(loc="left") == f"{environment}, n = {len(ids(linked(axes)[0]))}"
 
 
-def test_points_of_sites_open_the_leading_population_at_each(flown_by_hand, instructions_by_hand):
-    for own, column, population in (
-        (flown_by_hand, "state", "sign_exponent"),
-        (instructions_by_hand, "kernel", "all_bits"),
-    ):
-        counted = own.injected.where("judged", population=population)
-        [axes] = figures.figure(own, "sites").axes
-        assert opened(linked(axes)) == behind(*counted.groups(column, "setting").values())
-
-
 @pytest.mark.parametrize(
     ("name", "select", "column"),
     [("kernels", v.by_kernel, "kernel"), ("states", v.by_state, "target"), ("bit_fields", v.by_bits, "bits")],
@@ -161,6 +151,6 @@ def test_modelled_values_have_no_runs():
 
 
 def test_every_figure_of_runs_is_tested_here():
-    tested = {"success", "flight_time", "sites", "kernels", "states", "bit_fields", "flight_time_distribution",
+    tested = {"success", "flight_time", "kernels", "states", "bit_fields", "flight_time_distribution",
               "platforms", "trajectories", "redundancy"}  # fmt: skip
     assert set(figures.FIGURES) == tested

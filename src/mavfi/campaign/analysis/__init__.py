@@ -5,12 +5,11 @@
 
 from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views, in the order of reports)
     alarm_views,
-    boundary_views,
+    external_views,
     failure_views,
     firmware_views,
     flight_views,
     kernel_views,
-    node_views,
     overhead_claims,
     paper_claims,
     paper_views,

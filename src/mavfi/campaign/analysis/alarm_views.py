@@ -1,4 +1,4 @@
-"""Views of alarms (false alarms, detected faults, recomputation) and of injection sites."""
+"""Views of alarms (false alarms, detected faults), and the overhead of detection and recovery."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -13,20 +13,17 @@ from mavfi.campaign.analysis.flight_views import (
     SETTING,
     TOTAL,
     named_populations,
-    of_missions,
     of_states,
     watched,
 )
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import ACTIVATED
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, RATE, SMALL, TEXT
+from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, SMALL, TEXT
 from mavfi.campaign.analysis.views import View, register
 from mavfi.campaign.overheads import ALL
-from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
-from mavfi.states import PPC_STAGES, STATES
+from mavfi.states import PPC_STAGES
 
 
 # ---- alarms ------------------------------------------------------------------------------------------------------
@@ -61,16 +58,6 @@ def _detected(runs: Runs) -> Runs:
     own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
     in_set = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
     return named_populations(own).adding(in_monitored_set=in_set)
-
-
-def _recomputed(stage: str) -> Measure:
-    return Measure(stage or "total", stage or "total", SMALL, lambda own: m.recomputed(own, stage))
-
-
-def _papers_overhead(environment: str, setting: str) -> dict[str, float] | None:
-    found = {str(stage): paper.figure("recompute_overhead", environment=environment, setting=setting, stage=str(stage))
-             for stage in PPC_STAGES}  # fmt: skip
-    return found if all(value is not None for value in found.values()) else None
 
 
 # ---- overhead ----------------------------------------------------------------------------------------------------
@@ -202,59 +189,5 @@ register(
             "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
             "detector has not; false alarms that the fault has shifted are among them",
         ), applies=lambda runs: of_states(runs) and watched(runs),
-    ),
-    View(
-        "overheads", "Overhead of recomputation", SETTING,
-        (
-            m.count("flights", "flights"), *(_recomputed(str(stage)) for stage in PPC_STAGES),
-            _recomputed(""),
-            Measure("compute_s", "compute time", "number .1f s", lambda own: m.compute_us(own) * 1e-6, hidden=True),
-            paper.column(_papers_overhead, "paper (stages)", "small percents"),
-        ),
-        where=lambda runs: of_missions(runs).where(pl.col("detector") != "", end="flown"),
-        notes=lambda _: (
-            "recomputation / compute time of the pipeline, both in the platform's modelled time; nothing was measured "
-            "on that hardware",
-        ), applies=watched,
-    ),
-)  # fmt: skip
-
-
-# ---- sites -------------------------------------------------------------------------------------------------------
-def acted_on(record: FlightRecord) -> list[Mapping[str, Any]]:
-    """Numbers of publications, and of those acted on, for states that consumers act on only sometimes; golden runs."""
-    return [
-        {"state": name, "publications": record.publications.get(name, 0), "acted": record.acted_on.get(name, 0)}
-        for name, spec in STATES.items()
-        if spec.acted_on and record.acted_on
-    ]
-
-
-def _acted_share(own: Runs) -> float | None:
-    publications = sum(own["publications"])
-    return sum(own["acted"]) / publications if publications else None
-
-
-register(
-    View(
-        "unmonitored_failures", "Failures at sites outside the paper's monitored set", ("environment",),
-        (
-            Measure("failures", "failures (fi)", NUMBER, len),
-            Measure("unmonitored", "outside the monitored set", RATE,
-                    lambda own: wilson(len(own.where(~pl.col("monitored"))), len(own))),
-        ),
-        where=lambda runs: runs.injected.where("judged", ~pl.col("success"), setting=FI),
-        notes=lambda runs: (_monitored_note(runs),), applies=of_states,
-    ),
-    View(
-        "acted_on", "Publications that consumers act on", ("environment", "state"),
-        (
-            Measure("publications", "publications", NUMBER, lambda own: sum(own["publications"])),
-            Measure("acted_on", "acted on", NUMBER, lambda own: sum(own["acted"])),
-            Measure("share", "share", "percent 2", _acted_share),
-        ),
-        where=lambda runs: runs.golden.where(arm="").exploded(acted_on),
-        notes=lambda _: ("golden flights; faults on this state are injected into publications that consumers act on",),
-        applies=of_states,
     ),
 )  # fmt: skip

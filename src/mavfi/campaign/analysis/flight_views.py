@@ -15,7 +15,6 @@ from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import NUMBER, PERCENT, POINTS, RATE
 from mavfi.campaign.analysis.views import View, has, register
-from mavfi.campaign.plan import FI
 
 ONE_FAULT = "rates are conditional on one fault per mission"
 _WILSON = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds"
@@ -191,20 +190,6 @@ register(
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
         ), applies=_compared,
     ),
-    View(
-        "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
-        (
-            m.count("pairs", "pairs"),
-            Measure("only_golden", "only golden succeeds", NUMBER, lambda own: m.against_golden(own).first_only),
-            Measure("only_fi", "only faulty succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
-            Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
-        ),
-        where=lambda runs: named_populations(
-            runs.injected.where("judged", pl.col("golden_success").is_not_null(), setting=FI)
-        ),
-        total=TOTAL, notes=lambda _: (f"p: {m.PAIRED_TEST}", ONE_FAULT),
-        applies=lambda runs: of_states(runs) or _compared(runs),
-    ),
 )  # fmt: skip
 
 
@@ -220,39 +205,39 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
-    """Register a view over all environments, and one by environment for campaigns with several."""
-    applies, headings = more.pop("applies", of_states), more.pop("headings", ())
-    measures = more.pop("measures", (m.leading_success, m.other_success, m.hurt))
-    columns: dict[str, Any] = {"measures": measures, "notes": more.pop("notes", _slow_note)}
-    columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY, SENSOR)))
-    register(
-        View(name, title, (*by, "setting"), applies=applies, headings=headings, **columns, **more),
-        View(
-            f"{name}_and_environment", f"{title}, each environment", ("environment", *by, "setting"),
-            applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1,
-            headings=headings and ("environment", *headings), **columns, **more,
-        ),
-    )  # fmt: skip
+def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> View:
+    """A table of success by properties of the fault and by setting."""
+    options = {"applies": of_states, "measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
+    levels = pl.col("level").is_in((STATE, MEMORY, SENSOR))
+    return View(
+        name, title, (*by, "setting"), where=lambda runs: runs.injected.where("judged", levels), **{**options, **more}
+    )
 
 
-_by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
-_by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
-_by("by_state", "Success by inter-kernel state", ("state",))
-_of_failures: dict[str, Any] = {
+def _of_sensors_in_several(runs: Runs) -> bool:
+    return of_sensors(runs) and len(runs.values("environment")) > 1
+
+
+_OF_FAILURES: dict[str, Any] = {
     "applies": of_sensors,
     "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
     "notes": lambda _: (
         f"success, hurt: {INTERVALS}",
-        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
-        ONE_FAULT,
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes", ONE_FAULT,
     ),
-}
-_by("by_unit", "Success by failing sensor or motor", ("state",), headings=("unit", "setting"), **_of_failures)
-_by("by_failure", "Success by type of failure", ("field",), headings=("type", "setting"), **_of_failures)
-_by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values)
-_by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
-_by("by_every_field", "Success by field", ("state", "field"), applies=of_values, by_name=True)
+}  # fmt: skip
+_UNIT = "Success by failing sensor or motor"
+register(
+    _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages),
+    _by("by_target", "Success by group of fields", ("target",), applies=_by_groups),
+    _by("by_state", "Success by inter-kernel state", ("state",)),
+    _by("by_unit", _UNIT, ("state",), **_OF_FAILURES, headings=("unit", "setting")),
+    _by("by_unit_and_environment", f"{_UNIT}, each environment", ("environment", "state"),
+        **{**_OF_FAILURES, "applies": _of_sensors_in_several}, headings=("environment", "unit", "setting")),
+    _by("by_failure", "Success by type of failure", ("field",), **_OF_FAILURES, headings=("type", "setting")),
+    _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values),
+    _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST),
+)  # fmt: skip
 
 
 # ---- effects and endings -----------------------------------------------------------------------------------------
@@ -289,10 +274,6 @@ register(
         applies=of_values,
     ),
     View(
-        "outcomes_by_stage", "Effects of faults, by stage", (*SETTING, "stage"), _EFFECTS, notes=_effect_notes,
-        where=lambda runs: runs.injected, applies=of_values,
-    ),
-    View(
         "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,
         applies=of_values,
     ),
@@ -309,13 +290,4 @@ def paired(runs: Runs) -> Runs:
 
 
 register(
-    View(
-        "golden_flights", "Golden flights that succeed, medians", SETTING,
-        (
-            m.count("n", "n"), m.median("flight_time_s", "flight time", "number .1f s"),
-            m.median("energy_j", "energy", "number .1f kJ"), m.median("distance_m", "distance", "number .1f m"),
-            m.median("replans", "replans", "number g"),
-        ),
-        where=lambda runs: runs.golden.where("success"), applies=of_values,
-    ),
 )  # fmt: skip

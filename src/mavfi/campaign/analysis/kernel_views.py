@@ -1,6 +1,6 @@
 """Views of instruction faults: the success table under both policies, and the effects on kernels."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import polars as pl
@@ -9,33 +9,24 @@ from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.flight_views import (
     INSTRUCTION,
-    INTERVALS,
     ONE_FAULT,
     faulty_and_bare,
     separable_note,
     unknown_note,
-    watched,
 )
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.analysis.table import NUMBER, RATE, TEXT
+from mavfi.campaign.analysis.table import RATE, TEXT
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
-from mavfi.flight_record import FlightRecord
 
-MEMORY = "(memory only)"  # label of a silent corruption that changes kernel memory but no publication at once
 _DYING = (
     "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
     "starts such nodes again; the share of kernels that die is measured in LLVM IR, not machine code"
 )
 _RATES = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], successes / n; bits of all kinds"
 _LEVEL = "SDC rates may be quoted; crash, hang and exception rates are measured in LLVM IR, not machine code"
-_POLICIES = (
-    "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory, "
-    "if the mission's dead_node does not say otherwise; end = the mission has failed"
-)
 _EFFECTS = (
     "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "
     "Wilson, n reduced by the design effect of worlds"
@@ -98,28 +89,6 @@ register(
             *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
         ), leads=True, applies=_by_stages,
     ),
-    View(
-        "instructions_by_stage", "Instruction level: success by stage of the fault",
-        ("environment", "stage", "setting"),
-        (
-            m.rate("restart", "node restarts", "success"), m.rate("end", "mission ends", "success_if_ended"),
-            m.count("died", "died", pl.col("kernel_effect").is_in(KERNEL_DUE)),
-            Measure("not_activated", "not activated", NUMBER, _missed),
-        ),
-        where=lambda runs: runs.injected.where("judged", level=INSTRUCTION),
-        notes=lambda _: (_RATES, "died: kernels that crashed, hung or raised"), applies=_by_stages,
-    ),
-    View(
-        "instruction_alarms", "Alarms after an instruction fault", ("environment", "setting"),
-        (m.rate("downstream", "alarm within 1 s", "detected_downstream"),),
-        where=lambda runs: runs.injected.where(
-            "judged", pl.col("detector") != "", level=INSTRUCTION, site_outcome=ACTIVATED
-        ),
-        notes=lambda _: (
-            "of the activated faults; within 1 s an alarm of a state and instant that the golden flight with the same "
-            "detector has not; most faults change nothing that is published, and there is nothing to see",
-        ), applies=lambda runs: _by_stages(runs) and watched(runs),
-    ),
 )  # fmt: skip
 
 
@@ -145,7 +114,6 @@ _THREE = (
     m.rate("due", "due", _effect(*KERNEL_DUE)),
 )
 _FOUND = _effect("detected")
-_GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"))
 
 
 def _replayable_note(runs: Runs) -> str:
@@ -155,57 +123,6 @@ def _replayable_note(runs: Runs) -> str:
     return note if again == len(own) else (
         f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library"
     )  # fmt: skip
-
-
-def _split(name: str, title: str, column: str) -> View:
-    return View(
-        name, title, ("kernel", column),
-        (
-            m.count("n", "n"), *_THREE, _GIVEN_SDC,
-            m.quantile("inflation", 1.0, "worst_time", "worst time"),
-        ),
-        where=lambda runs: _readable(kernel_runs(runs), column),
-        notes=lambda _: (
-            _LEVEL, "other: bits of integers, addresses and conditions; a result of one bit has no sign or exponent"
-        ),
-        applies=_of_instructions,
-    )  # fmt: skip
-
-
-def _readable(own: Runs, column: str) -> Runs:
-    text = pl.col(column).str.replace_all("_", " ")
-    return own.adding(**{column: pl.when(text == "").then(pl.lit("—")).otherwise(text)})
-
-
-def _silent(runs: Runs) -> Runs:
-    """Silent corruptions, with the first differing field."""
-    own = kernel_runs(runs).where(kernel_effect="sdc")
-    place = pl.concat_str(pl.col("error_state").replace("", MEMORY), "error_field", separator=" ")
-    return own.adding(first_differing_field=place.str.strip_chars())
-
-
-def _share(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-    """Share of a kernel's silent corruptions that differ first in a field."""
-    kernel, field = by
-
-    def of(own: Runs) -> Rate:
-        inside = runs.where(pl.col(kernel) == own.first(kernel))
-        return m.rate_of(inside, pl.col(field) == own.first(field))
-
-    yield Measure("share", "share %", RATE, of)
-
-
-def _finite(own: Runs) -> pl.Series:
-    sizes = own.frame["error_size"].drop_nulls()
-    return sizes.filter(sizes.is_finite())
-
-
-def _counted(record: FlightRecord) -> list[Mapping[str, Any]]:
-    """Dynamic instructions and calls of each kernel in a golden run."""
-    return [
-        {"kernel": kernel, "instructions": data["instructions"], "calls": data["calls"]}
-        for kernel, data in record.counts.items()
-    ]
 
 
 register(
@@ -233,60 +150,5 @@ register(
             "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
             "values, or none: settings are compared as samples, not in pairs", _LEVEL,
         ), applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
-    ),
-    View(
-        "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),
-        (
-            Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
-            m.rate("success_restart", "success, restart", "success"),
-            m.rate("success_end", "success, end", "success_if_ended"),
-            m.rate("changed", "changed", pl.col("effect") != "masked"),
-            m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
-            m.quantile("inflation", 1.0, "worst", "worst"),
-            Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
-            Measure("paper", "paper's Fig. 3", TEXT, lambda own: paper.figure("kernels", kernel=own.first("kernel"))),
-        ),
-        where=kernel_runs, leads=True,
-        notes=lambda _: (
-            f"rates: {INTERVALS}", _POLICIES,
-            "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
-            "golden run, where both arrive",
-            "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
-            f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+z.1f} %, success lower by up to "
-            f"{100 * paper.figure('kernels_worst', quantity='success_loss'):.0f} points, both in planning and control",
-        ), applies=_of_instructions,
-    ),
-    _split("kernel_effects_by_value_class", "Effects by value class", "value_class"),
-    _split("kernel_effects_by_bit", "Effects by bit: sign, exponent, mantissa", "stratum"),
-    View(
-        "kernel_errors", "From instruction to inter-kernel state", ("kernel", "first_differing_field"),
-        (
-            m.count("n", "sdc"),
-            _share,
-            m.median("error_elements", "elements", "number .3g"),
-            Measure("size", "median size", "number .3g", lambda own: _finite(own).median()),
-            Measure("largest", "largest", "number .3g", lambda own: _finite(own).max()),
-            Measure("not_finite", "not finite", NUMBER,
-                    lambda own: own.frame["error_size"].drop_nulls().len() - _finite(own).len()),
-            m.count("changed", "changed", pl.col("effect") != "masked"),
-            m.rate("success", "success", "success"),
-        ),
-        where=_silent, most="n",
-        notes=lambda _: (
-            "which silent corruptions within a kernel become which errors between kernels: state faults change one "
-            "element of one field, uniformly over its bits",
-            f"share: of the kernel's silent corruptions; rates: {INTERVALS}",
-            "elements: in how many places the field differs (median); size: largest difference in the field's unit",
-            "(memory only): nothing published differs at once, but what the kernel remembers does",
-        ), applies=_of_instructions,
-    ),
-    View(
-        "kernel_instructions", "Dynamic instructions of golden flights", ("kernel",),
-        (
-            m.count("flights", "flights"),
-            Measure("calls", "calls", NUMBER, lambda own: sum(own["calls"])),
-            Measure("instructions", "instructions", NUMBER, lambda own: sum(own["instructions"])),
-        ),
-        where=lambda runs: runs.golden.exploded(_counted), applies=_of_instructions,
     ),
 )  # fmt: skip

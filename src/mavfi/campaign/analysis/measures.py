@@ -23,6 +23,7 @@ from mavfi.campaign.analysis.statistics import (
 from mavfi.campaign.analysis.table import NUMBER, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE, SIGN_EXPONENT
+from mavfi.flight_record import FlightRecord
 
 WHOLE_WORD = "whole_word"
 _WORDS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
@@ -296,16 +297,20 @@ def systematic(own: Runs) -> list[tuple[str, float, int]]:
     ]
 
 
-def compute_us(own: Runs) -> int:
-    """Modelled compute time of the pipeline (us), without recomputations, which the kernels' times include."""
-    spent = sum(sum(record.recompute_us.values()) for record in own.recorded())
-    return sum(sum(record.compute_us.values()) for record in own.recorded()) - spent
+def recomputed(own: Runs) -> float | None:
+    """Recomputation time of all stages / compute time, over all rows."""
+    return recomputed_share(own.recorded())
 
 
-def recomputed(own: Runs, stage: str = "") -> float | None:
-    """Recomputation time of a stage ("" = all stages) / compute time."""
-    compute = compute_us(own)
-    spent = sum(us for record in own.recorded() for name, us in record.recompute_us.items() if stage in ("", name))
+def recomputed_share(records: Iterable[FlightRecord], stages: Collection[str] = ()) -> float | None:
+    """Modelled recomputation time of stages (all if empty) / compute time of the pipeline without recomputations.
+
+    Compute times of kernels include their recomputations.
+    """
+    spent = compute = 0
+    for record in records:
+        compute += sum(record.compute_us.values()) - sum(record.recompute_us.values())
+        spent += sum(us for stage, us in record.recompute_us.items() if not stages or stage in stages)
     return spent / compute if compute else None
 
 
@@ -313,9 +318,3 @@ def worst_run(own: Runs) -> str | None:
     """Id of the run with the largest increase in flight time over its golden run."""
     known = own.frame.filter(pl.col("inflation").is_not_null())
     return None if known.is_empty() else str(known["run_id"][int(known["inflation"].arg_max() or 0)])
-
-
-def golden_rate(own: Runs) -> Rate:
-    """Success rate of the corresponding golden runs, counting each world once."""
-    golden = dict(zip(own["world"], own["golden_success"], strict=True))
-    return clustered_rate([bool(success) for success in golden.values()], list(golden))

@@ -7,6 +7,7 @@ from scipy.stats import binomtest
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.claims import Claim, Evidence, register
+from mavfi.campaign.analysis.measures import recomputed_share
 from mavfi.campaign.analysis.paper_claims import INSTRUCTIONS, VALUES, WITHIN, Unit, tested
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.worlds import within_worlds
@@ -60,15 +61,8 @@ def _timed(runs: Runs, arm: str) -> dict[tuple[str, int], tuple[float, float]]:
 def _shares(runs: Runs, setting: str, *stages: Stage) -> Runs:
     """Runs of a setting, with the recomputation of stages (all by default) / compute time, modelled, as `value`."""
     own = runs.where("judged", setting=setting)
-    shares = {run_id: _recomputed(runs, run_id, stages) for run_id in own["run_id"]}
+    shares = {run_id: recomputed_share([runs.records[run_id]], stages) for run_id in own["run_id"]}
     return own.adding(value=pl.col("run_id").replace_strict(shares, return_dtype=pl.Float64))
-
-
-def _recomputed(runs: Runs, run_id: str, stages: tuple[Stage, ...]) -> float | None:
-    record = runs.records[run_id]
-    compute = sum(record.compute_us.values()) - sum(record.recompute_us.values())
-    spent = sum(us for stage, us in record.recompute_us.items() if not stages or stage in stages)
-    return spent / compute if compute else None
 
 
 def _less(runs: Runs) -> Evidence:

@@ -1,6 +1,6 @@
 """Claims of the paper's text, each with a test on runs (see `claims`); all tests treat worlds as independent."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import polars as pl
@@ -156,198 +156,126 @@ _BITS = {name: (words, _of("bits", *bits)) for name, words, bits in (
     ("high", "sign and exponent", ("sign", "exponent")), ("low", "mantissa", ("mantissa",)))}  # fmt: skip
 
 
-def _of_kernels() -> Iterable[Claim]:
-    yield Claim(
-        "perception_least_critical",
-        "The perception stage is the least critical",
-        "III-A",
-        KERNELS,
-        WITHIN,
-        _compared(_faults, _PERCEPTION, _LATER, HURT, more=False, what=_HURT),
+Row = tuple[str, str, Callable[[Runs], Evidence]]
+"""Name, statement and test of a claim."""
+
+
+def _claims(section: str, campaign: str, *rows: Row, method: str = WITHIN) -> list[Claim]:
+    """Claims of one section of the paper that are tested on one campaign by one method."""
+    return [Claim(name, statement, section, campaign, method, test) for name, statement, test in rows]
+
+
+def _of_kernels() -> list[Claim]:
+    check, before = _of("kernel", "collision_check"), _of("kernel", "point_cloud", "octomap")
+    critical = _compared(
+        _faults, ("collision check", check), ("point cloud and OctoMap", before), HURT, more=True, what=_HURT
     )
-    yield Claim(
-        "collision_check_critical",
-        "Collision check is the critical kernel within perception",
-        "III-A",
-        KERNELS,
-        WITHIN,
-        _compared(
-            _faults,
-            ("collision check", _of("kernel", "collision_check")),
-            ("point cloud and OctoMap", _of("kernel", "point_cloud", "octomap")),
-            HURT,
-            more=True,
-            what=_HURT,
+    wider = _compared(_faults, _LATER, _PERCEPTION, ALTERED, more=True, what="flight time changed by > 5 %")
+    return _claims(
+        "III-A", KERNELS,
+        (
+            "perception_least_critical", "The perception stage is the least critical",
+            _compared(_faults, _PERCEPTION, _LATER, HURT, more=False, what=_HURT),
         ),
-    )
-    yield Claim(
-        "planning_control_flight_time",
-        "Flight time ranges wider with faults in planning and control",
-        "III-A",
-        KERNELS,
-        WITHIN,
-        _compared(_faults, _LATER, _PERCEPTION, ALTERED, more=True, what="flight time changed by > 5 %"),
-    )
-    yield Claim(
-        "clouds_and_maps_negligible",
-        "Faults in point cloud and OctoMap lose no missions (little to negligible impact)",
-        "III-A",
-        KERNELS,
-        WITHIN,
-        equality(_lost(_of("kernel", "point_cloud", "octomap"))),
-    )
-    yield Claim(
-        "planning_control_success",
-        "Faults in planning and control lower the success rate (by up to 8 %)",
-        "III-A",
-        KERNELS,
-        WITHIN,
-        _lost(_LATER[1]),
-    )
-
-
-def _of_states() -> Iterable[Claim]:
-    yield Claim(
-        "collision_seq_robust",
-        "future_collision_seq is much more robust than time_to_collision",
-        "III-B",
-        STATES,
-        WITHIN,
-        _compared(
-            _faults,
-            ("future_collision_seq", _of("target", "future_collision_seq")),
-            ("time_to_collision", _of("target", "time_to_collision")),
-            HURT,
-            more=False,
-            what=_HURT,
+        ("collision_check_critical", "Collision check is the critical kernel within perception", critical),
+        (
+            "planning_control_flight_time", "Flight time ranges wider with faults in planning and control", wider,
         ),
-    )
-    yield Claim(
-        "sign_exponent_matter_most",
-        "Faults in sign and exponent fields have a greater impact",
-        "III-B",
-        STATES,
-        WITHIN,
-        _compared(by_bits, _BITS["high"], _BITS["low"], HURT, more=True, what=_HURT),
-    )
-
-    for name, value, what in (
-        ("flight_time", pl.col("inflation"), "flight time over golden"),
-        ("energy", pl.col("energy_inflation"), "energy over golden"),
-        ("failures", ~SUCCESS, "fails"),
-    ):
-        yield Claim(
-            f"sign_exponent_{name}",
-            f"Faults in sign and exponent fields increase {name.replace('_', ' ')} more",
-            "III-B",
-            STATES,
-            WITHIN,
-            _compared(by_bits, _BITS["high"], _BITS["low"], value, more=True, what=what),
-        )
-    groups = ("waypoint position", "waypoint yaw", "waypoint velocity")
-    yield Claim(
-        "waypoints_harm",
-        "Faults in position, yaw and velocity of way-points lead to crashes or longer flights (cannot be contradicted)",
-        "III-B",
-        STATES,
-        WITHIN,
-        _above_golden(HURT, _HURT, _of("target", *groups)),
-    )
+        (
+            "clouds_and_maps_negligible",
+            "Faults in point cloud and OctoMap lose no missions (little to negligible impact)", equality(_lost(before)),
+        ),
+        (
+            "planning_control_success", "Faults in planning and control lower the success rate (by up to 8 %)",
+            _lost(_LATER[1]),
+        ),
+    )  # fmt: skip
 
 
-def _of_faults(campaign: str, words: str, end: str) -> Iterable[Claim]:
-    yield Claim(
-        f"fault_loses_missions{end}",
-        f"{words}: one fault lowers the success rate",
-        "VI-A",
-        campaign,
-        WITHIN,
-        _lost(),
+def _of_states() -> list[Claim]:
+    sequence, time = "future_collision_seq", "time_to_collision"
+    robust = _compared(
+        _faults, (sequence, _of("target", sequence)), (time, _of("target", time)), HURT, more=False, what=_HURT
     )
-    yield Claim(
-        f"fault_lengthens_flights{end}",
-        f"{words}: flights that succeed take longer (the worst by 63 to 93 %)",
-        "VI-A",
-        campaign,
-        WITHIN,
-        _above_golden(pl.when("success").then("inflation"), "flight time over golden"),
-    )
-    yield Claim(
-        f"dense_hardest{end}",
-        f"{words}: Dense loses most missions (9.7 points)",
-        "VI-A",
-        campaign,
-        _BETWEEN,
-        _hardest,
-    )
+    waypoints = _of("target", "waypoint position", "waypoint yaw", "waypoint velocity")
+
+    def by_class(value: pl.Expr, what: str) -> Callable[[Runs], Evidence]:
+        return _compared(by_bits, _BITS["high"], _BITS["low"], value, more=True, what=what)
+
+    more = "Faults in sign and exponent fields increase"
+    return _claims(
+        "III-B", STATES,
+        ("collision_seq_robust", f"{sequence} is much more robust than {time}", robust),
+        (
+            "sign_exponent_matter_most", "Faults in sign and exponent fields have a greater impact",
+            by_class(HURT, _HURT),
+        ),
+        (
+            "sign_exponent_flight_time", f"{more} flight time more",
+            by_class(pl.col("inflation"), "flight time over golden"),
+        ),
+        ("sign_exponent_energy", f"{more} energy more", by_class(pl.col("energy_inflation"), "energy over golden")),
+        ("sign_exponent_failures", f"{more} failures more", by_class(~SUCCESS, "fails")),
+        (
+            "waypoints_harm",
+            "Faults in position, yaw and velocity of way-points lead to crashes or longer flights (cannot be "
+            "contradicted)", _above_golden(HURT, _HURT, waypoints),
+        ),
+    )  # fmt: skip
 
 
-def _of_detectors(campaign: str, words: str, end: str) -> Iterable[Claim]:
-    for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-        yield Claim(
-            f"{arm}_recovers{end}",
-            f"{words}: {short} recovers failed missions",
-            "VI-A",
-            campaign,
-            WITHIN,
-            paired(f"dr_{arm}", FI, "success", more=True, what="success"),
-        )
-    yield Claim(
-        f"autoencoder_beats_gaussian{end}",
-        f"{words}: AAD recovers more than GAD",
-        "VI-A",
-        campaign,
-        WITHIN,
-        paired("dr_autoencoder", "dr_gaussian", "success", more=True, what="success"),
-    )
-    yield Claim(
-        f"autoencoder_like_golden{end}",
-        f"{words}: with AAD as many missions succeed as without a fault",
-        "VI-A",
-        campaign,
-        WITHIN,
-        equality(_lost(setting="dr_autoencoder")),
-    )
-    yield Claim(
-        f"dense_hardest_to_recover{end}",
-        f"{words}: Dense is the hardest to recover",
-        "VI-A",
-        campaign,
-        _BETWEEN,
-        _hardest_to_recover,
-    )
-    yield Claim(
-        f"autoencoder_shortens_more{end}",
-        f"{words}: AAD recovers more flight time than GAD",
-        "VI-A",
-        campaign,
-        WITHIN,
-        paired("dr_autoencoder", "dr_gaussian", "inflation", more=False, what="flight time over golden"),
-    )
-    for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
-        yield Claim(
-            f"{arm}_shortens_flights{end}",
-            f"{words}: {short} recovers flight time",
-            "VI-A",
-            campaign,
-            WITHIN,
-            paired(f"dr_{arm}", FI, "inflation", more=False, what="flight time over golden"),
-        )
+def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
+    """Claims of Table I on the effects of faults of one level, and on what the detectors recover."""
+    table, longer = f"Table I, faults in {level}", "flight time over golden"
+    gaussian, autoencoder = "dr_gaussian", "dr_autoencoder"
+    within = _claims(
+        "VI-A", campaign,
+        (f"fault_loses_missions{end}", f"{table}: one fault lowers the success rate", _lost()),
+        (
+            f"fault_lengthens_flights{end}", f"{table}: flights that succeed take longer (the worst by 63 to 93 %)",
+            _above_golden(pl.when("success").then("inflation"), longer),
+        ),
+        (
+            f"gaussian_recovers{end}", f"{table}: GAD recovers failed missions",
+            paired(gaussian, FI, "success", more=True, what="success"),
+        ),
+        (
+            f"autoencoder_recovers{end}", f"{table}: AAD recovers failed missions",
+            paired(autoencoder, FI, "success", more=True, what="success"),
+        ),
+        (
+            f"autoencoder_beats_gaussian{end}", f"{table}: AAD recovers more than GAD",
+            paired(autoencoder, gaussian, "success", more=True, what="success"),
+        ),
+        (
+            f"autoencoder_like_golden{end}", f"{table}: with AAD as many missions succeed as without a fault",
+            equality(_lost(setting=autoencoder)),
+        ),
+        (
+            f"autoencoder_shortens_more{end}", f"{table}: AAD recovers more flight time than GAD",
+            paired(autoencoder, gaussian, "inflation", more=False, what=longer),
+        ),
+        (
+            f"gaussian_shortens_flights{end}", f"{table}: GAD recovers flight time",
+            paired(gaussian, FI, "inflation", more=False, what=longer),
+        ),
+        (
+            f"autoencoder_shortens_flights{end}", f"{table}: AAD recovers flight time",
+            paired(autoencoder, FI, "inflation", more=False, what=longer),
+        ),
+    )  # fmt: skip
+    between = _claims(
+        "VI-A", campaign,
+        (f"dense_hardest{end}", f"{table}: Dense loses most missions (9.7 points)", _hardest),
+        (f"dense_hardest_to_recover{end}", f"{table}: Dense is the hardest to recover", _hardest_to_recover),
+        method=_BETWEEN,
+    )  # fmt: skip
+    return within + between
 
 
-def _of_success() -> Iterable[Claim]:
-    for campaign, level, end in ((INSTRUCTIONS, "instructions", ""), (VALUES, "states", "_in_states")):
-        words = f"Table I, faults in {level}"
-        yield from _of_faults(campaign, words, end)
-        yield from _of_detectors(campaign, words, end)
-    yield Claim(
-        "dense_most_missed_in_states",
-        "Table I, faults in states: in Dense most faults go undetected",
-        "VI-A",
-        VALUES,
-        _BETWEEN,
-        _most_missed,
-    )
-
-
-register(*_of_kernels(), *_of_states(), *_of_success())
+_MISSED = "Table I, faults in states: in Dense most faults go undetected"
+register(
+    *_of_kernels(), *_of_states(), *_of_success(INSTRUCTIONS, "instructions", ""),
+    *_of_success(VALUES, "states", "_in_states"),
+    *_claims("VI-A", VALUES, ("dense_most_missed_in_states", _MISSED, _most_missed), method=_BETWEEN),
+)  # fmt: skip

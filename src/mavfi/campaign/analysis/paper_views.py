@@ -90,12 +90,13 @@ def _quantile(own: Runs, share: float) -> float | None:
 
 
 def _shown(
-    name: str, title: str, by: str, where: Callable[[Runs], Runs], heading: str, applies: Any, note: str
-) -> View:
+    name: str, title: str, by: str, where: Callable[[Runs], Runs], heading: str, applies: Any, note: str,
+    *, leads: bool = False,
+) -> View:  # fmt: skip
     return View(
         name, title, ("environment", by),
         (m.count("n", "n"), m.rate("success", "success %", "success"), _P, _DETOURS, *_TIMES), where=where,
-        headings=("environment", heading), applies=applies,
+        headings=("environment", heading), applies=applies, leads=leads,
         notes=lambda _: (
             note, f"rates: {INTERVALS}; flight times of missions that succeed; against golden: of the "
             "same world", f"p: {m.PAIRED_TEST}; success with the fault and without it, in the same missions; not "
@@ -116,7 +117,7 @@ def _kernels_note() -> str:
 register(
     _shown("kernels_as_in_the_paper", "Fig. 3: flight time and success, one fault in one kernel", "kernel", by_kernel,
            "kernel", lambda runs: has(runs.injected, level=INSTRUCTION) and runs.campaign.get("each") == "kernel",
-           _kernels_note()),
+           _kernels_note(), leads=True),
     _shown("states_as_in_the_paper", "Fig. 4: flight time and success, one fault in one inter-kernel state", "target",
            by_state, "state", lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
            "the paper's Fig. 4 is a drawing without numbers; faults in sign and exponent bits, where drawn apart"),

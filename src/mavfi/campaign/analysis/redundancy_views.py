@@ -139,7 +139,7 @@ _COMPARED = View(
         _number("speed", "speed", "number .2f m/s"), _number("acceleration", "acceleration", "number .2f m/s²"),
         _number("mass", "mass", "number .0f g"), _number("payload", "of it computer", "number .0f g"),
     ),
-    where=lambda _: _comparison(shipped_designs()), by_name=True, of_model=True,
+    where=lambda _: _comparison(shipped_designs()), by_name=True,
     notes=lambda _: (
         "ratios to the autoencoder scheme; a vehicle flies at the speed from which it still stops within its sensing "
         "range: v T + v²/(2a) = d (Krishnan et al., IEEE CAL 2020); DMR, TMR: 2, 3 processors in lockstep on a board, "
@@ -160,7 +160,7 @@ _BAND = View(
         _number("to", "to", "number .5g"), _number("at_low", "TMR at lower end", _TIMES),
         _number("at_high", "TMR at upper end", _TIMES), first("source", "source"),
     ),
-    where=lambda _: _sensitivity(shipped_designs()), by_name=True, of_model=True,
+    where=lambda _: _sensitivity(shipped_designs()), by_name=True,
     notes=lambda _: ("SI units; — = cannot hover with one processor",),
 )  # fmt: skip
 _SPEEDS = View(
@@ -169,7 +169,7 @@ _SPEEDS = View(
         _number("acceleration", "acceleration", "number .0f m/s²"), _number("range", "range", "number .1f m"),
         _number("published", "published", "number .2f m/s"), _number("speed", "model", "number .2f m/s"),
     ),
-    where=lambda _: _published_speeds(), by_name=True, of_model=True,
+    where=lambda _: _published_speeds(), by_name=True,
     headings=("source", "action period (s)"),
     notes=lambda _: (
         "RoboRun: the period is what its stopping distance leaves of 7 m; the model brakes with 5 m/s², limit of the "

@@ -1,6 +1,6 @@
 """One row per run: the plan, the recorded events, and the evaluation against the golden run."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import polars as pl
@@ -36,7 +36,6 @@ SCHEMA: dict[str, Any] = {
     "end": _TEXT, "status": _TEXT, "success": _FLAG, "success_if_ended": _FLAG, "golden_success": _FLAG,
     "judged": _FLAG, "effect": _TEXT, "control": _TEXT, "kernel_effect": _TEXT, "kernel_effect_detail": _TEXT,
     "activated": _FLAG, "site_outcome": _TEXT, "time_s": _REAL, "before": _REAL, "after": _REAL,
-    "error_state": _TEXT, "error_field": _TEXT, "error_elements": _REAL, "error_size": _REAL,
     "tilt": _REAL, "attitude_error": _REAL, "velocity_error": _REAL, "yaw_rate_error": _REAL,
     "flight_time_s": _REAL, "energy_j": _REAL, "distance_m": _REAL, "replans": _INT, "time_limit_s": _REAL,
     "course_m": _REAL, "golden_flight_time_s": _REAL, "inflation": _REAL, "energy_inflation": _REAL,
@@ -150,12 +149,7 @@ def _kernel(record: FlightRecord) -> dict[str, Any]:
     """Columns for the effect of the injected call on its kernel."""
     if record.kernel is None:
         return {}
-    first: Mapping[str, Any] = record.kernel.first_difference or {}
-    return {
-        "kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail,
-        "error_state": first.get("state"), "error_field": first.get("field"),
-        "error_elements": _number(first.get("elements")), "error_size": _number(first.get("largest")),
-    }  # fmt: skip
+    return {"kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail}
 
 
 def _succeeded(record: FlightRecord) -> bool:

@@ -1,6 +1,6 @@
 """Views that compare schemes (detectors with recovery, policies for dead nodes) on the same flights and faults."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import polars as pl
@@ -159,44 +159,51 @@ _AFTER_NOTE = (
 )
 _MONITORED_NOTE = "of monitored: brought back of those lost to a fault in a field that the paper's detectors monitor"
 _NOTES = (*_NOTES_OF_SCHEMES[:1], _TEST_NOTE, *_NOTES_OF_SCHEMES[1:], _AFTER_NOTE)
+
+
+def _schemes(
+    level: str, name: str, title: str, measures: tuple[Measure | m.Spread, ...],
+    notes: Callable[[Runs], Iterable[str]],
+) -> View:  # fmt: skip
+    """A table with one row per scheme, for faults of one level."""
+    return View(
+        name, title, ("arm",), measures, where=against_base, headings=("scheme",),
+        notes=lambda runs: (*notes(runs), ONE_FAULT), applies=lambda runs: _schemes_on(runs, level), by_name=True,
+    )  # fmt: skip
+
+
 register(
-    View(
-        "schemes", "Schemes on the same faults in states", ("arm",),
+    _schemes(
+        STATE, "schemes", "Schemes on the same faults in states",
         (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
-        where=against_base, headings=("scheme",),
-        notes=lambda runs: (
+        lambda runs: (
             *_NOTES, _MONITORED_NOTE, "detected: of the lost ones, alarm on the corrupted publication",
-            *_ranking(runs), ONE_FAULT,
+            *_ranking(runs),
         ),
-        applies=lambda runs: _schemes_on(runs, STATE), by_name=True,
     ),
-    View(
-        "schemes_memory", "Schemes on the same faults in memory", ("arm",), (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
-        where=against_base, headings=("scheme",), notes=lambda runs: (*_NOTES, *_ranking(runs), ONE_FAULT),
-        applies=lambda runs: _schemes_on(runs, MEMORY), by_name=True,
+    _schemes(
+        MEMORY, "schemes_memory", "Schemes on the same faults in memory", (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
+        lambda runs: (*_NOTES, *_ranking(runs)),
     ),
-    View(
-        "schemes_sensor", "Schemes on the same failures of sensors and motors", ("arm",),
-        (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
-        notes=lambda _: (
+    _schemes(
+        SENSOR, "schemes_sensor", "Schemes on the same failures of sensors and motors",
+        (*_COUNTED, *_HARM, *_ALARMS),
+        lambda _: (
             *_NOTES_OF_SCHEMES,
             "a failure lasts from its instant to the end of the flight: every message then carries what the "
-            "device gave, and its checksum and its copy agree with it", ONE_FAULT,
+            "device gave, and its checksum and its copy agree with it",
         ),
-        applies=lambda runs: _schemes_on(runs, SENSOR), by_name=True,
     ),
-    View(
-        "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
+    _schemes(
+        INSTRUCTION, "schemes_instructions", "Schemes on the same faults in instructions",
         (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
-        where=against_base, headings=("scheme",),
-        notes=lambda runs: (
+        lambda runs: (
             *_NOTES, *_ranking(runs), "died / sdc: the kernel died of the fault, or continued with a wrong value",
             "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
             "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
             "faults that meet the same value at the same instant; brought back, p and only it lost count these alone, "
-            "and golden flights. Lost under it counts all", ONE_FAULT,
+            "and golden flights. Lost under it counts all",
         ),
-        applies=lambda runs: _schemes_on(runs, INSTRUCTION), by_name=True,
     ),
     View(
         "schemes_by_target", "Schemes, by injected site", ("target", "arm"), (*_COUNTED, *_HARM), where=pairs_only,

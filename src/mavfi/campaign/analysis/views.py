@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from mavfi.campaign.analysis.measures import Measure, Spread
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import RATE, UNKNOWN, Cell, Column, Table
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, allowed
 
 DEVIATIONS = (
@@ -38,14 +39,12 @@ class View:
     total: tuple[str, str] | None = None  # column for which a total row is added, and the label of that row
     headings: tuple[str, ...] = ()  # headings of the columns in `by`; () = their names
     notes: Callable[[Runs], Iterable[str]] = field(default=lambda _: ())  # lines below the table
-    most: str = ""  # measure that sorts rows with equal first cells, in descending order; "" = plan order
     largest: str = ""  # measure that sorts all rows, in descending order; ties by the first cell
     limit: int | None = None  # maximum number of rows
     least: int = 1  # minimum number of runs per row
     leads: bool = False  # placed first in reports, as the headline
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
     by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
-    of_model: bool = False  # rows are computed by a model, independent of the runs
 
     def table(self, runs: Runs) -> Table:
         """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""
@@ -99,15 +98,11 @@ class View:
         return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
 
     def _ordered(self, columns: list[Column], rows: list[_Row]) -> list[_Row]:
-        """Sort rows by `largest`, or group rows with equal first cells and sort each group by `most`; apply `limit`."""
-        keys = [column.key for column in columns]
+        """Sort rows by `largest`, or group rows with equal first cells; apply `limit`."""
         if self.largest and rows:
-            place = keys.index(self.largest)
-            return sorted(rows, key=lambda row: (-row.cells[place], row.cells[0]))[: self.limit]
+            largest = [column.key for column in columns].index(self.largest)
+            return sorted(rows, key=lambda row: (-row.cells[largest], row.cells[0]))[: self.limit]
         first = list(dict.fromkeys(row.cells[0] for row in rows))
-        if self.most and rows:
-            place = keys.index(self.most)
-            return sorted(rows, key=lambda row: (first.index(row.cells[0]), -row.cells[place]))[: self.limit]
         return sorted(rows, key=lambda row: first.index(row.cells[0]))[: self.limit]
 
 
@@ -146,7 +141,7 @@ def table(runs: Runs, name: str) -> Table:
         BadInputError: The view does not exist.
     """
     if name not in VIEWS:
-        raise BadInputError(f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
+        raise BadInputError(dropped_name("views", name) or f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
     return VIEWS[name].table(runs)
 
 
@@ -156,6 +151,8 @@ def table_asked_for(runs: Runs, name: str) -> Table:
     Raises:
         BadInputError: The view does not exist, or these runs do not have what it shows.
     """
+    if dropped_name("views", name):
+        raise BadInputError(dropped_name("views", name))
     found = table(runs, name) if name in VIEWS and VIEWS[name].applies(runs) else None
     if found is None or not found.rows:
         wrong = "these runs have nothing to show in it" if name in VIEWS else "not known"

@@ -1,4 +1,4 @@
-"""General figures of a campaign: success with intervals, flight times, and vulnerability by state or kernel."""
+"""General figures of a campaign: success with intervals, and flight times."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -12,14 +12,12 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import (
-    FAILS_OR_SLOWER,
     POPULATIONS,
     in_leading,
     leading,
     leads,
     population_names,
     population_text,
-    populations,
 )
 from mavfi.campaign.analysis.paper_views import leading_faults
 from mavfi.campaign.analysis.runs import Runs
@@ -52,7 +50,7 @@ def success(runs: Runs) -> Figure | None:
         look = looks[setting]
         behind = {name: in_leading(chosen.where(environment=name, setting=setting), names) for name in found}
         urls = [links.to_runs(own, environment=name, setting=setting) for name, own in behind.items()]
-        _points(axes, at, rates, look, urls, vertical=True)
+        _points(axes, at, rates, look, urls)
         handles.append(_handle(setting, look, 7))
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
@@ -130,19 +128,16 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
 
 
 def _points(
-    axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str], *, vertical: bool
+    axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str]
 ) -> None:  # fmt: skip
-    """Draw rates with intervals along the y axis (`vertical`) or the x axis, each linked to its runs."""
+    """Draw rates with intervals along the y axis, each linked to its runs."""
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
     errors = np.abs(bounds.T - values)
-    common: dict[str, Any] = {"fmt": "", "linestyle": "", "markersize": 6, "elinewidth": 1.8, "clip_on": False}
-    common |= {"zorder": 4, **look}
-    if vertical:
-        axes.errorbar(at, values, yerr=errors, **common)
-    else:
-        axes.errorbar(values, at, xerr=errors, capsize=2, **common)
-    links.points(axes, *((at, values) if vertical else (values, at)), urls)
+    axes.errorbar(
+        at, values, yerr=errors, fmt="", linestyle="", markersize=6, elinewidth=1.8, clip_on=False, zorder=4, **look
+    )
+    links.points(axes, at, values, urls)
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -201,72 +196,10 @@ def _signed(share: float, _: float) -> str:
     return f"{percent:+d} %" if percent else "0 %"
 
 
-# ---- sites -------------------------------------------------------------------------------------------------------
-_SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "message": "site", "register": "site",
-          "sensor": "state"}  # fmt: skip
-"""Column to compare by, for each fault level."""
-
-
-def sites(runs: Runs) -> Figure | None:
-    """Share of missions that fail or take more than 5 % longer, by injected state, group of fields or kernel."""
-    judged = runs.injected.where("judged")
-    settings = judged.settings()
-    if not settings:
-        return None
-    column = "target" if judged.campaign.get("each") == "group" else _SITES[judged.first("level")]
-    shown = _shown(judged, column)
-    names = list(dict.fromkeys(name for name, _ in shown))
-    counts = [_range(rate.n for (name, _), (_, rate) in shown.items() if name == value) for value in names]
-    figure = Figure(figsize=(7.6, 1.3 + 0.2 * len(names) * (1 + 0.5 * len(settings))), layout="constrained")
-    axes = figure.subplots()
-    looks = style.setting_looks(settings)
-    handles = []
-    for place, setting in enumerate(settings):
-        own = {name: rate for (name, flown), (_, rate) in shown.items() if flown == setting}
-        urls = [_link_of_site(judged, setting, column, name, shown[name, setting][0]) for name in own]
-        offset = 0.7 * (place - (len(settings) - 1) / 2) / len(settings)
-        _points(axes, np.array([names.index(name) for name in own]) + offset, list(own.values()), looks[setting],
-                urls, vertical=False)  # fmt: skip
-        handles.append(_handle(setting, looks[setting], 6))
-    axes.set_yticks(range(len(names)), [f"{name}  (n = {count})" for name, count in zip(names, counts, strict=True)])
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_xlim(0, None)
-    axes.xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
-    axes.grid(axis="x")
-    axes.tick_params(axis="y", length=0, pad=9)  # a marker at 0 does not touch its label
-    bits = ", ".join(dict.fromkeys(POPULATIONS.get(population, population) for population, _ in shown.values()))
-    environments = judged.values("environment")
-    where = environments[0] if len(environments) == 1 else "all environments"
-    axes.set_xlabel(f"missions that fail or take more than 5 % longer\n(faults in {bits}; {where}; 95 % intervals)")
-    labels = [str(handle.get_label()) for handle in handles]
-    figure.legend(handles=handles, loc="outside upper left", **_legend(figure, labels))
-    return figure
-
-
-def _link_of_site(judged: Runs, setting: str, column: str, name: str, population: str) -> str:
-    site = judged.where(**{"setting": setting, column: name})
-    return links.to_runs(in_leading(site, [population]), setting=setting, **{column: name})
-
-
-def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]:
-    """Leading population and its rate by site and setting, since the strata may differ between groups."""
-    order = population_names(judged, (column, "setting"))
-    found = {}
-    for (name, setting), own in judged.groups(column, "setting").items():
-        rates = populations(own, FAILS_OR_SLOWER)
-        population = min(rates, key=order.index)
-        if rates[population].rate is not None:
-            found[name, setting] = population, rates[population]
-    return found
-
-
 register(
     Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
     Drawing(
         "flight_time", flight_time,
         _arrival_caption, general=True,
-    ),
-    Drawing(
-        "sites", sites, "Share of missions that fail or take more than 5 % longer, by what was injected.", general=True
     ),
 )  # fmt: skip

@@ -7,6 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from mavfi.campaign.analysis.runs import Runs
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
 from mavfi.reports import style
 
@@ -42,7 +43,8 @@ def drawing(name: str) -> Drawing:
         BadInputError: The figure does not exist.
     """
     if name not in FIGURES:
-        raise BadInputError(f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}")
+        allowed = f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}"
+        raise BadInputError(dropped_name("figures", name) or allowed)
     return FIGURES[name]
 
 

@@ -48,15 +48,11 @@ def test_a_measure_that_raises_gives_unknown_and_the_rest_continues(own):
 def test_order_and_limit(own):
     by_size = View("x", "X", ("environment",), (count("n", "n"),), largest="n", limit=1).table(own)
     assert by_size.rows == [("sparse", 2)]
-    within = View(
-        "x", "X", ("environment", "seed"), (Measure("s", "s", NUMBER, lambda own: own.first("seed")),), most="s"
-    ).table(own)
-    assert [row[1] for row in within.rows] == [2, 1, 1]
 
 
 def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
     measures = (rate("success", "success", "success", pl.col("seed") == 1), count("lost", "lost", ~pl.col("success")))
-    found = View("x", "X", ("environment",), measures, most="lost").table(own)
+    found = View("x", "X", ("environment",), measures).table(own)
     ids = dict(zip(zip(own["environment"], own["seed"], strict=True), own["run_id"], strict=True))
     sparse = (ids["sparse", 1], ids["sparse", 2])
     assert found.behind[0] == (sparse, (ids["sparse", 1],), (ids["sparse", 2],))
@@ -87,7 +83,7 @@ def test_nothing_flown_gives_no_table_and_no_view_raises():
     empty = Runs.of([])
     assert views_for(empty) == []
     for view in VIEWS.values():
-        assert view.of_model or view.table(empty).rows == []
+        assert view.name.startswith("redundancy") or view.table(empty).rows == []
 
 
 def test_every_column_has_a_form_that_can_be_written(own):

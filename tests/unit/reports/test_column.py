@@ -1,4 +1,3 @@
-import csv
 from itertools import combinations
 
 import numpy as np
@@ -7,9 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from mavfi.reports.column import COLUMN, PAGE, fit_to_column
-from mavfi.reports.figure_files import drawn_data, write_figure
-from mavfi.reports.figures import links
+from mavfi.reports.column import COLUMN, PAGE, fit_to_column, write_figure
 from mavfi.reports.html.report_page import drawn
 
 
@@ -18,34 +15,12 @@ def width_of(path):
         return image.width
 
 
-def test_each_figure_is_written_with_its_data(runs, tmp_path):
+def test_each_figure_is_written(runs, tmp_path):
     for one in drawn(runs):
         paths = write_figure(one.figure, tmp_path, one.name)
-        assert [path.suffix for path in paths] == [".pdf", ".png", ".csv"]
+        assert [path.suffix for path in paths] == [".pdf", ".png"]
         assert paths[0].read_bytes().startswith(b"%PDF")
         assert width_of(paths[1]) in (round(600 * COLUMN), round(600 * PAGE))
-        assert list(csv.DictReader(paths[2].read_text(encoding="utf-8").splitlines()))
-
-
-def test_the_data_of_the_success_figure_are_its_rates(runs):
-    success = next(one.figure for one in drawn(runs) if one.name == "success")
-    rows = {(row["series"], row["x_label"]): row for row in drawn_data(success)}
-    faulty = rows["fault", "sparse"]
-    judged = runs.injected.where("judged", setting="fi", population="sign_exponent")
-    assert faulty["y"] == np.mean(judged["success"]) and faulty["low"] < faulty["y"] <= faulty["high"]
-
-
-def test_lines_bars_images_and_marks_are_read_from_a_figure():
-    figure = Figure(layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.plot([1, 2], [3, 4], label="line")
-    left.bar([0.0], [2.0], label="bar")
-    links.points(left, [9.0], [9.0], ["#runs?a=b"])  # invisible: no data
-    right.scatter([5.0], [6.0], label="mark")
-    right.imshow([[0.25, 0.5]])
-    rows = [(row["series"], row["x"], row["y"]) for row in drawn_data(figure)]
-    assert rows == [("bar", 0.0, 2.0), ("line", 1.0, 3.0), ("line", 2.0, 4.0), ("mark", 5.0, 6.0),
-                    ("0.25", 0.0, 0.0), ("0.5", 1.0, 0.0)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("panels", "width"), [(1, COLUMN), (2, COLUMN), (4, PAGE)])
