@@ -44,7 +44,9 @@ OPTIONS: Mapping[str, str] = {
 }
 """Options of the command line, with what to do instead."""
 
-COMMANDS: Mapping[str, str] = {}
+COMMANDS: Mapping[str, str] = {
+    "ros list": "use rosnode list, rosnode info NODE (its process), rostopic list -v, rostopic hz TOPIC",
+}
 """Commands ("ros mirror"), with what to do instead."""
 
 
