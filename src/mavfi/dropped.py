@@ -40,9 +40,12 @@ OPTIONS: Mapping[str, str] = {
     "--until-halfwidth": "use --scale, or set missions in the campaign: their number does not depend on results",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",
+    "ros corrupt --to": "no replacement: readers are redirected, also those that were started with a remapping",
+    "ros corrupt --once": "no replacement: one message is changed unless there is --rate",
+    "ros watch --alarm-topic": "no replacement: alarms are published on /mavfi/alarm",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
-"""Options of the command line, with what to do instead."""
+"""Options of the command line, of every command or ("ros corrupt --to") of this one, with what to do instead."""
 
 COMMANDS: Mapping[str, str] = {
     "ros list": "use rosnode list, rosnode info NODE (its process), rostopic list -v, rostopic hz TOPIC",

@@ -36,12 +36,10 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     field: Annotated[str, typer.Option(help="A number in them, e.g. position\\[0] or pose.position.x.")],
     bit: Annotated[int | None, typer.Option(help="0 = least significant; drawn by default.")] = None,
     at: Annotated[int, typer.Option(help="First message that may be changed, counted from 1.")] = 1,
-    once: Annotated[bool, typer.Option("--once", help="Change one message, then stop (the default).")] = False,
-    rate: Annotated[float | None, typer.Option(help="Change each message with this probability, until Ctrl-C.")] = None,
-    node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
-    to: Annotated[
-        str | None, typer.Option(metavar="TOPIC", help="Publish there; the target was started with that remapping.")
+    rate: Annotated[
+        float | None, typer.Option(help="Change each message with this probability, until Ctrl-C; one by default.")
     ] = None,
+    node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
     duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
     seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
     as_json: options.AsJson = False,
@@ -54,8 +52,6 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     """
     check_seed("--seed", seed)
     check_number("--duration", duration, 0.0, _LONGEST_S)
-    if once and rate is not None:
-        raise BadInputError("--once, --rate: allowed: one of them")
     from mavfi.faults.fault import MessageFault
     from mavfi.faults.message.injector import MessageInjector, check_fault
     from mavfi.hosts.node.master import Master
@@ -63,7 +59,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
 
     fault = MessageFault(topic, field, bit, at, rate, seed=seed)
     injector = MessageInjector(fault, None if as_json else _tell)
-    relay = Relay(Master(), topic, injector, partial(check_fault, fault), node, to)
+    relay = Relay(Master(), topic, injector, partial(check_fault, fault), node)
     with stoppable("Stopped. The graph is as it was."), relay:
         try:
             _run(relay, injector, duration)
@@ -71,7 +67,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
             injector.stop()
             if as_json:
                 done = [injection.to_json() for injection in injector.injections]
-                write_json({"topic": relay.to, "passed": relay.passed, "injections": done})
+                write_json({"topic": relay.topic, "passed": relay.passed, "injections": done})
     if not as_json:
         console().print(f"{relay.passed} messages passed, {len(injector.injections)} injected; the graph is as it was")
 
@@ -113,11 +109,12 @@ def watch(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="FILE.bag|online", help="A ROS 1 bag of normal messages, or what comes first.")
     ] = "online",
     learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
-    alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
     duration: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
     r"""Monitor numeric fields of any topics with one of the paper's detectors; alarms are printed and published.
+
+    They are published on /mavfi/alarm, as JSON text.
 
     Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
     """
@@ -133,7 +130,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
         probes, trained, used = _trained(listener, (detector, profile), _list(fields), train, learn_s)
-        watching = Watch(listener, probes, trained, alarm_topic)
+        watching = Watch(listener, probes, trained)
         if not as_json:
             out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
         try:

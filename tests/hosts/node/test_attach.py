@@ -154,35 +154,6 @@ def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     assert set(transforms.found[-10:]) == {expected(0.5)}
 
 
-@pytest.mark.slow
-def test_a_remapped_target_reads_the_relay_and_nobody_else_does(arm, transforms, bench, capsys):
-    assert run(["ros", "corrupt", *FIELD, "--to", "/tf"]) == 2
-    assert "published by /robot_state_publisher already" in capsys.readouterr().err
-    other = bench.start([bench_target(), "joint_states:=joint_states_changed", "__name:=other", "tf:=other_tf"])
-    bench.wait_for_node("/other", other)
-    results = []
-    arguments = ["--bit", "51", "--rate", "1", "--to", "/joint_states_changed", "--duration", "3", "--json"]
-    tool = threading.Thread(target=lambda: results.append(run(["ros", "corrupt", *FIELD, *arguments])))
-    tool.start()
-    until(lambda: "/other_tf" in arm.master.graph().topics)
-    source = Source("/other", arm.master.node_uri("/other"), "/other_tf")
-    changed = next(source.messages())
-    value = source.definition().locate(changed, "transforms[1].transform.rotation.z").value(changed)
-    tool.join()
-    source.close()
-    other.terminate()
-    other.wait()
-    assert value == pytest.approx(math.sin(CHANGED / 2), abs=1e-12) and results == [0]
-    assert set(transforms.found) == {expected(0.5)}
-    assert "/joint_states_changed" not in arm.master.graph().publishers
-
-
-def bench_target():
-    from tests.hosts.node.conftest import TARGET
-
-    return TARGET
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
