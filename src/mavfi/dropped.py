@@ -43,6 +43,8 @@ OPTIONS: Mapping[str, str] = {
     "ros corrupt --to": "no replacement: readers are redirected, also those that were started with a remapping",
     "ros corrupt --once": "no replacement: one message is changed unless there is --rate",
     "ros watch --alarm-topic": "no replacement: alarms are published on /mavfi/alarm",
+    "inject --thread": "no replacement: the busiest thread is injected, or the first to call --symbol",
+    "inject --interval": "no replacement: injections follow each other",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, of every command or ("ros corrupt --to") of this one, with what to do instead."""
