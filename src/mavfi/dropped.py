@@ -45,6 +45,11 @@ OPTIONS: Mapping[str, str] = {
     "ros watch --alarm-topic": "no replacement: alarms are published on /mavfi/alarm",
     "inject --thread": "no replacement: the busiest thread is injected, or the first to call --symbol",
     "inject --interval": "no replacement: injections follow each other",
+    **dict.fromkeys(
+        ("airsim serve --detector", "airsim serve --profile", "airsim serve --train"),
+        "use mavfi airsim run --detector, or --save and mavfi watch FILE.jsonl --train CALLS.jsonl",
+    ),
+    "fly --live-port": "no replacement: --live serves at port 8765",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, of every command or ("ros corrupt --to") of this one, with what to do instead."""

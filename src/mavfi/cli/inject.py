@@ -57,9 +57,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     from mavfi.faults.fault import RegisterFault
     from mavfi.faults.register import inject as inject_register
 
-    fault = RegisterFault(
-        registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed
-    )
+    fault = RegisterFault(registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed)
     process = _process(pid, ros_node)
     done = inject_register(process, fault, count, None if as_json else _report)
     if as_json:

@@ -13,7 +13,7 @@ from mavfi.plugins import build, known, load_object, reason
 GROUP = "mavfi.flight_logs"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
 _SHIPPED = {
-    "bag": "mavfi.flight_logs.bag:BagReader", "mcap": "mavfi.flight_logs.mcap:McapReader",
+    "bag": "mavfi.flight_logs.ros:RosReader", "mcap": "mavfi.flight_logs.ros:RosReader",
     "ulg": "mavfi.flight_logs.ulog:UlogReader", "tlog": "mavfi.flight_logs.tlog:TlogReader",
     "csv": "mavfi.flight_logs.table:CsvReader", "jsonl": "mavfi.flight_logs.calls:CallsReader",
 }  # fmt: skip

@@ -22,6 +22,19 @@ _STAMP, _CHECKSUM, _SIGNATURE = 8, 2, 13
 _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
 
 
+def mavlink_dialect() -> Any:
+    """The messages of MAVLink's dialect `common`, from pymavlink.
+
+    Raises:
+        BadInputError: It is not installed.
+    """
+    try:
+        from pymavlink.dialects.v20 import common
+    except ImportError:
+        raise BadInputError("MAVLink needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
+    return common
+
+
 class TlogReader:
     """Reads a telemetry log; see `FlightLogReader`.  Topics are names of messages, e.g. "ATTITUDE", of any vehicle."""
 
@@ -39,11 +52,9 @@ class TlogReader:
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
         path, kind = self._path, "a telemetry log"
-        try:
-            from pymavlink.mavutil import mavlogfile
-        except ImportError:
-            needed = "allowed: pip install 'mavfi[mavlink]'"
-            raise BadInputError(f"{path}: reading telemetry logs needs pymavlink; {needed}") from None
+        mavlink_dialect()
+        from pymavlink.mavutil import mavlogfile
+
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
             found = list(_all_of(link))
         if not found:

@@ -22,7 +22,7 @@ from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register.addresses import AddressSpace
 from mavfi.faults.register.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
 from mavfi.faults.register.registers import Instruction, Register, decode, enters_kernel, flip, value_of
-from mavfi.faults.register.target import check_target, busiest_thread, not_permitted, threads_of
+from mavfi.faults.register.target import busiest_thread, check_target, not_permitted, threads_of
 from mavfi.flight_log import Injection
 
 _REACH = 40

@@ -1,7 +1,7 @@
 """Relay between the publishers of a running topic and its subscribers.
 
-Every subscriber is notified, as by the master, that mavfi is the only publisher; its original publishers are restored at
-the end.  Messages pass as bytes; only messages to be modified are decoded.
+Every subscriber is notified, as by the master, that mavfi is the only publisher; its original publishers are restored
+at the end.  Messages pass as bytes; only messages to be modified are decoded.
 """
 
 import os
