@@ -8,8 +8,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.faults.message.definition import FORMATS, Leaf
-from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
-from mavfi.flight_logs.record import Record
+from mavfi.flight_logs.reader import LoggedMessage, Record, check_topics, reading
 
 _GROUND_STATION = 250
 """Systems from this number on are ground stations."""
