@@ -130,7 +130,7 @@ def _with_signature(function: Callable[..., Task], numbers: Sequence[str], **oth
     """Name the arguments of a task: numbers, then others with their defaults."""
     kind = Parameter.POSITIONAL_ONLY
     parameters = [Parameter("api", kind), *(Parameter(name, kind, annotation=float) for name in numbers)]
-    parameters += [Parameter(name, kind, default=default) for name, default in others.items()]
+    parameters += [Parameter(name, kind, default=default, annotation=type(default)) for name, default in others.items()]
     function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return function
 
