@@ -21,7 +21,7 @@ from mavfi.api import load
 from mavfi.api import table as table_of
 from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.controller import BetaflightController
-from mavfi.bridges.firmware.flight import fly, register_fault
+from mavfi.bridges.firmware.host import fly, register_fault
 from mavfi.campaign.analysis.statistics import wilson
 from mavfi.campaign.analysis.table import NUMBER, RATE, SIGNED, Column, Table
 from mavfi.faults.fault import RegisterFault

@@ -77,11 +77,23 @@ OPTIONS: Mapping[str, str] = {
     "failures --csv": "use mavfi report DIR --view failures_per_hour --csv",
     "--watch": "use watch -n 2 mavfi campaign status DIR",
     "--every": "use watch -n 2 mavfi campaign status DIR",
+    "ros corrupt --to": "no replacement: readers are redirected, also those that were started with a remapping",
+    "ros corrupt --once": "no replacement: one message is changed unless there is --rate",
+    "ros watch --alarm-topic": "no replacement: alarms are published on /mavfi/alarm",
+    "inject --thread": "no replacement: the busiest thread is injected, or the first to call --symbol",
+    "inject --interval": "no replacement: injections follow each other",
+    **dict.fromkeys(
+        ("airsim serve --detector", "airsim serve --profile", "airsim serve --train"),
+        "use mavfi airsim run --detector, or --save and mavfi watch FILE.jsonl --train CALLS.jsonl",
+    ),
+    "fly --live-port": "no replacement: --live serves at port 8765",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
-COMMANDS: Mapping[str, str] = {}
+COMMANDS: Mapping[str, str] = {
+    "ros list": "use rosnode list, rosnode info NODE (its process), rostopic list -v, rostopic hz TOPIC",
+}
 """Commands ("ros mirror"), with what to do instead."""
 
 

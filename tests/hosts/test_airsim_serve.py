@@ -1,4 +1,4 @@
-"""`mavfi airsim serve` saves the calls of a client, and a detector that they trained observes the next one."""
+"""`mavfi airsim serve` saves the calls of its clients, with a fault in one of them."""
 
 import json
 import re
@@ -66,7 +66,7 @@ def test_ctrl_c_prints_what_the_clients_did():
     assert "refused 1 x: server could not find function 'fly'" in text
 
 
-def test_saved_calls_train_a_detector_that_finds_the_fault(tmp_path):
+def test_calls_are_saved_as_they_come_with_the_fault(tmp_path):
     pytest.importorskip("cosysairsim")
     calls = tmp_path / "calls.jsonl"
     serve_once("--save", str(calls))
@@ -75,12 +75,9 @@ def test_saved_calls_train_a_detector_that_finds_the_fault(tmp_path):
     assert len(sent) == 80 and sent[0]["vx"] == 2.0 and sent[0]["duration"] == 0.5
     (state,) = {message.topic for message in open_flight_log(calls).messages(["moveByVelocity(arguments)"])}
     assert state == "moveByVelocity(arguments)"
-    printed = serve_once(
-        "--detector", "gaussian", "--profile", "tuned", "--train", str(calls),
-        "--fault", "moveByVelocity.vx:bit=62#40", "--save", str(tmp_path / "injected.jsonl"),
-    )  # fmt: skip
-    time = re.search(r"([\d.]+) s  fault in moveByVelocity.vx bit 62", printed)[1]
-    assert re.search(rf"alarms: [1-9]\d*, first at {time} s", printed), printed
-    injected = (tmp_path / "injected.jsonl").read_text(encoding="utf-8").splitlines()
-    after = [json.loads(line)["numbers"]["vx"] for line in injected if "moveByVelocity(arguments)" in line]
-    assert [place for place, vx in enumerate(after) if vx == "nan"] == [39]
+    injected = tmp_path / "injected.jsonl"
+    printed = serve_once("--fault", "moveByVelocity.vx:bit=62#40", "--save", str(injected))
+    assert "fault in moveByVelocity.vx bit 62" in printed
+    after = [json.loads(line) for line in injected.read_text(encoding="utf-8").splitlines()]
+    vx = [line["numbers"]["vx"] for line in after if line["topic"] == "moveByVelocity(arguments)"]
+    assert [place for place, value in enumerate(vx) if value == "nan"] == [39]

@@ -37,7 +37,6 @@ PLANNED = ("campaign run firmware", "campaign run hardening")
 """Campaigns of many minutes: planned, not flown."""
 ELSEWHERE = {
     "airsim serve --save": "tests/hosts/test_airsim_serve.py",
-    "airsim serve --detector": "tests/hosts/test_airsim_serve.py",
     "firmware setup": "tests/unit/cli/test_firmware.py",
     "report out/firmware-campaign": "tests/unit/cli/test_firmware.py",
     "mavfi harden out/hardening": "tests/unit/cli/test_harden.py",

@@ -20,7 +20,7 @@ from mavfi.mission import OF_A_DETECTOR, MissionSpec
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault, BoundaryWatch, Recording
+    from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault, Recording
     from mavfi.bridges.airsim.program import Ended
     from mavfi.bridges.airsim.server import Server
     from mavfi.faults.sensor.fault import SensorFault
@@ -42,10 +42,6 @@ Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
 VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
 Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and their answers: gaussian or autoencoder.")]
 Profile = Annotated[str, typer.Option(help="Profile of the detector: paper or tuned.")]
-Train = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.jsonl", help="Error-free calls, as written by --save, that train the detector."),
-]
 Save = Annotated[
     Path | None, typer.Option(metavar="FILE.jsonl", help="Write the numbers in calls and their answers, as they come.")
 ]
@@ -93,12 +89,9 @@ def serve(  # noqa: PLR0913 - one parameter per option
     once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
     fault: Fault = None,
     fault_seed: FaultSeed = None,
-    detector: Detector = "none",
-    profile: Profile = "paper",
-    train: Train = None,
     save: Save = None,
 ) -> None:
-    """Serve AirSim's API on loopback, until Ctrl-C; then print time, collision, digest, fault, alarms, refused calls.
+    """Serve AirSim's API on loopback, until Ctrl-C; then print time, collision, digest, fault, refused calls.
 
     Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
     """
@@ -109,17 +102,13 @@ def serve(  # noqa: PLR0913 - one parameter per option
     steps = in_flight or clock == "steps"
     if speed != 1.0 and steps:
         raise BadInputError(f"--speed: {speed:g}: allowed: with --clock real, without --in-flight")
-    _check_detector(detector, profile)
     check_file("--save", save, (".jsonl",))
-    if (detector == "none") != (train is None):
-        raise BadInputError("--detector, --train: allowed: both, or none")
     from mavfi.bridges.airsim.boundary import Boundary
     from mavfi.bridges.airsim.server import msgpack
     from mavfi.cli.progress import compiling
 
     msgpack()
     planned = _planned(fault, fault_seed)
-    watch = None if train is None else _trained(train, detector, profile)
     with compiling():
         from mavfi.bridges.airsim.clock import Real, Steps
         from mavfi.bridges.airsim.program import make_api
@@ -127,8 +116,9 @@ def serve(  # noqa: PLR0913 - one parameter per option
 
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
     with _recording(save) as recording:
-        boundary = Boundary.of(planned, watch, recording)
-        _serve(Server(api, Steps() if steps else Real(speed), boundary, single=single), port, once)
+        boundary = Boundary.of(planned, recording=recording)
+        clock = Steps() if steps else Real(speed)
+        _serve(Server(api, clock, boundary, single=single), port, once)
 
 
 def _check_detector(detector: str, profile: str) -> None:
@@ -138,14 +128,6 @@ def _check_detector(detector: str, profile: str) -> None:
 
     check_name("--detector", detector, ("none", *of_monitored_fields()))
     check_name("--profile", profile, PROFILES)
-
-
-def _trained(calls: Path, detector: str, profile: str) -> BoundaryWatch:
-    """A detector trained on the calls in a file."""
-    from mavfi.bridges.airsim.boundary import Recording
-    from mavfi.flight_logs.calls import read_calls
-
-    return Recording(read_calls(calls)).train(detector, profile)
 
 
 @contextmanager
@@ -182,13 +164,12 @@ def _serve(server: Server, port: int, once: bool) -> None:
 
 
 def _summarize(server: Server) -> None:
-    """Print what the clients did: time, collision, digest, fault, alarms, refused calls."""
+    """Print what the clients did: time, collision, digest, fault, refused calls."""
     out, vehicle = console(), server.api.vehicle
     hit = "collision" if vehicle.has_ever_collided else "no collision"
     out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
     if server.boundary.faulty:
         out.print(_line(server.boundary), markup=False)
-    _print_alarms(out, server.boundary)
     for text, count in server.errors.items():
         out.print(f"refused {count} x: {text}", markup=False)
 

@@ -121,14 +121,14 @@ def run(arguments: Sequence[str]) -> int:
 
 def _dropped(arguments: Sequence[str]) -> str:
     """The refusal of an option or command that earlier versions had; "" = there is none in these words."""
-    for word in arguments:
-        option = word.partition("=")[0]
-        of_command = f"{arguments[0]} {option}"
-        replacement = OPTIONS.get(option) or OPTIONS.get(of_command)
-        if replacement:
+    line = " ".join(arguments)
+    words = {word.partition("=")[0] for word in arguments}
+    for name, replacement in OPTIONS.items():
+        command, _, option = name.rpartition(" ")
+        if option in words and line.startswith(command):
             return f"{option}: dropped; {replacement}"
     for command, replacement in COMMANDS.items():
-        if " ".join(arguments).startswith(command):
+        if line.startswith(command):
             return f"{command}: dropped; {replacement}"
     return ""
 

@@ -1,4 +1,4 @@
-"""`mavfi export`: a flight as a ROS, PX4, MAVLink or CSV file; the runs of a campaign as a table."""
+"""`mavfi export`: a flight as a ROS, PX4, MAVLink or CSV file."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 ENDINGS = (".bag", ".mcap", ".ulg", ".tlog", ".csv")
 ROS_ENDINGS = (".bag", ".mcap")
 """Formats with publications, for which the flight is flown again."""
-RUNS = (".parquet", ".csv")
-"""File name extensions for the runs of a campaign."""
 
 
 class Request(Config):
@@ -52,29 +50,24 @@ def export(
         typer.Option(
             metavar="FILE",
             help=".bag (ROS 1), .mcap (ROS 2, Foxglove, PlotJuggler), .ulg (PX4, Flight Review), .tlog (ground "
-            "stations), or .csv; of a campaign .parquet or .csv, a row per run.",
+            "stations), or .csv.",
         ),
     ] = Path("flight.mcap"),
     as_json: options.AsJson = False,
 ) -> None:
-    """Export a flight, or the runs of a campaign, for other tools; ROS is not required.
+    """Export a flight for other tools; ROS is not required.
 
     ROS files also have the publications (point cloud, map, path, trajectory) and the golden path, for which the flight
     is flown again.
 
     Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
-
-    Example: [bold]mavfi export out/states --to runs.parquet[/bold]
     """
-    if is_dir(flight) and not run_id and to.suffix in RUNS:
-        _export_runs(flight, to, as_json)
-        return
     if to.suffix not in ENDINGS:
         raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(ENDINGS)}")
     if is_dir(flight) and not run_id:
         raise BadInputError(
-            f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; of all runs a table can be "
-            f"written: --to runs{RUNS[0]}"
+            f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; "
+            f"a table of all runs: mavfi runs {flight} --csv"
         )
     if run_id and not is_dir(flight):
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
@@ -88,22 +81,6 @@ def export(
         return
     text = f"{to}: {count} {unit}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}"
     console().print(text, markup=False, soft_wrap=True)
-
-
-def _export_runs(directory: Path, to: Path, as_json: bool) -> None:
-    """Write one row per run, with all columns of the frame."""
-    from mavfi.campaign.analysis.runs import Runs
-
-    check_writable(to)
-    frame = Runs.read(directory).frame
-    if to.suffix == ".parquet":
-        frame.write_parquet(to)
-    else:
-        frame.write_csv(to)
-    if as_json:
-        write_json({"file": str(to), "written": frame.height, "unit": "rows"})
-        return
-    console().print(f"{to}: {frame.height} runs, {frame.width} columns", soft_wrap=True)
 
 
 def _stored(source: Path, run_id: str) -> Recorded:

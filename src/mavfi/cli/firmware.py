@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_seed, console, write_json
-from mavfi.cli.ros_nodes import instant
+from mavfi.cli.console import console, write_json
+from mavfi.cli.ros_nodes import instant, register_options
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -83,20 +83,15 @@ def register_fault(
     Raises:
         BadInputError: An option is invalid, or has no effect.
     """
+    kind, draw_seed = register_options(registers, seed, has_fault=text is not None)
     if text is None:
-        for option, value in (("--registers", registers), ("--register-seed", seed)):
-            if value is not None:
-                raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
         return None
     if not alone:
         raise BadInputError("--register-fault: allowed: without --fault, --html and --world")
-    from mavfi.bridges.firmware.flight import register_fault as fault_at
+    from mavfi.bridges.firmware.host import register_fault as fault_at
     from mavfi.bridges.firmware.injector import NODE
-    from mavfi.faults.fault import REGISTERS
 
     node, time_us = instant("--register-fault", text, f"{NODE}@10")
     if node != NODE:
         raise BadInputError(f"--register-fault: {text!r}: allowed: {NODE}@SECONDS, e.g. {NODE}@10")
-    check_name("--registers", registers or "all", REGISTERS)
-    check_seed("--register-seed", seed or 0)
-    return fault_at(time_us, seed or 0, registers or "all")
+    return fault_at(time_us, draw_seed, kind)

@@ -45,7 +45,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     picture: options.Picture = None,
     html: options.Html = None,
     live: observing.Live = False,
-    live_port: observing.LivePort = observing.DEFAULT_PORT,
     mavlink: observing.Mavlink = None,
     pace: observing.Pace = observing.REAL_TIME,
     world: World = None,
@@ -56,7 +55,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
     _check_dead_node(mission, fault)
-    observing.check_options(live, live_port, mavlink, pace, fault)
+    observing.check_options(live, mavlink, pace, fault)
     for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
         check_file(option, path, endings)
     in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html or world))
@@ -78,7 +77,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
             _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario, mission)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        with observing.observing(live, live_port, mavlink, pace) as views:
+        with observing.observing(live, mavlink, pace) as views:
             result = fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})

@@ -32,7 +32,6 @@ def inject(  # noqa: PLR0913 - one parameter per option
             show_default="either with --symbol, otherwise read",
         ),
     ] = "",
-    thread: Annotated[int, typer.Option(help="Thread id; 0 = the busiest, or the first to call --symbol.")] = 0,
     walk: Annotated[
         int,
         typer.Option(
@@ -41,7 +40,6 @@ def inject(  # noqa: PLR0913 - one parameter per option
         ),
     ] = 0,
     count: Annotated[int, typer.Option(help="How many injections.")] = 1,
-    interval: Annotated[float, typer.Option(help="Between two injections, s.")] = 0.0,
     timeout: Annotated[float, typer.Option(help="Longest wait for an injection, s.")] = 10.0,
     seed: Annotated[int, typer.Option(help="Draws length of walk, register and bit.")] = 0,
     null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
@@ -49,7 +47,8 @@ def inject(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Flip one bit in one register of a running process (x86-64 Linux), and report the injection.
 
-    The process needs no preparation. It is stopped for about a millisecond, then continues.
+    The process needs no preparation. Its busiest thread, or the first to call --symbol, is injected. It is stopped for
+    about a millisecond, then continues.
 
     Example: [bold]mavfi inject --pid 1234 --registers fp --seed 3[/bold]
     """
@@ -58,9 +57,9 @@ def inject(  # noqa: PLR0913 - one parameter per option
     from mavfi.faults.fault import RegisterFault
     from mavfi.faults.register import inject as inject_register
 
-    fault = RegisterFault(registers, access, symbol, thread, walk, timeout, null, seed=seed)
+    fault = RegisterFault(registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed)
     process = _process(pid, ros_node)
-    done = inject_register(process, fault, count, interval, None if as_json else _report)
+    done = inject_register(process, fault, count, None if as_json else _report)
     if as_json:
         injections = [injection.to_json() for injection in done]
         write_json({"pid": process, "fault": fault.to_json(), "injections": injections})

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from mavfi.reports.export.telemetry import Telemetry
 
 _LAST_PORT = 65_535
-DEFAULT_PORT, REAL_TIME = 8765, 1.0
+REAL_TIME = 1.0
 Live = Annotated[bool, typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live).")]
-LivePort = Annotated[int, typer.Option(help="TCP port of --live on loopback; 0 = any free one.")]
 Mavlink = Annotated[
     int | None, typer.Option(metavar="PORT", help="Send the flight to a ground station's UDP port on loopback: 14550.")
 ]
@@ -27,13 +26,10 @@ Pace = Annotated[
 ]
 
 
-def check_options(live: bool, live_port: int, mavlink: int | None, pace: float, fault: str | None) -> None:
+def check_options(live: bool, mavlink: int | None, pace: float, fault: str | None) -> None:
     """Refuse values of these options that are not allowed, before the flight."""
-    check_number("--live-port", live_port, 0, _LAST_PORT)
     check_number("--mavlink", mavlink, 1, _LAST_PORT)
     check_number("--pace", pace, 0, 1000)
-    if live_port != DEFAULT_PORT and not live:
-        raise BadInputError(f"--live-port: {live_port}: no flight is served; allowed: together with --live")
     if pace != REAL_TIME and not live and mavlink is None:
         raise BadInputError(f"--pace: {pace:g}: nothing shows the flight; allowed: together with --live or --mavlink")
     if (live or mavlink is not None) and (fault or "").startswith("instruction"):
@@ -44,16 +40,14 @@ def check_options(live: bool, live_port: int, mavlink: int | None, pace: float, 
 
 
 @contextmanager
-def observing(
-    live: bool, live_port: int, mavlink: int | None, pace: float
-) -> Iterator[tuple[Callable[[Any], None], ...]]:
+def observing(live: bool, mavlink: int | None, pace: float) -> Iterator[tuple[Callable[[Any], None], ...]]:
     """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
     if not live and mavlink is None:
         yield ()
         return
     from mavfi.hosts.loop.observe import Attached
 
-    views = list(_views(live, live_port, mavlink))
+    views = list(_views(live, mavlink))
     try:
         # only the first waits for the pace
         yield tuple(Attached(view, pace if place == 0 else 0.0) for place, view in enumerate(views))
@@ -62,12 +56,12 @@ def observing(
             view.close()
 
 
-def _views(live: bool, live_port: int, mavlink: int | None) -> Iterator[LiveView | Telemetry]:
+def _views(live: bool, mavlink: int | None) -> Iterator[LiveView | Telemetry]:
     out = console(error=True)
     if live:
-        from mavfi.reports.export.live import LiveView
+        from mavfi.reports.export.live import PORT, LiveView
 
-        view = LiveView(live_port)
+        view = LiveView(PORT)
         out.print(f"serving the flight at {view.address}", markup=False, highlight=False)
         yield view
     if mavlink is not None:

@@ -1,4 +1,4 @@
-"""`mavfi ros list | corrupt | watch`: inspect, inject into and monitor any running ROS 1 application."""
+"""`mavfi ros corrupt | watch`: inject into and monitor any running ROS 1 application."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from mavfi.flight_log import Injection
     from mavfi.flight_logs.probe import Probe
     from mavfi.hosts.node.relay import Relay
-    from mavfi.hosts.node.survey import Survey
     from mavfi.hosts.node.watch import Listener
 
 _LONGEST_S = 7 * 86_400.0
@@ -33,58 +31,15 @@ _AFTERWARDS_S = 0.2
 _POLL_S = 0.01
 
 
-def list_graph(
-    seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
-    as_json: options.AsJson = False,
-) -> None:
-    """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
-
-    Example: [bold]mavfi ros list[/bold]
-    """
-    check_number("--seconds", seconds, 0.0, 3600.0)
-    from mavfi.hosts.node.master import Master
-    from mavfi.hosts.node.survey import survey
-
-    found = survey(Master(), seconds)
-    if as_json:
-        write_json(found.to_json())
-        return
-    out = console()
-    for table in _tables(found):
-        out.print(table)
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = titled_table(title)
-    for column in columns:
-        table.add_column(column, justify="right" if column in ("pid", "Hz") else "left", overflow="fold")
-    return table
-
-
-def _tables(found: Survey) -> tuple[Table, Table]:
-    nodes = _table(f"Nodes at {found.master}", "node", "pid", "executable", "publishes", "reads")
-    for node in found.nodes:
-        pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
-        executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
-        nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
-    topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
-    for topic in found.topics:
-        rate = "" if topic.rate is None else f"{topic.rate:.1f}"
-        topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
-    return nodes, topics
-
-
 def corrupt(  # noqa: PLR0913 - one parameter per option
     topic: Annotated[str, typer.Option(help="Whose messages are changed.")],
     field: Annotated[str, typer.Option(help="A number in them, e.g. position\\[0] or pose.position.x.")],
     bit: Annotated[int | None, typer.Option(help="0 = least significant; drawn by default.")] = None,
     at: Annotated[int, typer.Option(help="First message that may be changed, counted from 1.")] = 1,
-    once: Annotated[bool, typer.Option("--once", help="Change one message, then stop (the default).")] = False,
-    rate: Annotated[float | None, typer.Option(help="Change each message with this probability, until Ctrl-C.")] = None,
-    node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
-    to: Annotated[
-        str | None, typer.Option(metavar="TOPIC", help="Publish there; the target was started with that remapping.")
+    rate: Annotated[
+        float | None, typer.Option(help="Change each message with this probability, until Ctrl-C; one by default.")
     ] = None,
+    node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
     duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
     seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
     as_json: options.AsJson = False,
@@ -97,8 +52,6 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     """
     check_seed("--seed", seed)
     check_number("--duration", duration, 0.0, _LONGEST_S)
-    if once and rate is not None:
-        raise BadInputError("--once, --rate: allowed: one of them")
     from mavfi.faults.fault import MessageFault
     from mavfi.faults.message.injector import MessageInjector, check_fault
     from mavfi.hosts.node.master import Master
@@ -106,7 +59,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
 
     fault = MessageFault(topic, field, bit, at, rate, seed=seed)
     injector = MessageInjector(fault, None if as_json else _tell)
-    relay = Relay(Master(), topic, injector, partial(check_fault, fault), node, to)
+    relay = Relay(Master(), topic, injector, partial(check_fault, fault), node)
     with stoppable("Stopped. The graph is as it was."), relay:
         try:
             _run(relay, injector, duration)
@@ -114,7 +67,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
             injector.stop()
             if as_json:
                 done = [injection.to_json() for injection in injector.injections]
-                write_json({"topic": relay.to, "passed": relay.passed, "injections": done})
+                write_json({"topic": relay.topic, "passed": relay.passed, "injections": done})
     if not as_json:
         console().print(f"{relay.passed} messages passed, {len(injector.injections)} injected; the graph is as it was")
 
@@ -156,11 +109,12 @@ def watch(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="FILE.bag|online", help="A ROS 1 bag of normal messages, or what comes first.")
     ] = "online",
     learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
-    alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
     duration: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
     r"""Monitor numeric fields of any topics with one of the paper's detectors; alarms are printed and published.
+
+    They are published on /mavfi/alarm, as JSON text.
 
     Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
     """
@@ -176,7 +130,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
         probes, trained, used = _trained(listener, (detector, profile), _list(fields), train, learn_s)
-        watching = Watch(listener, probes, trained, alarm_topic)
+        watching = Watch(listener, probes, trained)
         if not as_json:
             out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
         try:

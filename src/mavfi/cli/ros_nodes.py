@@ -79,17 +79,23 @@ def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, i
 
 def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
     """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`."""
-    from mavfi.faults.fault import REGISTERS
     from mavfi.hosts.ros1.register_injector import fault_in_node
 
-    for option, value in (("--registers", registers), ("--register-seed", seed)):
-        if value is not None and not texts:
-            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
-    registers, seed = "all" if registers is None else registers, seed or 0
-    check_name("--registers", registers, REGISTERS)
-    check_seed("--register-seed", seed)
+    kind, first_seed = register_options(registers, seed, has_fault=bool(texts))
     named = (instant("--register-fault", text) for text in texts)
-    return tuple(fault_in_node(*each, registers, seed + place) for place, each in enumerate(named))
+    return tuple(fault_in_node(*each, kind, first_seed + place) for place, each in enumerate(named))
+
+
+def register_options(registers: str | None, seed: int | None, *, has_fault: bool) -> tuple[str, int]:
+    """Values of `--registers` and `--register-seed`, which need a register fault."""
+    from mavfi.faults.fault import REGISTERS
+
+    for option, value in (("--registers", registers), ("--register-seed", seed)):
+        if value is not None and not has_fault:
+            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
+    check_name("--registers", registers or "all", REGISTERS)
+    check_seed("--register-seed", seed or 0)
+    return registers or "all", seed or 0
 
 
 def check(plan: Plan) -> None:

@@ -307,7 +307,7 @@ class RegisterFault(Planned):
             injected after it; or "either".  "" = "either" with a symbol, "read" without.
         symbol: Function at whose next call the target is stopped: its exact name, or a unique part of it.  "" = stop
             at the current instruction.
-        thread: Thread; 0 = the busiest, or with a symbol the first to call it.
+        thread: Always 0: the busiest thread, or with a symbol the first to call it.
         walk: A random number of instructions below this is single-stepped between stop and injection.  Stops between
             system calls occur at few instructions, always the same (skid); the walk spreads them.  1 = none.
             0 = 16 (`DEFAULT_WALK`) with a symbol, 1 without.
@@ -349,8 +349,8 @@ class RegisterFault(Planned):
             raise BadInputError(f"walk: {self.walk}: allowed: 0 to {LONGEST_WALK} instructions")
         if not 0.0 < self.timeout <= LONGEST_TIMEOUT:
             raise BadInputError(f"timeout: {self.timeout}: allowed: above 0, to {LONGEST_TIMEOUT:g} s")
-        if self.thread < 0:
-            raise BadInputError(f"thread: {self.thread}: allowed: the number of a running thread, or 0")
+        if self.thread:
+            raise BadInputError(f"thread: {self.thread}: allowed: 0, the busiest or the first to call the symbol")
 
     @property
     def steps(self) -> bool:

@@ -13,8 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.message.definition import Leaf
 from mavfi.files import read_file
 from mavfi.flight_log import LATEST_S
-from mavfi.flight_logs.reader import LoggedMessage, check_topics
-from mavfi.flight_logs.record import Record
+from mavfi.flight_logs.reader import LoggedMessage, Record, check_topics
 
 _LARGEST = 1 << 28
 

@@ -1,19 +1,22 @@
-"""Readers of recorded flights: their interface, and the known formats."""
+"""Readers of recorded flights: their interface, the known formats, and messages with numbers at fixed offsets."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.faults.message.definition import FORMATS, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
 
 GROUP = "mavfi.flight_logs"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
 _SHIPPED = {
-    "bag": "mavfi.flight_logs.bag:BagReader", "mcap": "mavfi.flight_logs.mcap:McapReader",
+    "bag": "mavfi.flight_logs.ros:RosReader", "mcap": "mavfi.flight_logs.ros:RosReader",
     "ulg": "mavfi.flight_logs.ulog:UlogReader", "tlog": "mavfi.flight_logs.tlog:TlogReader",
     "csv": "mavfi.flight_logs.table:CsvReader", "jsonl": "mavfi.flight_logs.calls:CallsReader",
 }  # fmt: skip
@@ -47,6 +50,45 @@ class Layout(Protocol):
 
     def numbers(self, data: bytes, longest_list: int) -> list[str]:
         """Paths of all numbers of a message; lists that are longer are left out."""
+
+
+class Record:
+    """Layout of the messages of a topic, by the offset of each number; see `Layout`.
+
+    Args:
+        kind: Name of the type.
+        leaves: Place of each number, by its name.
+    """
+
+    def __init__(self, kind: str, leaves: Mapping[str, Leaf]) -> None:
+        self.kind, self._leaves = kind, dict(leaves)
+
+    @staticmethod
+    def of(kind: str, dtype: np.dtype) -> "Record":
+        """The layout of rows of a structured array."""
+        fields = {} if dtype.fields is None else dtype.fields
+        return Record(kind, {name: Leaf(entry[1], entry[0].name) for name, entry in fields.items()})
+
+    def check(self, path: str) -> str:
+        """Kind of a number, e.g. "float32", or a BadInputError."""
+        if path not in self._leaves:
+            raise BadInputError(f"field {path}: {self.kind} has no such number; allowed: {allowed(self._leaves, path)}")
+        return self._leaves[path].kind
+
+    def locate(self, data: bytes, path: str) -> Leaf:
+        """Location of a number."""
+        del data
+        return self._leaves[path]
+
+    def numbers(self, data: bytes, longest_list: int) -> list[str]:
+        """Names of all numbers."""
+        del data, longest_list
+        return list(self._leaves)
+
+
+def numeric(dtype: np.dtype) -> bool:
+    """Whether a NumPy type is one of `FORMATS`."""
+    return dtype.name in FORMATS
 
 
 @dataclass(frozen=True, slots=True)

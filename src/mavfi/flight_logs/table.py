@@ -9,8 +9,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.files import read_file
-from mavfi.flight_logs.reader import LoggedMessage, check_topics
-from mavfi.flight_logs.record import Record
+from mavfi.flight_logs.reader import LoggedMessage, Record, check_topics
 
 TOPIC = "row"
 """The only topic of a table."""

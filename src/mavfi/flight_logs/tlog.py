@@ -8,8 +8,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.faults.message.definition import FORMATS, Leaf
-from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
-from mavfi.flight_logs.record import Record
+from mavfi.flight_logs.reader import LoggedMessage, Record, check_topics, reading
 
 _GROUND_STATION = 250
 """Systems from this number on are ground stations."""
@@ -20,6 +19,19 @@ _HEADERS = {0xFE: 6, _MAVLINK_2: 10}
 _STAMP, _CHECKSUM, _SIGNATURE = 8, 2, 13
 """Sizes of what comes before a packet, and behind it."""
 _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
+
+
+def mavlink_dialect() -> Any:
+    """The messages of MAVLink's dialect `common`, from pymavlink.
+
+    Raises:
+        BadInputError: It is not installed.
+    """
+    try:
+        from pymavlink.dialects.v20 import common
+    except ImportError:
+        raise BadInputError("MAVLink needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
+    return common
 
 
 class TlogReader:
@@ -39,11 +51,9 @@ class TlogReader:
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
         path, kind = self._path, "a telemetry log"
-        try:
-            from pymavlink.mavutil import mavlogfile
-        except ImportError:
-            needed = "allowed: pip install 'mavfi[mavlink]'"
-            raise BadInputError(f"{path}: reading telemetry logs needs pymavlink; {needed}") from None
+        mavlink_dialect()
+        from pymavlink.mavutil import mavlogfile
+
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
             found = list(_all_of(link))
         if not found:

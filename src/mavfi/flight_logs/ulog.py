@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.flight_logs.reader import LoggedMessage, check_topics, reading
-from mavfi.flight_logs.record import Record, numeric
+from mavfi.flight_logs.reader import LoggedMessage, Record, check_topics, numeric, reading
 
 _LANDED = "vehicle_land_detected"
 _FILE_HEADER = 16

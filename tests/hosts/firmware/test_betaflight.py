@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mavfi.bridges.firmware import betaflight, build
-from mavfi.bridges.firmware.flight import fly, register_fault
-from mavfi.bridges.firmware.host import FirmwareHost
+from mavfi.bridges.firmware.host import FirmwareHost, fly, register_fault
 from mavfi.bridges.firmware.injector import CALLS, WALK
 from mavfi.bridges.firmware.process import Firmware
 from mavfi.errors import BadInputError

@@ -265,7 +265,6 @@ def test_an_empty_cache_is_filled_on_all_processors(monkeypatch, capsys):
     ("options", "text"),
     [
         (["--pace", "3"], "--pace: 3: nothing shows the flight; allowed: together with --live or --mavlink"),
-        (["--live-port", "9000"], "--live-port: 9000: no flight is served; allowed: together with --live"),
     ],
 )
 def test_options_of_a_flight_that_nobody_sees_are_refused(capsys, options, text):

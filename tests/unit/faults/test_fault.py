@@ -156,7 +156,7 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
         (lambda: RegisterFault(access="both"), "access: 'both': allowed: either, read, write"),
         (lambda: RegisterFault(walk=-1), "walk: -1: allowed: 0 to 100000"),
         (lambda: RegisterFault(timeout=0.0), "timeout: 0.0: allowed: above 0, to 3600 s"),
-        (lambda: RegisterFault(thread=-1), "thread: -1: allowed"),
+        (lambda: RegisterFault(thread=1), "thread: 1: allowed"),
         (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, memory"),
         (lambda: fault_from_json({}), "level None: not known"),
     ],

@@ -11,7 +11,7 @@ A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, change
 
 import random
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TextIO
 
@@ -226,12 +226,12 @@ class Recording:
     """Values at the boundary, e.g. error-free ones to train a detector.
 
     Args:
-        calls: Those of an earlier recording, see `flight_logs.calls.read_calls`.
         file: Each call is written to it as it comes; None = to none.
     """
 
-    def __init__(self, calls: Iterable[Call] = (), file: TextIO | None = None) -> None:
-        self._calls, self._file = list(calls), file
+    def __init__(self, file: TextIO | None = None) -> None:
+        self._calls: list[Call] = []
+        self._file = file
 
     def check(self, source: str, value: Any, now_us: int) -> None:
         """Record one value."""

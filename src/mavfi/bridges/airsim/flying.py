@@ -1,6 +1,7 @@
 """Calls that fly: arming, tasks, poses."""
 
 import math
+from collections.abc import Callable, Sequence
 from inspect import Parameter, Signature
 from typing import Any
 
@@ -116,40 +117,43 @@ def _(api: Api, vehicle_name: str = "") -> Task:
     return hover(api.vehicle)
 
 
-@task("moveByVelocity")
-def _(
-    api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
-    vehicle_name: str = "",
-) -> Task:  # fmt: skip
-    yaw = yaw_of(yaw_mode, drivetrain)
-    return fly_velocity(api.vehicle, (vx, vy, vz), duration, yaw)
+_VELOCITIES = {
+    "moveByVelocity": "vx vy vz",
+    "moveByVelocityZ": "vx vy z",
+    "moveByVelocityBodyFrame": "vx vy vz",
+    "moveByVelocityZBodyFrame": "vx vy z",
+}
+"""Arguments of the tasks for velocities (m/s; height, m), before the duration."""
 
 
-@task("moveByVelocityZ")
-def _(
-    api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
-    vehicle_name: str = "",
-) -> Task:  # fmt: skip
-    yaw = yaw_of(yaw_mode, drivetrain)
-    return fly_velocity_at(api.vehicle, (vx, vy), z, duration, yaw)
+def _with_signature(function: Callable[..., Task], numbers: Sequence[str], **others: Any) -> Callable[..., Task]:
+    """Name the arguments of a task: numbers, then others with their defaults."""
+    kind = Parameter.POSITIONAL_ONLY
+    parameters = [Parameter("api", kind), *(Parameter(name, kind, annotation=float) for name in numbers)]
+    parameters += [Parameter(name, kind, default=default, annotation=type(default)) for name, default in others.items()]
+    function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    return function
 
 
-@task("moveByVelocityBodyFrame")
-def _(
-    api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
-    vehicle_name: str = "",
-) -> Task:  # fmt: skip
-    yaw = yaw_of(yaw_mode, drivetrain)
-    return fly_velocity(api.vehicle, (*from_body(api.vehicle, vx, vy), vz), duration, yaw)
+def _add_velocity_task(name: str, arguments: str) -> None:
+    along_heading, at_height = name.endswith("BodyFrame"), arguments.endswith(" z")
+
+    def fly(
+        api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
+        vehicle_name: str = "",
+    ) -> Task:  # fmt: skip
+        yaw = yaw_of(yaw_mode, drivetrain)
+        horizontal = from_body(api.vehicle, vx, vy) if along_heading else (vx, vy)
+        if at_height:
+            return fly_velocity_at(api.vehicle, horizontal, vertical, duration, yaw)
+        return fly_velocity(api.vehicle, (*horizontal, vertical), duration, yaw)
+
+    numbers = (*arguments.split(), "duration")
+    task(name)(_with_signature(fly, numbers, drivetrain=0, yaw_mode=None, vehicle_name=""))
 
 
-@task("moveByVelocityZBodyFrame")
-def _(
-    api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
-    vehicle_name: str = "",
-) -> Task:  # fmt: skip
-    yaw = yaw_of(yaw_mode, drivetrain)
-    return fly_velocity_at(api.vehicle, from_body(api.vehicle, vx, vy), z, duration, yaw)
+for _name, _arguments in _VELOCITIES.items():
+    _add_velocity_task(_name, _arguments)
 
 
 @task("moveOnPath")
@@ -218,12 +222,9 @@ _ATTITUDES = {
 
 def _add_attitude_task(name: str, arguments: str) -> None:
     numbers = (*arguments.split(), "duration")
-    parameters = [Parameter("api", Parameter.POSITIONAL_ONLY)]
-    parameters += [Parameter(one, Parameter.POSITIONAL_ONLY, annotation=float) for one in numbers]
-    parameters.append(Parameter("vehicle_name", Parameter.POSITIONAL_ONLY, default=""))
 
     def fly(api: Api, *given: Any) -> Task:
-        own = dict(zip([*arguments.split(), "duration"], given, strict=False))
+        own = dict(zip(numbers, given, strict=False))
         vertical = Vertical(own.get("throttle"), own.get("z", 0.0))
         if "roll_rate" in own:
             rotors = attitude.at_rates(api.vehicle, own["roll_rate"], own["pitch_rate"], own["yaw_rate"], vertical)
@@ -232,8 +233,7 @@ def _add_attitude_task(name: str, arguments: str) -> None:
             rotors = attitude.at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
         return fly_rotors(api.vehicle, rotors, own["duration"])
 
-    fly.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    task(name)(fly)
+    task(name)(_with_signature(fly, numbers, vehicle_name=""))
 
 
 for _name, _arguments in _ATTITUDES.items():

@@ -1,6 +1,8 @@
 """Calls about lens, film and focus of cameras: pinholes, so that only the field of view changes a picture."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 from mavfi.bridges.airsim.sensing import find_camera
 from mavfi.bridges.airsim.table import FILM_MM, NARROWEST, WIDEST, Api, Camera, call
@@ -9,7 +11,6 @@ from mavfi.numerics.elementary import atan2, tan
 
 LENS, FILM = "Pinhole", "16:9 Digital Film"
 """The only presets: Unreal's default film."""
-_UNDISTORTED = (0.0,) * 5
 
 
 def focal_length(camera: Camera) -> float:
@@ -36,41 +37,7 @@ def _preset(name: str, given: str, only: str) -> None:
         raise BadInputError(f"{name}: {given!r}: allowed: {only!r}")
 
 
-# ---- lens ------------------------------------------------------------------------------------------------------------
-@call("simGetPresetLensSettings")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[str]:
-    find_camera(api, camera_name)
-    return [_lens()]
-
-
-@call("simGetLensSettings")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> str:
-    find_camera(api, camera_name)
-    return _lens()
-
-
-def _lens() -> str:
-    return f"Name: {LENS}"
-
-
-@call("simSetPresetLensSettings")
-def _(api: Api, preset_lens_settings: str, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
-    find_camera(api, camera_name)
-    _preset("simSetPresetLensSettings", preset_lens_settings, LENS)
-
-
-@call("simGetFocalLength")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
-    return focal_length(find_camera(api, camera_name))
-
-
-@call("simSetFocalLength")
-def _(api: Api, focal_length: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
-    camera = find_camera(api, camera_name)
-    _set_optics("simSetFocalLength", camera, camera.film_mm, focal_length)
-
-
-# ---- film ------------------------------------------------------------------------------------------------------------
+# ---- readings --------------------------------------------------------------------------------------------------------
 def _film(width: float, height: float) -> str:
     return (
         f"Name: {FILM};\n\t Sensor Width: {width:g}; \t Sensor Height: {height:g}"
@@ -78,15 +45,50 @@ def _film(width: float, height: float) -> str:
     )
 
 
-@call("simGetPresetFilmbackSettings")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[str]:
+def _field_of_view(camera: Camera) -> str:
+    vertical = math.degrees(2.0 * atan2(0.5 * camera.film_mm[1], focal_length(camera)))
+    return (
+        f"Current Field Of View:\n\tHorizontal Field Of View: {camera.fov_deg:g};"
+        f"\n\t Vertical Field Of View: {vertical:g}"
+    )
+
+
+_READINGS: dict[str, Callable[[Camera], Any]] = {
+    "simGetPresetLensSettings": lambda _: [f"Name: {LENS}"],
+    "simGetLensSettings": lambda _: f"Name: {LENS}",
+    "simGetFocalLength": focal_length,
+    "simGetPresetFilmbackSettings": lambda _: [_film(*FILM_MM)],
+    "simGetFilmbackSettings": lambda camera: _film(*camera.film_mm),
+    "simGetCurrentFieldOfView": _field_of_view,
+    "simGetDistortionParams": lambda _: [0.0] * 5,
+    "simGetFocusDistance": lambda camera: camera.focus_distance,
+    "simGetFocusAperture": lambda camera: camera.aperture,
+}
+"""What calls return of a camera; pictures are sharp and without distortion."""
+
+
+def _add_reading(name: str, read: Callable[[Camera], Any]) -> None:
+    def get(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> Any:
+        return read(find_camera(api, camera_name))
+
+    call(name)(get)
+
+
+for _name, _read in _READINGS.items():
+    _add_reading(_name, _read)
+
+
+# ---- settings --------------------------------------------------------------------------------------------------------
+@call("simSetPresetLensSettings")
+def _(api: Api, preset_lens_settings: str, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
     find_camera(api, camera_name)
-    return [_film(*FILM_MM)]
+    _preset("simSetPresetLensSettings", preset_lens_settings, LENS)
 
 
-@call("simGetFilmbackSettings")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> str:
-    return _film(*find_camera(api, camera_name).film_mm)
+@call("simSetFocalLength")
+def _(api: Api, focal_length: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    camera = find_camera(api, camera_name)
+    _set_optics("simSetFocalLength", camera, camera.film_mm, focal_length)
 
 
 @call("simSetPresetFilmbackSettings")
@@ -109,17 +111,6 @@ def _(
     return sensor_width / sensor_height
 
 
-@call("simGetCurrentFieldOfView")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> str:
-    camera = find_camera(api, camera_name)
-    vertical = math.degrees(2.0 * atan2(0.5 * camera.film_mm[1], focal_length(camera)))
-    return (
-        f"Current Field Of View:\n\tHorizontal Field Of View: {camera.fov_deg:g};"
-        f"\n\t Vertical Field Of View: {vertical:g}"
-    )
-
-
-# ---- focus: kept and returned, all of a picture is sharp -------------------------------------------------------------
 def _enable(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
     find_camera(api, camera_name)
 
@@ -128,24 +119,11 @@ for _name in ("simEnableManualFocus", "simEnableFocusPlane"):
     call(_name)(_enable)
 
 
-def _keep(name: str, attribute: str) -> None:
-    """Register the calls that return and set a number of a camera."""
-
-    def get(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> float:
-        return float(getattr(find_camera(api, camera_name), attribute))
-
-    def put(api: Api, value: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
-        setattr(find_camera(api, camera_name), attribute, float(value))
-
-    call(f"simGet{name}")(get)
-    call(f"simSet{name}")(put)
+@call("simSetFocusDistance")
+def _(api: Api, value: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name).focus_distance = float(value)
 
 
-_keep("FocusDistance", "focus_distance")
-_keep("FocusAperture", "aperture")
-
-
-@call("simGetDistortionParams")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> list[float]:
-    find_camera(api, camera_name)
-    return list(_UNDISTORTED)
+@call("simSetFocusAperture")
+def _(api: Api, value: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+    find_camera(api, camera_name).aperture = float(value)

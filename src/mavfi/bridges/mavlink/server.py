@@ -9,6 +9,7 @@ from mavfi.bridges.airsim.vehicle import TICK_US
 from mavfi.bridges.mavlink.autopilot import Autopilot
 from mavfi.bridges.mavlink.flying import MavVehicle
 from mavfi.errors import BadInputError
+from mavfi.flight_logs.tlog import mavlink_dialect
 from mavfi.mission import MissionSpec
 
 HOST = "127.0.0.1"
@@ -37,11 +38,7 @@ class Server:
         self, spec: MissionSpec, port: int = PORT, peers: tuple[int, ...] = (OFFBOARD_PORT, GROUND_STATION_PORT),
         speed: float = 1.0,
     ) -> None:  # fmt: skip
-        try:
-            from pymavlink.dialects.v20 import common
-        except ImportError:
-            raise BadInputError("mavlink: needs pymavlink; allowed: pip install 'mavfi[mavlink]'") from None
-        self._dialect: Any = common
+        self._dialect = mavlink_dialect()
         self._speed, self._peers = speed, {(HOST, peer) for peer in peers}
         self._parsers: dict[tuple[str, int], Any] = {}
         self.vehicle = MavVehicle(spec)
@@ -54,7 +51,7 @@ class Server:
             text = f"--port: {port}: cannot be opened ({error.strerror}); allowed: a free UDP port"
             raise BadInputError(text) from None
         self._socket.setblocking(False)
-        self.autopilot = Autopilot(self.vehicle, common.MAVLink(self, srcSystem=1, srcComponent=1))
+        self.autopilot = Autopilot(self.vehicle, self._dialect.MAVLink(self, srcSystem=1, srcComponent=1))
         self.received = 0
 
     @property

@@ -13,10 +13,10 @@ from mavfi.flight_log import Injection
 
 
 class Outlet(Protocol):
-    """Forwards messages of one definition to the topic `to`."""
+    """Forwards messages of one definition to a topic."""
 
     definition: Definition
-    to: str
+    topic: str
 
     def send(self, message: bytes) -> int:
         """Forward a message; returns the number of subscribers that received it."""
@@ -84,10 +84,10 @@ class MessageInjector:
         difference = int.from_bytes(message, "little") ^ int.from_bytes(changed, "little")
         activated = len(message) == len(changed) and difference == 1 << (8 * leaf.offset + bit) and readers > 0
         injection = Injection(
-            "message", f"{outlet.to}.{self.fault.field}", round(time.monotonic() - self._began, 6), bit,
+            "message", f"{outlet.topic}.{self.fault.field}", round(time.monotonic() - self._began, 6), bit,
             leaf.value(message), leaf.value(changed), activated,
             details={
-                "topic": outlet.to, "message": self._seen, "field": self.fault.field, "kind": leaf.kind,
+                "topic": outlet.topic, "message": self._seen, "field": self.fault.field, "kind": leaf.kind,
                 "readers": readers,
             },
         )  # fmt: skip

@@ -20,7 +20,6 @@ def inject(
     pid: int,
     fault: RegisterFault,
     count: int = 1,
-    interval: float = 0.0,
     tell: Callable[[Injection], None] | None = None,
 ) -> list[Injection]:
     """Flip bits in registers of a running process.
@@ -33,7 +32,6 @@ def inject(
         pid: The process.
         fault: The fault.
         count: Number of injections.
-        interval: Time between two of them (s).
         tell: Called with each injection immediately.
 
     Returns:
@@ -46,12 +44,10 @@ def inject(
     """
     if count < 1:
         raise BadInputError(f"count: {count}: allowed: 1 or more")
-    if not 0.0 <= interval < float("inf"):
-        raise BadInputError(f"interval: {interval}: allowed: 0 s or more")
     if pid < 1:
         raise BadInputError(f"pid: {pid}: allowed: the number of a running process")
     check_target(pid, os.getpid())
-    order = {"pid": pid, "fault": fault.to_json(), "count": count, "interval": interval, "tool": os.getpid()}
+    order = {"pid": pid, "fault": fault.to_json(), "count": count, "tool": os.getpid()}
     done: list[Injection] = []
     with subprocess.Popen(
         [sys.executable, "-m", "mavfi.faults.register.tracer"],

@@ -22,7 +22,7 @@ from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register.addresses import AddressSpace
 from mavfi.faults.register.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
 from mavfi.faults.register.registers import Instruction, Register, decode, enters_kernel, flip, value_of
-from mavfi.faults.register.target import check_target, choose_thread, not_permitted, threads_of
+from mavfi.faults.register.target import busiest_thread, check_target, not_permitted, threads_of
 from mavfi.flight_log import Injection
 
 _REACH = 40
@@ -209,7 +209,7 @@ def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
         if fault.symbol:
             tracee, since = _stop_at(search, space, cleanup)
         else:
-            tracee = Tracee(choose_thread(pid, fault.thread), cancelled=search.cancelled)
+            tracee = Tracee(busiest_thread(pid), cancelled=search.cancelled)
             cleanup.callback(tracee.detach)
             time.sleep(search.choices.uniform(*_PAUSES))
             since = time.perf_counter()
@@ -231,16 +231,15 @@ def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[
             tracee.detach()
 
     cleanup.callback(let_go)
-    for thread in [choose_thread(pid, fault.thread)] if fault.thread else threads_of(pid):
+    for thread in threads_of(pid):
         try:
             held[thread] = Tracee(thread, cancelled=search.cancelled)
             held[thread].interrupt(_STEP_LIMIT)
-            if not fault.thread:
-                held[thread].follow_threads()
+            held[thread].follow_threads()
             held[thread].set_breakpoint(address)
             held[thread].resume()
         except (ProcessLookupError, PermissionError, TargetGoneError):  # no permission: it is ending
-            if thread in (pid, fault.thread):
+            if thread == pid:
                 raise
             held.pop(thread, None)  # a thread that has ended since it was listed
     arrived = _first_at(address, held, search)

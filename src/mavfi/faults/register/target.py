@@ -1,4 +1,4 @@
-"""Checks whether a process may be injected, and chooses a thread."""
+"""Checks whether a process may be injected, and chooses its thread."""
 
 import os
 import platform
@@ -78,14 +78,9 @@ def threads_of(pid: int) -> list[int]:
         raise BadInputError(f"pid {pid}: has ended") from None
 
 
-def choose_thread(pid: int, wanted: int) -> int:
-    """The wanted thread (0 = a running one with the most CPU time), or a BadInputError."""
-    threads = threads_of(pid)
-    if wanted:
-        if wanted not in threads:
-            raise BadInputError(f"thread {wanted}: not one of process {pid}; allowed: {', '.join(map(str, threads))}")
-        return wanted
-    return max(threads, key=lambda thread: _busyness(pid, thread))
+def busiest_thread(pid: int) -> int:
+    """A running thread with the most CPU time, or a BadInputError if the process has ended."""
+    return max(threads_of(pid), key=lambda thread: _busyness(pid, thread))
 
 
 def _busyness(pid: int, thread: int) -> tuple[bool, int]:

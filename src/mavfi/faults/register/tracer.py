@@ -31,8 +31,6 @@ def serve(order: dict, answers: TextIO) -> None:
         fault = fault_from_json(order["fault"])
         assert isinstance(fault, RegisterFault)
         for number in range(order["count"]):
-            if number:
-                time.sleep(order["interval"])
             if _abandoned():
                 return
             done = inject_once(order["pid"], fault, number, order["tool"], _abandoned)

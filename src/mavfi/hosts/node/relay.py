@@ -1,8 +1,7 @@
 """Relay between the publishers of a running topic and its subscribers.
 
-Two modes.  Redirected: every subscriber is notified, as by the master, that mavfi is the only publisher; its original
-publishers are restored at the end.  Remapped: mavfi publishes under another name, with which the target was started.
-Messages pass as bytes; only messages to be modified are decoded.
+Every subscriber is notified, as by the master, that mavfi is the only publisher; its original publishers are restored
+at the end.  Messages pass as bytes; only messages to be modified are decoded.
 """
 
 import os
@@ -13,8 +12,8 @@ from contextlib import suppress
 
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import Definition
-from mavfi.hosts.node.guardian import Guardian, Registered, Turned
-from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, absolute, call, check_known
+from mavfi.hosts.node.guardian import Guardian, Turned
+from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, call, check_known
 from mavfi.hosts.node.peer import Peer, Reader
 from mavfi.hosts.node.tcpros import Source
 
@@ -58,7 +57,6 @@ class Relay:
         change: Called with each message; sends its replacement.
         accepts: Validates the message definition, and raises if it is unsuitable.
         reader: Only this subscriber is redirected; None = all.
-        to: Publish under this name instead of redirecting subscribers.
 
     Attributes:
         passed: Number of messages passed to subscribers.
@@ -66,19 +64,18 @@ class Relay:
         error: Exception while relaying.
 
     Raises:
-        BadInputError: Topic or subscriber is unknown; there is no publisher or subscriber; the new name is in use.
+        BadInputError: Topic or subscriber is unknown; there is no publisher or subscriber.
     """
 
     def __init__(
         self, master: Master, topic: str, change: Change, accepts: Callable[[Definition], object],
-        reader: str | None = None, to: str | None = None,
+        reader: str | None = None,
     ) -> None:  # fmt: skip
         self.master, self._change = master, change
         graph = master.graph()
         self.topic = check_known("topic", topic, graph.topics)
         self._only = None if reader is None else check_known("node", reader, graph.nodes)
-        self.to = self.topic if to is None else absolute(to)
-        self._check(graph, turned=to is None)
+        self._check(graph)
         self._sources = sources_of(master, graph, self.topic)
         self.definition: Definition = self._sources[0].definition()
         try:
@@ -86,7 +83,6 @@ class Relay:
         except BaseException:
             self._close_sources()
             raise
-        self._is_turned = to is None
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._begun = False
@@ -94,13 +90,8 @@ class Relay:
         self.failures: list[str] = []
         self.error: Exception | None = None
 
-    def _check(self, graph: Graph, turned: bool) -> None:
+    def _check(self, graph: Graph) -> None:
         readers = graph.subscribers.get(self.topic, [])
-        if not turned:
-            if self.to in graph.publishers:
-                raise BadInputError(f"--to {self.to}: is published by {allowed(graph.publishers[self.to])} already; "
-                                    "allowed: a new name")  # fmt: skip
-            return
         if self._only is not None and self._only not in readers:
             raise BadInputError(f"node {self._only}: does not read {self.topic}; allowed: {allowed(readers)}")
         if not readers:
@@ -117,17 +108,11 @@ class Relay:
         return self
 
     def _begin(self) -> None:
-        header = self._sources[0].header
-        if self._is_turned:
-            self._outlet = self._peer.offer(self.to, header, active=False)
-        else:
-            self._guardian.remember(Registered(self.to, self._peer.name, self._peer.uri))
-            self._outlet = self._peer.advertise(self.to, header)
+        self._outlet = self._peer.offer(self.topic, self._sources[0].header, active=False)
         latched = self._sources[0].is_latched
         if not latched:
             self._pump(self._sources)
-        if self._is_turned:
-            self._turn_all(self.master.graph())
+        self._turn_all(self.master.graph())
         self._begun = True
         if latched:  # the only message must not be relayed before there are subscribers
             self._pump(self._sources)
@@ -211,11 +196,10 @@ class Relay:
         while not self._ended.wait(_WATCH_S):
             rounds += 1
             with suppress(MavfiError):
-                if rounds % _LOOK_EVERY == 0 or self._is_turned and not self._outlet.readers:
+                if rounds % _LOOK_EVERY == 0 or not self._outlet.readers:
                     graph = self.master.graph()
                     self._read_new(graph)
-                    if self._is_turned:
-                        self._turn_all(graph)
+                    self._turn_all(graph)
 
     def _read_new(self, graph: Graph) -> None:
         """Connect to publishers that have joined."""

@@ -24,7 +24,7 @@ from mavfi.hosts.node.message import Composer
 from mavfi.hosts.node.peer import Outlet, Peer
 from mavfi.hosts.node.relay import sources_of
 
-ALARM_TYPE = "std_msgs/String"
+ALARM_TOPIC, ALARM_TYPE = "/mavfi/alarm", "std_msgs/String"
 FIRST_PATIENCE_S = 10.0
 """Time limit for the first message of a topic (s), which determines the available fields."""
 _POLL_S = 0.1
@@ -123,7 +123,7 @@ class Watch:
         skipped: Number of messages that lack a monitored field, by topic.
     """
 
-    def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector, alarm_topic: str) -> None:
+    def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector) -> None:
         self._probes, self._detector = probes, detector
         self.alarms: list[ForeignAlarm] = []
         self.judged: Counter[str] = Counter()
@@ -131,7 +131,7 @@ class Watch:
         self._detector.start()
         for probe in probes.values():  # compile in advance, as messages would queue up meanwhile
             self._detector.check(foreign_state(probe.spec, [0.0] * len(probe.spec.header)), 0)
-        self._outlet, self._composer = listener.speak(absolute(alarm_topic), ALARM_TYPE)
+        self._outlet, self._composer = listener.speak(ALARM_TOPIC, ALARM_TYPE)
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
         """Check a message; an alarm is published, stored and returned."""

@@ -29,7 +29,8 @@ from mavfi.reports.export.timeline import (
 )
 from mavfi.states import State
 
-HOST = "127.0.0.1"
+HOST, PORT = "127.0.0.1", 8765
+"""Where flights are served; the port of Foxglove's WebSocket protocol."""
 _PERIOD_S, _SCENERY_PERIOD_S = 0.05, 1.0
 """Shortest wall time between messages (s); of obstacles and map, which are repeated for new viewers."""
 _SHARE = 0.01

@@ -13,7 +13,6 @@ from mavfi.errors import BadInputError, MavfiError
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(build.VARIABLE, raising=False)
     return build.cache()
 
 
@@ -45,24 +44,18 @@ def test_a_file_that_is_no_program_is_refused(tmp_path):
         build.find_binary(text)
 
 
-def test_without_a_firmware_the_remedy_is_named(cache, monkeypatch):
-    monkeypatch.setattr(build.sysconfig, "get_paths", lambda: {"purelib": "/nonexistent"})
+def test_without_a_firmware_the_remedy_is_named(cache):
     with pytest.raises(BadInputError, match=r"no Betaflight firmware.*mavfi firmware setup --build"):
         build.program()
 
 
-def test_the_chosen_binary_is_remembered_and_the_variable_comes_first(cache, tmp_path, monkeypatch):
+def test_the_chosen_binary_is_remembered(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(build, "_installed", lambda found: None)
     first, second = binary(tmp_path / "first"), binary(tmp_path / "second")
     assert build.choose(tmp_path / "first") == first
     assert build.program() == first
     build.choose(second)
     assert build.program() == second
-    monkeypatch.setenv(build.VARIABLE, str(first))
-    assert build.program() == first
-    monkeypatch.setenv(build.VARIABLE, "/nonexistent")
-    with pytest.raises(BadInputError, match=f"{build.VARIABLE}: /nonexistent: contains no"):
-        build.program()
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")

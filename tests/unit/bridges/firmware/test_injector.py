@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.bridges.firmware import betaflight, injector
-from mavfi.bridges.firmware.flight import register_fault
+from mavfi.bridges.firmware.host import register_fault
 from mavfi.bridges.firmware.injector import FirmwareInjector
 from mavfi.bridges.firmware.process import NEVER, Firmware, FirmwareLostError
 

@@ -16,7 +16,7 @@ DEFINITION = Definition("sensor_msgs/JointState", COMPOSER.header["message_defin
 class FakeRelay:
     """Somebody gets the messages."""
 
-    definition, to, readers = DEFINITION, "/t", 2
+    definition, topic, readers = DEFINITION, "/t", 2
 
     def __init__(self):
         self.sent = []

@@ -106,7 +106,6 @@ def test_fields_are_given_to_the_topics_that_have_them():
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["ros", "list"],
         ["ros", "corrupt", "--topic", "/a", "--field", "b"],
         ["ros", "watch", "--topics", "/a"],
         ["inject", "--ros-node", "/a"],
@@ -124,7 +123,6 @@ def test_without_a_master_one_line_says_what_to_do(monkeypatch, capsys, argument
 def test_options_that_exclude_each_other_are_refused(capsys):
     assert run(["inject"]) == 2 and "--pid, --ros-node: allowed: one of them" in capsys.readouterr().err
     assert run(["inject", "--pid", str(os.getpid()), "--ros-node", "/a"]) == 2
-    assert run(["ros", "corrupt", "--topic", "/a", "--field", "b", "--once", "--rate", "0.5"]) == 2
 
 
 def test_the_master_is_looked_for_where_the_environment_says(monkeypatch):

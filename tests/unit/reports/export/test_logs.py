@@ -7,7 +7,7 @@ from mavfi.flight_log import AlarmRecord, Event, FlightLog, Injection
 from mavfi.flight_logs.lines import LONGEST_TEXT
 from mavfi.flight_logs.ned import euler, geodetic, local, ned_of
 from mavfi.mission import MissionStatus
-from mavfi.reports.export.tlog import checksum, write_tlog
+from mavfi.reports.export.tlog import write_tlog
 from mavfi.reports.export.ulog import FAULT_TOPIC, write_ulog
 
 SECONDS = 4.0
@@ -108,11 +108,6 @@ def test_numbers_that_are_not_finite_or_too_large_are_written(tmp_path):
     assert np.isnan(data["vehicle_local_position"]["x"][5]) and np.isinf(data["vehicle_local_position"]["vx"][6])
     found = read_tlog(log, tmp_path / "flight.tlog")
     assert sum(m.get_type() == "GLOBAL_POSITION_INT" for m in found) == len(log.rows) / 5 - 2
-
-
-def test_checksum():
-    """Check value of CRC-16/MCRF4XX in the catalogue of parametrised CRC algorithms."""
-    assert checksum(b"123456789") == 0x6F91
 
 
 def test_geodetic_and_back():
