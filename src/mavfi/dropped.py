@@ -91,9 +91,7 @@ OPTIONS: Mapping[str, str] = {
 }
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
-COMMANDS: Mapping[str, str] = {
-    "ros list": "use rosnode list, rosnode info NODE (its process), rostopic list -v, rostopic hz TOPIC",
-}
+COMMANDS: Mapping[str, str] = {}
 """Commands ("ros mirror"), with what to do instead."""
 
 

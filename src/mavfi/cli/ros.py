@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
 
 app = typer.Typer(no_args_is_help=True)
+app.command("list")(ros_attach.list_graph)
 app.command("corrupt")(ros_attach.corrupt)
 app.command("watch")(ros_attach.watch)
 

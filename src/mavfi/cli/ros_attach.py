@@ -1,4 +1,4 @@
-"""`mavfi ros corrupt | watch`: inject into and monitor any running ROS 1 application."""
+"""`mavfi ros list | corrupt | watch`: inspect, inject into and monitor any running ROS 1 application."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
+from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
+from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 
@@ -23,12 +24,54 @@ if TYPE_CHECKING:
     from mavfi.flight_log import Injection
     from mavfi.flight_logs.probe import Probe
     from mavfi.hosts.node.relay import Relay
+    from mavfi.hosts.node.survey import Survey
     from mavfi.hosts.node.watch import Listener
 
 _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
 """Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
 _POLL_S = 0.01
+
+
+def list_graph(
+    seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
+
+    Example: [bold]mavfi ros list[/bold]
+    """
+    check_number("--seconds", seconds, 0.0, 3600.0)
+    from mavfi.hosts.node.master import Master
+    from mavfi.hosts.node.survey import survey
+
+    found = survey(Master(), seconds)
+    if as_json:
+        write_json(found.to_json())
+        return
+    out = console()
+    for table in _tables(found):
+        out.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = titled_table(title)
+    for column in columns:
+        table.add_column(column, justify="right" if column in ("pid", "Hz") else "left", overflow="fold")
+    return table
+
+
+def _tables(found: Survey) -> tuple[Table, Table]:
+    nodes = _table(f"Nodes at {found.master}", "node", "pid", "executable", "publishes", "reads")
+    for node in found.nodes:
+        pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
+        executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
+        nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
+    topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
+    for topic in found.topics:
+        rate = "" if topic.rate is None else f"{topic.rate:.1f}"
+        topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
+    return nodes, topics
 
 
 def corrupt(  # noqa: PLR0913 - one parameter per option

@@ -90,9 +90,24 @@ def run_json(capsys, *arguments):
     return json.loads(capsys.readouterr().out)
 
 
-def test_a_node_that_died_cannot_be_injected(arm, capsys):
+def test_list_names_nodes_processes_topics_and_rates(arm, capsys):
+    found = run_json(capsys, "ros", "list", "--seconds", "0.5")
+    node = next(node for node in found["nodes"] if node["name"] == arm.node)
+    assert node["pid"] == arm.process.pid and node["executable"].endswith("/robot_state_publisher")
+    assert "/tf" in node["publishes"] and node["reads"] == ["/joint_states"]
+    topics = {topic["name"]: topic for topic in found["topics"]}
+    assert topics["/tf"]["kind"] == "tf2_msgs/TFMessage"
+    assert 20 < topics["/joint_states"]["rate"] <= 210
+    assert topics["/joint_states"]["readers"] == [arm.node]
+
+
+def test_a_node_that_died_is_shown_as_such_and_cannot_be_injected(arm, capsys):
     arm.master.call("registerPublisher", "/ghost_topic", "std_msgs/String", "http://127.0.0.1:9/", caller="/ghost")
     try:
+        found = run_json(capsys, "ros", "list", "--seconds", "0")
+        assert next(node for node in found["nodes"] if node["name"] == "/ghost")["pid"] is None
+        assert run(["ros", "list", "--seconds", "0"]) == 0
+        assert "dead" in capsys.readouterr().out
         assert run(["inject", "--ros-node", "/ghost"]) == 2
         assert "has died" in capsys.readouterr().err
         assert run(["ros", "corrupt", "--topic", "/ghost_topic", "--field", "data"]) == 2

@@ -17,6 +17,7 @@ ALL = commands("ros-attach.md")
 CAMPAIGN = [command for command in ALL if command.startswith(("mavfi campaign ", "mavfi report "))]
 """Minutes long; `test_node_campaign` runs the same file with fewer trials."""
 SAYS = {
+    "mavfi ros list": r"/robot_state_publisher",
     "--at 10": r"message 10: position\[0\] \(float64\) bit 51: 0.5 → 0.75, \d readers, verified",
     "--rate 0.01": r"[Tt]he graph is as it was",
     "mavfi inject": r"mm\d+",
@@ -29,7 +30,7 @@ WORKS = {
     "--rate 0.01": r"message \d+: .*position\[0\]", "--train": r"learned from \d+", "--learn": r"learned from \d+",
 }  # fmt: skip
 """Output of the commands that run until Ctrl-C, once they work."""
-READING = ("rosbag record", "--learn")
+READING = ("mavfi ros list", "rosbag record", "--learn")
 """These change nothing: they run at the same time."""
 LONGEST_S = 90.0
 

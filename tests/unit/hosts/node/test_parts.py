@@ -106,6 +106,7 @@ def test_fields_are_given_to_the_topics_that_have_them():
 @pytest.mark.parametrize(
     "arguments",
     [
+        ["ros", "list"],
         ["ros", "corrupt", "--topic", "/a", "--field", "b"],
         ["ros", "watch", "--topics", "/a"],
         ["inject", "--ros-node", "/a"],
