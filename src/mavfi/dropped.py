@@ -18,6 +18,10 @@ VALUES: Mapping[tuple[str, str], str] = {
 
 NAMES: Mapping[tuple[str, str], str] = {
     **{("detectors", f"rule_{number}"): f"use acceptance, options: {{rules: [{number}]}}" for number in range(1, 6)},
+    ("detectors", "conformal"): "use limits: it brings back the same missions with fewer false alarms",
+    ("detectors", "cusum"): "use limits: it brings back more missions",
+    ("detectors", "checksum_large"): "use checksum, options: {large: true}",
+    **{("kernels", name): "use limits: the detector is gone" for name in ("conformal", "cusum")},
     ("kernels", "recovery"): "no fault in recovery lost a mission; inject a detector, e.g. acceptance",
     ("campaigns", "replicas"): "use detector_instructions: copies of a detector made no difference",
     ("campaigns", "recovery_memory"): "use detector_memory: no fault in the memory of recovery lost a mission",
