@@ -5,6 +5,8 @@ from collections.abc import Mapping
 KEYS: Mapping[str, str] = {
     "copies": "no replacement: one copy of a detector brings back as many missions as two or three",
     "until_halfwidth": "no replacement: a campaign flies the number of missions that it states; set missions",
+    "stack": "use autopilot",
+    "hull_radius": "use collision_radius",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
@@ -12,6 +14,7 @@ KEYS: Mapping[str, str] = {
 VALUES: Mapping[tuple[str, str], str] = {
     **{("dead_node", policy): "readback" for policy in ("latched", "recompute", "checkpoint", "standby")},
     **{("degraded", mode): "hold" for mode in ("hover", "back")},
+    ("dead_node", "restart"): "fresh",
     **{("kind", repetition): "duplicate" for repetition in ("rerun", "vote")},
 }
 """Values of keys, by key and value, with the value to use instead."""

@@ -3,15 +3,11 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mavfi.detectors import load_detector, training
-from mavfi.detectors.features import REGIMES
 from mavfi.detectors.field_codes import CodeRecorder, Codes, FieldCodes, codes_are_whole
 from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import of_all_fields
-from mavfi.detectors.samples import Sample
 from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly as fly_mission
