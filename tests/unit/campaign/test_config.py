@@ -149,7 +149,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"arms": {"x": {"mission": {"colour": "red"}}}}, "arms: unknown key 'colour'"),
         (
             {"arms": {"x": {"colour": "red"}}},
-            "unknown key 'arms.x.colour'; allowed: detector, profile, mission, start, goal",
+            "unknown key 'arms.x.colour'; allowed: detector, profile, options, mission, start, goal",
         ),
         ({"arms": {"x": {"detectr": "a"}}}, "'arms.x.detectr' (did you mean 'detector'?); allowed: detector, profile"),
         ({"arms": {"x": {"planer": "rrt"}}}, "unknown key 'arms.x.planer' (did you mean 'planner'?)"),
