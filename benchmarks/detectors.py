@@ -29,8 +29,8 @@ ENVIRONMENTS, AUTOPILOTS = ("dense", "factory"), ("published", "hardened")
 DETECTORS = (
     ("recommended", "paper", 2.0), ("acceptance", "paper", 2.0), ("gaussian", "paper", 6.0),
     ("autoencoder", "paper", 6.0), ("gaussian", "tuned", 6.0), ("autoencoder", "tuned", 6.0),
-    ("limits", "paper", None), ("autoencoder_all", "paper", None), ("cusum", "paper", None),
-    ("conformal", "paper", None), ("checksum", "paper", None), ("duplicate", "paper", None),
+    ("limits", "paper", None), ("autoencoder_all", "paper", None), ("checksum", "paper", None),
+    ("duplicate", "paper", None),
     *((name, "paper", None) for name in BASELINES),
 )  # fmt: skip
 """Detector, profile, and the largest share of the kernels' time that is wanted (%); None = none is."""

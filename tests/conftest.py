@@ -45,14 +45,6 @@ def plug_ins_are_those_of_the_test(monkeypatch):
 _MADV_COLLAPSE, _LARGE = 25, 1 << 21  # madvise(2), of Linux 6.1
 
 
-@pytest.fixture(autouse=True)
-def _no_warning_is_remembered():
-    """A process warns of an older name once."""
-    from mavfi.errors import warn_of_older
-
-    warn_of_older.cache_clear()
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _heap_in_large_pages():
     """A process that has imported all tests forks often: in large pages there are few tables to copy each time."""

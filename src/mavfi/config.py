@@ -19,8 +19,8 @@ from pydantic import (
     field_validator,
 )
 
-from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, hint, warn_of_older
+from mavfi.dropped import KEYS, dropped_key, dropped_name
+from mavfi.errors import BadInputError, hint
 from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
 from mavfi.wording import finding, refuse_other_kind, shown
 
@@ -120,7 +120,7 @@ class VehicleConfig(Config):
     arm_length: float = Field(gt=0, le=100, description="m, rotor axis to centre")
     collision_radius: float = Field(
         gt=0, le=5, validation_alias=AliasChoices("collision_radius", "hull_radius"), serialization_alias="hull_radius",
-        description="m, of the sphere that counts as the vehicle; `hull_radius`, its older name, is accepted",
+        description="m, of the sphere that counts as the vehicle",
     )  # fmt: skip
     max_rotor_thrust: float = Field(gt=0, le=1e6, description="N, one rotor")
     rotor_torque_ratio: float = Field(gt=0, le=100, description="m, torque / thrust")
@@ -317,20 +317,18 @@ def _first_line(error: Exception) -> str:
 def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored: bool = False) -> ConfigType:
     """Validate data from a source (named in messages) as a model.
 
-    Warns of older names of keys, unless mavfi itself has `stored` the data, in which some names stay, also of folders.
+    Refuses older names of keys, unless mavfi itself has `stored` the data, in which some names stay, also of folders.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
     """
+    for key in data:
+        if key in KEYS and key not in model.model_fields and not stored:
+            raise BadInputError(f"{source}: {dropped_key(key)}")
     try:
-        parsed = model.model_validate(data, context=STORED if stored else None)
+        return model.model_validate(data, context=STORED if stored else None)
     except ValidationError as error:
         raise BadInputError(f"{source}: {finding(error, model)}") from None
-    for name, field in model.model_fields.items():
-        if isinstance(field.validation_alias, AliasChoices) and name not in data and not stored:
-            for old in data.keys() & set(field.validation_alias.choices):
-                warn_of_older(source, f"key {old!r}", repr(name))
-    return parsed
 
 
 def checked(kind: type[Checked], data: object, source: str) -> Checked:

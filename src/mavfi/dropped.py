@@ -5,6 +5,8 @@ from collections.abc import Mapping
 KEYS: Mapping[str, str] = {
     "copies": "no replacement: one copy of a detector brings back as many missions as two or three",
     "until_halfwidth": "no replacement: a campaign flies the number of missions that it states; set missions",
+    "stack": "use autopilot",
+    "hull_radius": "use collision_radius",
     "scheme": "no replacement: instruction faults are drawn uniformly over dynamic instructions",
 }
 """Keys of YAML files and of the Python API, with what to do instead."""
@@ -12,12 +14,17 @@ KEYS: Mapping[str, str] = {
 VALUES: Mapping[tuple[str, str], str] = {
     **{("dead_node", policy): "readback" for policy in ("latched", "recompute", "checkpoint", "standby")},
     **{("degraded", mode): "hold" for mode in ("hover", "back")},
+    ("dead_node", "restart"): "fresh",
     **{("kind", repetition): "duplicate" for repetition in ("rerun", "vote")},
 }
 """Values of keys, by key and value, with the value to use instead."""
 
 NAMES: Mapping[tuple[str, str], str] = {
     **{("detectors", f"rule_{number}"): f"use acceptance, options: {{rules: [{number}]}}" for number in range(1, 6)},
+    ("detectors", "conformal"): "use limits: it brings back the same missions with fewer false alarms",
+    ("detectors", "cusum"): "use limits: it brings back more missions",
+    ("detectors", "checksum_large"): "use checksum, options: {large: true}",
+    **{("kernels", name): "use limits: the detector is gone" for name in ("conformal", "cusum")},
     ("kernels", "recovery"): "no fault in recovery lost a mission; inject a detector, e.g. acceptance",
     ("views", "golden_against_faults"): "the first finding of a report has the same test; use success and recovery",
     ("views", "golden_flights"): "use flight_times, or Runs.golden in Python",

@@ -3,11 +3,9 @@
 import errno
 import os
 import sqlite3
-import warnings
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
-from functools import cache
 from pathlib import Path
 
 _MOST_SHOWN = 12
@@ -31,16 +29,6 @@ class MavfiError(Exception):
 
 class BadInputError(MavfiError):
     """User input is wrong: the text names item, place, value and what is allowed (exit code 2)."""
-
-
-class OlderNameWarning(FutureWarning):
-    """A file uses the older name of a key or value, which is still accepted."""
-
-
-@cache
-def warn_of_older(source: str, key: str, new: str) -> None:
-    """Warn of an older name in a source, once in a process and its forks; `key` and `new` are parts of the message."""
-    warnings.warn(f"{source}: {key}: deprecated, is now {new}", OlderNameWarning, stacklevel=2)
 
 
 class SpecMismatchError(BadInputError):

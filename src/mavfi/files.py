@@ -4,7 +4,7 @@ import os
 import stat
 from pathlib import Path
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, writing
 
 LARGEST_TEXT = 1 << 22
 """Largest size of a text file (bytes)."""
@@ -52,3 +52,12 @@ def check_regular(path: Path) -> None:
         raise BadInputError(f"{path}: no name of a file ({error})") from None
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise BadInputError(f"{path}: is a device or a pipe; allowed: a regular file")
+
+
+def check_folder(folder: Path) -> None:
+    """Create a folder, and refuse one that cannot be written."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".mavfi-probe"
+        probe.touch()
+        probe.unlink()

@@ -5,9 +5,10 @@ import json
 from enum import Enum
 from typing import Any, Literal
 
-from pydantic import AliasChoices, ConfigDict, Field, field_validator
+from pydantic import AliasChoices, ConfigDict, Field, ValidationInfo, model_validator
 
 from mavfi.config import (
+    STORED,
     STRONGEST_WIND,
     AutopilotConfig,
     CameraConfig,
@@ -22,7 +23,6 @@ from mavfi.config import (
     WindConfig,
     names,
 )
-from mavfi.errors import warn_of_older
 from mavfi.hardening.plan import Plan
 
 ARRIVAL_RADIUS = 2.0
@@ -79,10 +79,7 @@ class MissionSpec(Config):
     seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
     start: Vector | None = Field(None, description="Start position, m; the environment's by default.")
     goal: Vector | None = Field(None, description="Goal position, m; the environment's by default.")
-    autopilot: str = Field(
-        "published", validation_alias=AliasChoices("autopilot", "stack"),
-        description="Autopilot profile: published, hardened, or a YAML file.",
-    )  # fmt: skip
+    autopilot: str = Field("published", description="Autopilot profile: published, hardened, or a YAML file.")
     planner: str = Field("rrt_connect", description="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
     platform: str = Field(
         "i9-9940x", description=f"Computer whose latencies are charged: {_names('platforms')}, or a YAML file."
@@ -145,13 +142,16 @@ class MissionSpec(Config):
         None, ge=0, le=1e6, description="Time until a refused sequence number is accepted, s, 0 = never; the profile's."
     )
 
-    @field_validator("dead_node", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _older_name(cls, value: object) -> object:
-        if value != "restart":
-            return value
-        warn_of_older("mission", "key 'dead_node': 'restart'", "'fresh'")
-        return "fresh"
+    def _stored_spellings(cls, data: Any, info: ValidationInfo) -> Any:
+        """Ledgers and flights of earlier versions have the key `stack`, and the policy `restart` for dead nodes."""
+        if info.context != STORED or not isinstance(data, dict):
+            return data
+        renamed = {("autopilot" if key == "stack" else key): value for key, value in data.items()}
+        if renamed.get("dead_node") == "restart":
+            renamed["dead_node"] = "fresh"
+        return renamed
 
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")

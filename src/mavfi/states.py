@@ -103,7 +103,7 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     "acceptance": (*(f"judge_{name}" for name in _MESSAGES), *(f"note_{name}" for name in _MESSAGES[:3]), *_ESTIMATE),
     **dict.fromkeys(("gaussian", "autoencoder"), ("judge",)),
     "physics_gate": ("judge_gate",),
-    **dict.fromkeys(("limits", "autoencoder_all", "cusum", "conformal", *BASELINES), _CODES),
+    **dict.fromkeys(("limits", "autoencoder_all", *BASELINES), _CODES),
     "checksum": ("crc32c",),
 }
 """Injectable functions of detectors, in flights with that detector, by their alarm source."""

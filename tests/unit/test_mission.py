@@ -3,7 +3,7 @@ import json
 import pytest
 
 from mavfi.config import PlatformConfig, parse, shipped
-from mavfi.errors import OlderNameWarning
+from mavfi.errors import BadInputError
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, MissionStatus, Scenario, time_limit
 
@@ -52,7 +52,7 @@ def test_options_that_are_off_are_not_in_the_key():
 
 def test_whatever_decides_the_flight_changes_the_key():
     base = {"environment": "dense", "seed": 7}
-    changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"stack": "hardened"}, {"platform": "cortex-a57"},
+    changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"autopilot": "hardened"}, {"platform": "cortex-a57"},
                {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}, {"wind": 3.0},
                {"localization": "estimator"}, {"dead_node": "end"}, {"alarm": "repeated"},
                {"epoch_liveness": 1.0}]  # fmt: skip
@@ -62,14 +62,14 @@ def test_whatever_decides_the_flight_changes_the_key():
 @pytest.mark.parametrize(
     ("data", "message", "found"),
     [
-        ({"stack": "hardened"}, "own.yaml: key 'stack': deprecated, is now 'autopilot'", {"autopilot": "hardened"}),
-        ({"dead_node": "restart"}, "mission: key 'dead_node': 'restart': deprecated, is now 'fresh'", {}),
+        ({"stack": "hardened"}, "own.yaml: key 'stack': dropped; use autopilot", {"autopilot": "hardened"}),
+        ({"dead_node": "restart"}, "own.yaml: key 'dead_node': 'restart': dropped; use 'fresh'", {}),
     ],
 )
-def test_older_names_are_accepted_with_one_line_in_a_process(data, message, found):
-    with pytest.warns(OlderNameWarning) as warned:
-        assert parse(MissionSpec, data, "own.yaml") == parse(MissionSpec, data, "own.yaml") == MissionSpec(**found)
-    assert [str(one.message) for one in warned] == [message]
+def test_older_names_are_for_what_earlier_versions_stored(data, message, found):
+    with pytest.raises(BadInputError) as refusal:
+        parse(MissionSpec, data, "own.yaml")
+    assert str(refusal.value) == message
     assert parse(MissionSpec, data, "own.yaml", stored=True) == MissionSpec(**found)
 
 

@@ -21,7 +21,7 @@ from mavfi.campaign.sampling import (
 )
 from mavfi.config import STORED, Config, Name, config_root, load, parse
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, hint, warn_of_older
+from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
@@ -35,8 +35,7 @@ MOST_FAULTS = 100_000  # per environment and target
 _RENAMED = {
     "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",
     "kernels": "sampling.kernels (with level: instruction)", "detectors": "arms", "flights": "missions",
-    **{name: f"mission.{'autopilot' if name == 'stack' else name}"
-       for name in ("stack", "platform", "planner", "map", "vehicle", "v_max")},
+    **{name: f"mission.{name}" for name in ("platform", "planner", "map", "vehicle", "v_max")},
     "kind": "host", "trials": "faults", "command": "node.command",
 }  # fmt: skip
 """Keys of campaign schema 1, with their replacements."""
@@ -150,15 +149,15 @@ class ArmConfig(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _gather(cls, data: Any) -> Any:
+    def _gather(cls, data: Any, info: ValidationInfo) -> Any:
         if not isinstance(data, dict):
             return data
-        inline = {key: data[key] for key in data if key in ("stack", *MissionSpec.model_fields)}
+        inline = {key: data[key] for key in data if key in MissionSpec.model_fields}
         rest = {key: value for key, value in data.items() if key not in inline}
         mission = rest.get("mission", {})
         if not isinstance(mission, dict):
             return data  # rejected by validation
-        return {**rest, "mission": _mission_keys({**mission, **inline}, "arms")}
+        return {**rest, "mission": _mission_keys({**mission, **inline}, "arms", info)}
 
 
 class Part(Config):
@@ -206,7 +205,7 @@ class Campaign(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _renamed(cls, data: Any) -> Any:
+    def _renamed(cls, data: Any, info: ValidationInfo) -> Any:
         if isinstance(data, dict):
             if data.get("until_halfwidth", "") is None:  # the default of earlier versions, in their ledgers
                 data = {key: value for key, value in data.items() if key != "until_halfwidth"}
@@ -216,7 +215,7 @@ class Campaign(Config):
                 if key in _RENAMED and key not in cls.model_fields:
                     raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
             if isinstance(data.get("mission"), dict):
-                data = {**data, "mission": _mission_keys(data["mission"], "mission")}
+                data = {**data, "mission": _mission_keys(data["mission"], "mission", info)}
         return data
 
     @model_validator(mode="after")
@@ -328,19 +327,16 @@ class Campaign(Config):
         return data
 
 
-def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Validate keys and values of a mission; `stack` is renamed to `autopilot`."""
-    data = {("autopilot" if key == "stack" else key): value for key, value in given.items()}
-    if "stack" in given:
-        warn_of_older(where, "key 'stack'", "'autopilot'")
+def _mission_keys(given: Mapping[str, Any], where: str, info: ValidationInfo) -> dict[str, Any]:
+    """Validate keys and values of a mission in a campaign of the user, or in one that a ledger stores."""
     for key in ("environment", "seed"):
-        if key in data:
+        if key in given:
             raise ValueError(f"{where}.{key}: belongs to the campaign (environments, first_seed)")
     try:
-        parsed = parse(MissionSpec, data, where)
+        parsed = parse(MissionSpec, dict(given), where, stored=info.context == STORED)
     except BadInputError as error:
         raise ValueError(str(error)) from None
-    return parsed.model_dump(mode="json", include=set(data))
+    return parsed.model_dump(mode="json", include=parsed.model_fields_set)
 
 
 def load_campaign(name: str | Path) -> Campaign:

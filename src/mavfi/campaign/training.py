@@ -27,6 +27,7 @@ from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
 from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields, of_monitored_fields
 from mavfi.errors import BadInputError
+from mavfi.files import check_folder
 from mavfi.flight_log import read_arrays
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
@@ -254,7 +255,7 @@ def record(
     for detector in of_all_fields(extras).values():
         detector.check_installed()
 
-    _check_writable(folder)
+    check_folder(folder)
     codes = only is None or any((name, ONLY_PROFILE) in only for name in of_all_fields(extras))
     names = environments or (FAMILIES if codes else FAMILIES[:1])
     scenarios = [training_mission(mission or MissionSpec(), environment=name) for name in names]
@@ -313,14 +314,3 @@ def _count_alarms(task: _Task) -> tuple[int, float]:
     detector, _ = detector_for(task.scenario, task.model.kind, task.model.profile, task.folder)
     log = fly(task.scenario, detector=detector).log
     return len(log.alarms), quality_of_flight(log).flight_time_s / 3600
-
-
-def _check_writable(folder: Path) -> None:
-    """Check before the flights that the folder can be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".mavfi-probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise BadInputError(f"{folder}: cannot be written ({error.strerror})") from None

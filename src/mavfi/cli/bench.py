@@ -10,10 +10,10 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, check_number, console, write_json
+from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, writing
-from mavfi.files import is_file
+from mavfi.files import check_folder, is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.table import Table

@@ -98,12 +98,3 @@ def check_writable(path: Path | None) -> None:
         path.open("ab").close()
         if not there:
             path.unlink()
-
-
-def check_folder(folder: Path) -> None:
-    """Create a folder, and refuse one that cannot be written."""
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".mavfi-probe"
-        probe.touch()
-        probe.unlink()

@@ -107,7 +107,9 @@ def _recorded(source: Path, run_id: str) -> Recorded:
     log, _, _ = _stored(source, "")
     scenario = _scenario(log, str(source))
     try:
-        request = None if log.meta.get("request") is None else parse(Request, log.meta["request"], "request")
+        request = (
+            None if log.meta.get("request") is None else parse(Request, log.meta["request"], "request", stored=True)
+        )
         fault = None if request is None or request.fault is None else fault_from_json(request.fault)
         setup = _setup(request, scenario)
         flight, published = fly_recorded(setup, fault)

@@ -109,7 +109,6 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
     except ValidationError as error:
         found = error.errors()[0]
         name = str(found["loc"][0])
-        name = "autopilot" if name == "stack" else name
         given_text = repr(found["input"]) if isinstance(found["input"], str) else str(found["input"])
         raise BadInputError(f"{option_name(name)}: {given_text}: allowed: {_allowed(name)}") from None
 

@@ -11,8 +11,9 @@ from rich.text import Text
 
 from mavfi.campaign.executors.local import MOST_WORKERS
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, check_file, check_folder, check_number, console, counted, write_json
+from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
 from mavfi.errors import BadInputError
+from mavfi.files import check_folder
 
 MOST_FLIGHTS = 10_000
 

@@ -9,10 +9,10 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, console, write_json
+from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
-from mavfi.files import is_file
+from mavfi.files import check_folder, is_file
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.runs import Runs

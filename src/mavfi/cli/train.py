@@ -11,8 +11,9 @@ import typer
 from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, check_number, console, titled_table, write_json
+from mavfi.cli.console import check_number, console, titled_table, write_json
 from mavfi.cli.stopping import stoppable
+from mavfi.files import check_folder
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:

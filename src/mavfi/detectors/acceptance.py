@@ -15,7 +15,7 @@ from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, kernel_jit
-from mavfi.states import ODOMETRY, STATES, State, bytes_of, floats, new_state
+from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state
 
 SOURCE = "acceptance"
 Compiled = Callable[..., Any]
@@ -324,9 +324,3 @@ def _field_at(state: State, place: int) -> str:
     """Name of a field by its index among those of header and element."""
     spec = state.spec
     return f"{spec.name}.{(*spec.header, *spec.elements)[place].name}"
-
-
-def fields_of(rule: int) -> list[str]:
-    """Checked fields whose violation is one of the rule with this number."""
-    every = (f"{name}.{field.name}" for name in CHECKED for field in STATES[name].fields)
-    return [field for field in every if rule_of(field) == rule]

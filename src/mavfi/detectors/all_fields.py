@@ -13,7 +13,7 @@ from mavfi.detectors.field_codes import FieldCodes
 from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
 from mavfi.detectors.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
 from mavfi.detectors.samples import Sample, regime_limits
-from mavfi.detectors.scoring import ScoringDetector, Threshold, find_policy
+from mavfi.detectors.scoring import ScoringDetector, Threshold
 from mavfi.numerics.elementary import quick_tanh
 from mavfi.numerics.jit import kernel_jit
 
@@ -137,15 +137,14 @@ class AllFieldsDetector(ScoringDetector, TrainedDetector):
 
     Args:
         model: A model of the detector's kind.
-        policy: "paper" or "keyed", see `scoring.POLICIES`.
     """
 
     watches_all = True
 
-    def __init__(self, model: Model, policy: str = "keyed") -> None:
+    def __init__(self, model: Model) -> None:
         scorer = self.scorer_of(model, FieldCodes(model.provenance["stack"]))
         limit = model.numbers("limit", len(scorer.fields), REGIMES, least=SMALLEST_LIMIT)
-        super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)), find_policy(policy))
+        super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)))
 
     @classmethod
     @abstractmethod

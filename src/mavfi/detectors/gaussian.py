@@ -157,23 +157,20 @@ class GaussianDetector(ScoringDetector, TrainedDetector):
     Args:
         model: A model of kind "gaussian".
         policy: "paper" or "keyed", see `scoring.POLICIES`.
-        sigmas: Overrides the paper's n of a model that learns online.
         preprocessor: For the fields that the model was trained on, unless these are a monitored set.
     """
 
     model_kind = SOURCE
 
     def __init__(
-        self, model: Model, policy: str = "keyed", sigmas: float | None = None,
-        preprocessor: Preprocessor | None = None,
+        self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None
     ) -> None:  # fmt: skip
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         size = len(deltas.fields)
         if "statistics" in model.parameters:
             statistics = model.numbers("statistics", size, 3)
             scorer: DeltaScorer = OnlineScorer(deltas, statistics, float(model.numbers("min_count", least=0.0)))
-            trained_sigmas = float(model.numbers("sigmas", least=SMALLEST_LIMIT))
-            limit = np.full((size, features.REGIMES), trained_sigmas if sigmas is None else sigmas)
+            limit = np.full((size, features.REGIMES), float(model.numbers("sigmas", least=SMALLEST_LIMIT)))
         else:
             scorer = FrozenScorer(deltas, model.numbers("centre", size, features.REGIMES))
             limit = model.numbers("limit", size, features.REGIMES, least=SMALLEST_LIMIT)

@@ -9,9 +9,8 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.cli.ros_nodes import mission_with
-from mavfi.errors import BadInputError, OlderNameWarning
+from mavfi.errors import BadInputError
 from mavfi.hosts.ros1 import finder, install
-from mavfi.hosts.ros1.host import Ros1Host
 from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
 from tests.hosts.ros1.needs import ros
@@ -82,11 +81,6 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, m
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and message in text
-
-
-def test_a_campaign_on_ros_takes_the_older_name_of_a_policy():
-    with pytest.warns(OlderNameWarning):
-        assert Ros1Host().resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
 
 
 def test_packages_are_named_once_and_leave_the_big_ones_out():

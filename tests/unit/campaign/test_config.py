@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.mission import plan_of
 from mavfi.campaign.plan import arms_of
 from mavfi.config import config_root, parse
-from mavfi.errors import BadInputError, OlderNameWarning
+from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
 from mavfi.states import INJECTABLE, KERNEL_STAGES, PPC_STAGES
 from tests.unit.campaign.fakes import small
@@ -184,7 +184,8 @@ def test_mistakes_are_named_when_the_file_is_read(changes, message):
         ({"kernels": {"names": ["pid"]}}, "'kernels': is now 'sampling.kernels (with level: instruction)'"),
         ({"detectors": GAUSSIAN}, "'detectors': is now 'arms'"),
         ({"flights": 3}, "'flights': is now 'missions'"),
-        ({"stack": "hardened"}, "'stack': is now 'mission.autopilot'"),
+        ({"stack": "hardened"}, "'stack': dropped; use autopilot"),
+        ({"arms": {"x": {"stack": "hardened"}}}, "'stack': dropped; use autopilot"),
         *(({key: "x"}, f"{key!r}: is now 'mission.{key}'") for key in ("platform", "planner", "map", "vehicle")),
         ({"v_max": 3.0}, "'v_max': is now 'mission.v_max'"),
         ({"trials": 3}, "'trials': is now 'faults'"),
@@ -206,12 +207,11 @@ def test_unknown_names_say_what_is_known():
 
 def test_a_campaign_is_read_from_a_file_of_the_users_own(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text(yaml.safe_dump({**BASE, "mission": {"stack": "hardened"}, "arms": {"x": {"stack": "published"}}}))
-    with pytest.warns(OlderNameWarning) as warned:
-        campaign = load_campaign(path)
-    said = "key 'stack': deprecated, is now 'autopilot'"
-    assert {str(one.message) for one in warned} == {f"mission: {said}", f"arms: {said}"}
-    assert campaign.mission == {"autopilot": "hardened"}, "stack is another name for it"
+    path.write_text(
+        yaml.safe_dump({**BASE, "mission": {"autopilot": "hardened"}, "arms": {"x": {"autopilot": "published"}}})
+    )
+    campaign = load_campaign(path)
+    assert campaign.mission == {"autopilot": "hardened"}
     assert campaign.arms["x"].mission == {"autopilot": "published"}
     with pytest.raises(BadInputError, match="absent.yaml: cannot be read"):
         load_campaign(tmp_path / "absent.yaml")
@@ -256,9 +256,9 @@ def test_null_runs_are_for_levels_that_have_them():
 def test_the_plain_data_of_a_campaign_depend_on_what_is_flown():
     changes = [{}, {"faults": 7}, {"mission": {"wind": 1}}, {"arms": {}}, groups(GROUP), {"first_seed": 5}]
     assert len({json.dumps(small(**change).to_json()) for change in changes}) == len(changes)
-    with pytest.warns(OlderNameWarning):
-        older = small(mission={"stack": "hardened"}).to_json()
-    assert older == small(mission={"autopilot": "hardened"}).to_json()
+    stored = {**BASE, "mission": {"stack": "hardened"}, "arms": {"x": {"mission": {"stack": "published"}}}}
+    newer = {**BASE, "mission": {"autopilot": "hardened"}, "arms": {"x": {"mission": {"autopilot": "published"}}}}
+    assert parse(Campaign, stored, "ledger", stored=True).to_json() == parse(Campaign, newer, "file").to_json()
     assert [arm.name for arm in arms_of(small())] == ["", "gaussian"]
 
 

@@ -47,7 +47,7 @@ def test_options_after_the_script_are_the_programs_own_and_a_line_says_so(tmp_pa
         (["airsim", "run", "--python", "/no/python", BOX], "--python: /no/python: there is no such file"),
         (["airsim", "run", "--python", BOX, BOX], "allowed: a Python interpreter"),
         (["airsim", "run", "--image", "big", BOX], "--image: 'big': allowed: WIDTHxHEIGHT"),
-        (["airsim", "run", "--detector", "cusum", BOX], "--detector: cusum"),
+        (["airsim", "run", "--detector", "limits", BOX], "--detector: limits"),
         (["airsim", "serve", "--clock", "slow"], "--clock: slow"),
         (["airsim", "serve", "--clock", "steps", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
         (["airsim", "serve", "--in-flight", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
@@ -70,4 +70,4 @@ def test_options_after_the_script_are_the_programs_own_and_a_line_says_so(tmp_pa
 def test_bad_input_is_one_line(arguments, text, capsys):
     assert run(arguments) == 2
     out = capsys.readouterr()
-    assert text in out.err.replace("'slow'", "slow").replace("'cusum'", "cusum") and out.err.count("\n") == 1
+    assert text in out.err.replace("'slow'", "slow").replace("'limits'", "limits") and out.err.count("\n") == 1

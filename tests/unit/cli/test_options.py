@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mavfi.cli.options import mission_of, option_name, with_mission_options
 from mavfi.config import parse
-from mavfi.errors import BadInputError, OlderNameWarning
+from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 
 VALUES = {
@@ -64,15 +64,6 @@ def test_all_options_together(fly):
     mission, _ = fly(*[part for name in VALUES for part in arguments_for(name)])
     assert mission == MissionSpec(**VALUES)
     assert set(VALUES) == set(MissionSpec.model_fields)
-
-
-def test_the_older_name_of_the_autopilot_still_works():
-    assert MissionSpec(stack="hardened") == MissionSpec(autopilot="hardened")
-
-
-def test_the_older_name_of_a_fresh_restart_still_works(fly):
-    with pytest.warns(OlderNameWarning):
-        assert fly("--dead-node", "restart")[0] == MissionSpec(dead_node="restart") == MissionSpec(dead_node="fresh")
 
 
 @pytest.mark.parametrize("name", MissionSpec.model_fields)

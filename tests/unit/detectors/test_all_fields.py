@@ -3,17 +3,11 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mavfi.detectors import load_detector, training
-from mavfi.detectors.conformal import conformal_limit, fit_conformal
-from mavfi.detectors.cusum import add
-from mavfi.detectors.features import REGIMES
 from mavfi.detectors.field_codes import CodeRecorder, Codes, FieldCodes, codes_are_whole
 from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import of_all_fields
-from mavfi.detectors.samples import Sample
 from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly as fly_mission
@@ -24,7 +18,7 @@ from tests.unit.detectors import streams
 from tests.unit.detectors.streams import PROVENANCE, fly, later, odometry, record, strike
 from tests.unit.detectors.test_registry import FITS
 
-NAMES = ("limits", "autoencoder_all", "cusum", "conformal")
+NAMES = ("limits", "autoencoder_all")
 GROSS = [
     ("perception.collision_status", 40, "future_collision_seq", 4096),
     ("perception.collision_status", 40, "collision", True),
@@ -90,11 +84,10 @@ def test_a_number_that_is_not_finite_is_an_alarm_and_leaves_the_rest_as_it_was(f
     struck = later(events, "planning.waypoint", 20)
     found = dict(fly(load(name, folder), strike(events, struck, "vx", np.nan)))[struck]
     assert found.score == NOT_FINITE and found.fields[0].startswith("planning.waypoint")
-    if name != "conformal":
-        assert set(found.fields) <= {f"planning.waypoint.{field}" for field in ("x", "vx")}
+    assert set(found.fields) <= {f"planning.waypoint.{field}" for field in ("x", "vx")}
 
 
-@pytest.mark.parametrize("name", ["limits", "autoencoder_all", "cusum"])
+@pytest.mark.parametrize("name", NAMES)
 def test_no_training_flight_raises_an_alarm(folder, name):
     for seed in (0, 7):
         assert fly(load(name, folder), flight(seed)) == []
@@ -259,75 +252,3 @@ def test_the_shipped_models_hardly_raise_an_alarm_on_a_golden_flight(name, autop
     log = fly_mission(mission(autopilot), detector=detector).log
     assert len(log.alarms) <= 1 and log.status is MissionStatus.SUCCESS
     assert log.alarms or log.digest() == golden(autopilot).log.digest()
-
-
-# ---- CUSUM ----------------------------------------------------------------------------------------------------------
-@given(st.lists(st.integers(-50, 50), min_size=1, max_size=40), st.floats(0.0, 2.0))
-def test_sums_are_the_largest_excess_over_any_last_stretch(codes, slack):
-    """Page: max over all stretches that end now, or 0."""
-    centre, deviation = np.zeros((1, 3)), np.full((1, 3), 2.0)
-    sums = np.zeros((1, 2))
-    for code in codes:
-        add(np.array([code], np.int16), centre, deviation, 1, slack, sums, sums)
-    scaled = np.array(codes) / 2.0
-    for direction, found in zip((1.0, -1.0), sums[0], strict=True):
-        stretches = [(direction * scaled[start:] - slack).sum() for start in range(len(codes))]
-        assert found == pytest.approx(max(0.0, *stretches) if stretches else 0.0, abs=1e-9)
-
-
-def test_a_small_deviation_that_lasts_is_found_where_a_limit_does_not_see_it(folder):
-    events, at = flight(400), 900
-    drifting = [
-        (_drifted(state, 0.012) if number > at and state.spec.name == "planning.waypoint" else state, time_us)
-        for number, (state, time_us) in enumerate(events)
-    ]
-    assert len(fly(load("cusum", folder), drifting)) > 0 == len(fly(load("limits", folder), drifting))
-
-
-def _drifted(state, step):
-    found = state.copy()
-    found.header["vx"] += step
-    return found
-
-
-# ---- split-conformal limits -----------------------------------------------------------------------------------------
-@given(st.lists(st.floats(0, 1e6), min_size=1, max_size=60), st.floats(0.01, 0.99))
-def test_a_limit_is_an_order_statistic(scores, alpha):
-    limit = conformal_limit(np.array(scores), alpha)
-    rank = int(np.ceil((1 - alpha) * (len(scores) + 1)))
-    assert limit == (sorted(scores)[rank - 1] if rank <= len(scores) else np.inf)
-
-
-@given(st.lists(st.integers(0, 30), min_size=2, max_size=30), st.floats(0.02, 0.9))
-def test_coverage_of_every_exchangeable_set_is_at_least_one_minus_alpha(scores, alpha):
-    """Exact: leave each one out in turn; as a held-out score, a share of at most alpha may exceed its limit."""
-    exceeded = [
-        score > conformal_limit(np.array(scores[:left] + scores[left + 1 :], float), alpha)
-        for left, score in enumerate(scores)
-    ]
-    assert sum(exceeded) <= alpha * len(scores) + 1e-9
-
-
-def exchangeable(seed, field_codes, flights=300, each=12):
-    """Publications of one state whose codes have another spread in each regime, in flights of equal length."""
-    random, slot = np.random.default_rng(seed), field_codes.slots["planning.waypoint"]
-    count = flights * each
-    regimes = random.integers(0, REGIMES, count)
-    vectors = np.zeros((count, len(field_codes.fields)), np.int16)
-    own = slice(*field_codes.range_of(slot))
-    vectors[:, own] = random.normal(0.0, 50.0 * (1 + regimes[:, None]), (count, own.stop - own.start))
-    return Sample(vectors, np.full(count, slot), regimes, np.arange(count) % each == 0), own, slot
-
-
-def test_each_regime_has_the_coverage_that_was_asked_for():
-    field_codes, alpha = FieldCodes("published"), 0.05
-    sample, own, slot = exchangeable(1, field_codes)
-    found = {name: np.array(value) for name, value in fit_conformal(sample, field_codes, alpha).items()}
-    fresh, *_ = exchangeable(2, field_codes, flights=2000)
-    for regime in range(REGIMES):
-        codes = fresh.vectors[fresh.regimes == regime, own].astype(float)
-        scores = (np.abs(codes - found["centre"][own, regime]) / found["scale"][own, regime]).max(axis=1)
-        share = (scores > found["limit"][slot, regime]).mean()
-        assert 0.5 * alpha < share < 1.5 * alpha, (regime, share)
-    others = {found["limit"][slot, regime] * found["scale"][own, regime].mean() for regime in range(REGIMES)}
-    assert max(others) > 2 * min(others), "a limit of its own for each regime"

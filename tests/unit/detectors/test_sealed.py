@@ -103,10 +103,13 @@ def test_figures_that_are_no_rate_and_kernels_that_are_none_are_refused():
 
 def test_they_are_loaded_with_the_options_of_their_files():
     large = new_state(CLOUD, 1)
-    for name, seen in (("checksum", None), ("checksum_large", 0.0), ("oracle", 0.0)):
+    for name, seen in (("checksum", None), ("oracle", 0.0)):
         detector, model = load_detector(name, "paper", None, FITS)
         detector.seal(large, 0)
         assert detector.score(large, 0) == seen and model == ""
+    detector, _ = load_detector("checksum", "paper", None, FITS, options={"large": True})
+    detector.seal(large, 0)
+    assert detector.score(large, 0) == 0.0
     assert load_detector("duplicate", "paper", None, FITS)[0].duplicates == (
         "collision_check",
         "trajectory",

@@ -1,10 +1,7 @@
 """What a report says of a campaign, at each level of faults."""
 
-import pytest
-
 from mavfi.campaign.analysis.about import drawn
 from mavfi.campaign.config import Campaign
-from mavfi.errors import OlderNameWarning
 
 
 def described(**changes):
@@ -59,7 +56,5 @@ def test_registers_of_a_firmware():
 
 
 def test_policies_and_rules_that_are_not_the_defaults_are_named():
-    with pytest.warns(OlderNameWarning):
-        assert len(described(mission={"dead_node": "restart"})["lines"]) == 1, "the older name of the default"
     found = described(mission={"dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2})
     assert found["lines"][-1] == "mission: dead_node readback, alarm repeated, epoch_liveness 2.0"
