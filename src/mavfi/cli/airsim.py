@@ -117,8 +117,8 @@ def serve(  # noqa: PLR0913 - one parameter per option
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
     with _recording(save) as recording:
         boundary = Boundary.of(planned, recording=recording)
-        clock = Steps() if steps else Real(speed)
-        _serve(Server(api, clock, boundary, single=single), port, once)
+        time: Steps | Real = Steps() if steps else Real(speed)
+        _serve(Server(api, time, boundary, single=single), port, once)
 
 
 def _check_detector(detector: str, profile: str) -> None:

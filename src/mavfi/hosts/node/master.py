@@ -68,11 +68,12 @@ def call(uri: str, method: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Graph:
-    """Publishers and subscribers by topic, providers by service."""
+    """Publishers, subscribers and types by topic, providers by service; type "*" = unknown, subscribers only."""
 
     publishers: dict[str, list[str]]
     subscribers: dict[str, list[str]]
     services: dict[str, list[str]]
+    types: dict[str, str]
 
     @cached_property
     def nodes(self) -> list[str]:
@@ -108,7 +109,8 @@ class Master:
 
     def graph(self) -> Graph:
         """The current graph."""
-        return Graph(*(dict(table) for table in self.call("getSystemState")))
+        publishers, subscribers, services = (dict(table) for table in self.call("getSystemState"))
+        return Graph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
 
     def node_uri(self, name: str) -> str:
         """Address of a node; `BadInputError` if it is not registered."""
