@@ -26,7 +26,7 @@ _ESTIMATE = ODOMETRY["estimator"]
 _POSITIONS = tuple(ODOMETRY.values())
 _CANDIDATES = (_WAYPOINT, _COMMAND, _TRACKING)
 """States whose check stores the header, which the next call commits if it was accepted."""
-CHECKED = (_ESTIMATE, _STATUS, _PATH, _TRAJECTORY, *_CANDIDATES)
+CHECKED = frozenset((_ESTIMATE, _STATUS, _PATH, _TRAJECTORY, *_CANDIDATES))
 """States with a rule."""
 
 COUNTERS, EPOCHS, DYNAMICS, COPIES, NODES = RULES = range(1, 6)
@@ -160,6 +160,7 @@ class AcceptanceTest(Detector):
         self.estimates = estimates.Estimates(limits)
         unread = () if limits.held else (_TRACKING,)
         self.states = frozenset((*CHECKED, *_POSITIONS, *self.estimates.states)).difference(unread)
+        self._only_noted = frozenset(_POSITIONS).difference(self.estimates.states)
         self._accepted = self.record["accepted"]
         self.start()
         self.instrument({})
@@ -195,12 +196,15 @@ class AcceptanceTest(Detector):
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication; the alarm names the field that violates its rule."""
-        judge = self._judges_at_ticks.get(state.spec.name)
-        if judge is None:
-            place = self._judge(state, time_us)
-        else:
+        name = state.spec.name
+        judge = self._judges_at_ticks.get(name)
+        if judge is not None:
             self._candidate = state
             place = judge(state.header, self.record)
+        elif name in CHECKED:
+            place = self._judge(state, time_us)
+        else:
+            return None
         if place < 0:
             return None
         field = _field_at(state, place)
@@ -236,9 +240,12 @@ class AcceptanceTest(Detector):
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
-        name = state.spec.name
         if state is self._candidate:
             self._accepted[0] = True
+            return
+        name = state.spec.name
+        if name in self._only_noted:
+            self.odometry = state.header
         elif name in _CANDIDATES:
             self.check(state, time_us)  # makes it the candidate, unless it is not read
             if state is self._candidate:
@@ -249,9 +256,9 @@ class AcceptanceTest(Detector):
     def _note(self, state: State, now: int) -> None:
         """Record a published value of a state without a candidate."""
         name = state.spec.name
-        if name in _POSITIONS:
-            self.odometry = state.header
         if name in self.estimates.states:
+            if name == _ESTIMATE:
+                self.odometry = state.header
             self.estimates.accept(state, now)
         elif name == _STATUS:
             self._note_status(state.header, now, self.record)

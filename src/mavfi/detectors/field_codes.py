@@ -15,7 +15,7 @@ from mavfi.detectors.features import REGIMES
 from mavfi.detectors.samples import Sample
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.numerics.jit import entry
-from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, bytes_of, floats, new_state
+from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, floats, new_state
 
 MONITORED = "all"
 """Name of the set, in models."""
@@ -115,14 +115,14 @@ class FieldCodes:
         self.states = frozenset(filter(self._is_read, self.slots)).union(ODOMETRY.values())
         self._watched = tuple(_WATCHED.values())
         self._empty = [np.zeros((0, own.width)) for own in self._watched]
-        self.vehicles = VehicleQueue(self._store)
         self.measured = residual_state.initial_state(self.quanta, np.array(self._ranges, np.int64))
+        self.vehicles = VehicleQueue(self.measured)
         self.instrument({})
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """Replace functions of `COMPILED` by those of the same name in `made`; restore all others."""
         note = made.get("note_vehicle", residual_state.note_vehicle)
-        self._note: Callable[..., bool] = entry(note, np.zeros(1, np.uint8), self.measured)
+        self.vehicles.store = entry(note, np.zeros(1, np.uint8), self.measured)
         self._measures = [self._measure_of(name, made) for name in _WATCHED]
 
     def _measure_of(self, state: str, made: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
@@ -135,7 +135,7 @@ class FieldCodes:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code and addresses, which are valid in one process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_measures", "_note")}
+        return {name: value for name, value in self.__dict__.items() if name != "_measures"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
@@ -205,9 +205,6 @@ class FieldCodes:
         """Store position and velocity of the vehicle, if this state is odometry."""
         if state.spec.name in _POSITIONS:
             self.vehicles.add(state.header)
-
-    def _store(self, odometry: np.ndarray) -> bool:
-        return bool(self._note(bytes_of(odometry), self.measured))
 
     def settle(self) -> None:
         """Bring the memory up to date."""

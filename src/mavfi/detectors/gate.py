@@ -8,7 +8,8 @@ import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.features import integer_at, real_at
-from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.numerics.jit import entry, is_compiled, kernel_jit
+from mavfi.numerics.stored import Stored, kind_of, load
 from mavfi.states import STATES, State, bytes_of
 
 SOURCE = "physics_gate"
@@ -157,6 +158,16 @@ def settle(kept: np.ndarray, then: np.ndarray) -> None:
     then[:_ACCEPTED], then[_ACCEPTED] = kept, 0.0
 
 
+_KIND = kind_of(np.zeros(1), np.zeros(1), np.zeros(1))
+
+
+@kernel_jit
+def _judge_at(content: np.ndarray, slot: int, address: int) -> int:
+    """`judge` with the address of its other arguments, see `numerics.stored`."""
+    limits, kept, then = load(address, _KIND)
+    return judge(content, slot, limits, kept, then)
+
+
 class PhysicsGate(Detector):
     """Checks for finite numbers, the arena, speeds, way-point steps, and a collision counter that grows by 0 or 1.
 
@@ -184,9 +195,13 @@ class PhysicsGate(Detector):
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """See `Detector`."""
         function = made.get("judge_gate", judge)
-        self._judge: Callable[..., int] = entry(
-            function, np.zeros(1, np.uint8), 0, self._limits, self._kept, self._then
-        )
+        arrays = self._limits, self._kept, self._then
+        self._stored = Stored(_KIND, *arrays)
+        self._address = self._stored.address
+        if is_compiled(function):
+            self._judge: Callable[..., int] = entry(_judge_at, np.zeros(1, np.uint8), 0, 0)
+        else:
+            self._judge = lambda content, slot, _: function(content, slot, *arrays)
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -199,7 +214,7 @@ class PhysicsGate(Detector):
         if slot is None:
             return None
         self._candidate = state
-        place = self._judge(bytes_of(state.header), slot, self._limits, self._kept, self._then)
+        place = self._judge(bytes_of(state.header), slot, self._address)
         if place < 0:
             return None
         spec = state.spec

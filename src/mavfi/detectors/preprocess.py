@@ -28,7 +28,7 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
-_UNPICKLED = ("_judge", "_stored", "_note")
+_UNPICKLED = ("_judge", "_stored", "_address")
 
 
 class Preprocessor:
@@ -153,8 +153,9 @@ class DeltaScorer(Scorer):
         judge: Compiled: bytes and slot of a publication, `features.Watch`, `features.Scratch`, limits of the threshold,
             then the tables; returns the score.
         settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
-        judge_at: Compiled: `judge` with the address of its tables, see `numerics.stored`.
+        judge_at: Compiled: `judge` with the address of its tables and of `remembered`, see `numerics.stored`.
         kind: `kind_of` these.
+        remembered: Results that need not be computed again.
         features: The preprocessor.
         scratch: The publication judged last.
     """
@@ -163,6 +164,7 @@ class DeltaScorer(Scorer):
     settle: ClassVar[Callable[..., None]]
     judge_at: ClassVar[Callable[..., float]]
     kind: ClassVar[Any]
+    remembered: tuple[Any, ...] = ()
 
     def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
         self.features, self.kept = preprocessor, preprocessor.kept
@@ -170,7 +172,8 @@ class DeltaScorer(Scorer):
         self._tables: tuple[Any, ...] = tables
         self._slots, self._last = preprocessor.slots, preprocessor.watch.last
         self._predicts = preprocessor.predicts
-        self._vehicles = VehicleQueue(self._store)
+        self._odometry = preprocessor.states.difference(preprocessor.slots)
+        self._vehicles = VehicleQueue(preprocessor.watch.vehicle)
 
     def use(self, threshold: Threshold) -> None:
         """Set the threshold; called before the first flight."""
@@ -192,13 +195,14 @@ class DeltaScorer(Scorer):
     def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
         """Replace `judge` by the function of that name in `made`; restore it if there is none."""
         judge = made.get("judge", self.judge)
-        self._stored = Stored(self.kind, *self._tables)
+        self._stored = Stored(self.kind, *self._tables, *self.remembered)
+        self._address = self._stored.address
         if is_compiled(judge):
             self._judge: Callable[..., float] = entry(self.judge_at, self.scratch.content, 0, 0)
         else:
             self._judge = lambda content, slot, _: judge(content, slot, *self._tables)
         vehicle = self.features.watch.vehicle
-        self._note = entry(features.note_vehicle, vehicle.view(np.uint8), vehicle)
+        self._vehicles.store = entry(features.note_vehicle, vehicle.view(np.uint8), vehicle)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without machine code, which is valid in one process only."""
@@ -227,7 +231,7 @@ class DeltaScorer(Scorer):
         if self._predicts[slot]:
             self._vehicles.settle()
         self.candidate = state
-        return self._judge(bytes_of(state.header), slot, self._stored.address)
+        return self._judge(bytes_of(state.header), slot, self._address)
 
     def judged(self) -> tuple[Reading, Verdict]:
         """Reading and verdict of the publication scored last."""
@@ -239,16 +243,12 @@ class DeltaScorer(Scorer):
     def accept(self, state: State) -> None:
         """Record a published value."""
         if state is not self.candidate:
-            name = state.spec.name
-            if name not in self._slots:
-                if name in (self.states or ()):
-                    self._vehicles.add(state.header)
+            if state.spec.name in self._odometry:
+                self._vehicles.add(state.header)
                 return
-            self.score(state)
+            if self.score(state) is None:
+                return
         self._place[features.ACCEPTED] = 1
-
-    def _store(self, odometry: np.ndarray) -> bool:
-        return bool(self._note(bytes_of(odometry), self.features.watch.vehicle))
 
     def memory(self) -> tuple[bytes, ...]:
         """Memory between publications."""

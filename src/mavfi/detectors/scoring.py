@@ -259,7 +259,9 @@ class ScoringDetector(Detector):
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication."""
-        score = self.score(state, time_us)
+        if self._scored is not state:  # as `score`, without another call
+            self._scored, self._score = state, self.scorer.score(state)
+        score = self._score
         return None if score is None or score <= 1.0 else self._alarm(state, score)
 
     def _alarm(self, state: State, score: float) -> Alarm:
