@@ -21,7 +21,7 @@ from mavfi.api import load, table
 from mavfi.campaign.analysis.flight_views import TOTAL
 from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.analysis.table import RATE, Column, Table
-from mavfi.campaign.bench import FOLDER, REGIMES, ROWS, SCORES, Bench, Part, level_of, load_bench, published_rows
+from mavfi.campaign.bench import FOLDER, ROWS, SCORES, Bench, Part, level_of, load_bench, published_rows
 from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
 from mavfi.reports.text import rate, shown
@@ -138,7 +138,7 @@ def publish(bench: Bench, folder: Path, scale: str) -> None:
 
 def publish_scores(bench: Bench, folder: Path) -> None:
     """Write the tables that combine parts, if they were computed; schemes that were not scored keep their rows."""
-    for name in (SCORES, REGIMES):
+    for name in (SCORES,):
         path = results.TABLES / PAGE / f"{name}.csv"
         if (folder / path.name).is_file():
             earlier = _read_rows(path) if path.is_file() else []
@@ -323,8 +323,7 @@ def about(bench: Bench) -> list[str]:
     lines += [
         f"[detection against false alarms](tables/{PAGE}/{SCORES}.csv) at any threshold, as curves: "
         "[this project's detectors](../images/curves-paper.png), "
-        "[other libraries' and bounds](../images/curves-paper-others.png); "
-        f"[false alarms by regime](tables/{PAGE}/{REGIMES}.csv)",
+        "[other libraries' and bounds](../images/curves-paper-others.png)",
         "cost of detection: [models](../models.md#recommended); alarms that come late: [ROS](../ros.md#coupling); "
         "faults that last: [their page](lasting.md)",
     ]
@@ -336,7 +335,7 @@ def write_page(bench: Bench) -> Path:
     rows = {name: published_rows(bench, name, PUBLISHED) for name in bench.parts}
     excerpts = [results.Excerpt("summary", lambda row: row["scheme"] in SHOWN)]
     title = f"Leaderboard of {NAME}"
-    return results.write(PAGE, title, TEXT, summary(bench, rows), excerpts, about(bench), keep=(SCORES, REGIMES))
+    return results.write(PAGE, title, TEXT, summary(bench, rows), excerpts, about(bench), keep=(SCORES,))
 
 
 def fly(scale: str, bench: str = NAME) -> Path:

@@ -98,8 +98,9 @@ OPTIONS: Mapping[str, str] = {
 }
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
-COMMANDS: Mapping[str, str] = {}
-"""Commands ("ros mirror"), with what to do instead."""
+_A_FOLDER = "copy the campaign's folder: its ledger is one file, which mavfi campaign verify checks"
+COMMANDS: Mapping[str, str] = {"campaign pack": _A_FOLDER, "campaign unpack": _A_FOLDER}
+"""Commands, with what to do instead."""
 
 
 def dropped_key(name: str) -> str:

@@ -25,7 +25,7 @@ def test_files_and_folders_are_told_apart(tmp_path):
     [
         "fly --environment {}", "fly --autopilot {}", "fly --vehicle {}", "fly --planner {}", "fly --protection {}",
         "fly --detector {}.npz", "fly --save {}", "campaign run {}", "campaign run smoke --out {}",
-        "campaign status {}", "campaign repair {}", "campaign pack {}", "campaign merge {} {} --out {}", "report {}",
+        "campaign status {}", "campaign repair {}", "campaign merge {} {} --out {}", "report {}",
         "runs {}", "explain {} 3", "shrink {} 3", "harden {} --budget 0.1", "export {} --to a.csv",
         "export {} 3 --to a.csv", "train --out {}", "reproduce --out {}", "airsim run {}", "failures {}",
     ],

@@ -25,8 +25,8 @@ from mavfi.files import is_file
 from mavfi.hosts.watching import detector_for
 
 FOLDER = "bench"
-SCORES, REGIMES = "scores", "regimes"
-"""Names of the tables of detection at any threshold, and of false alarms by regime."""
+SCORES = "scores"
+"""Name of the table of detection at any threshold."""
 SCORED = ("state",)
 """Fault levels that corrupt publications."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
@@ -56,8 +56,8 @@ class Bench(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Bench":
-        for taken in {SCORES, REGIMES}.intersection(self.parts):
-            raise ValueError(f"parts: {taken!r}: is the name of a table; allowed: any other name")
+        if SCORES in self.parts:
+            raise ValueError(f"parts: {SCORES!r}: is the name of a table; allowed: any other name")
         for name in self.arms:  # names of the folder of a bench with these schemes alone
             if "/" in name or not name.isprintable():
                 raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")

@@ -19,7 +19,6 @@ from mavfi.campaign.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.plan import FI, Arm, arms_of
-from mavfi.campaign.regimes import Exposure, RegimeClock
 from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
@@ -49,7 +48,6 @@ class Scores:
         hours: Exposure (h).
         corrupted: Score of the publication corrupted by each fault; 0 if it is not scored. Shape (n,).
         harmful: Whether the fault loses the mission. Shape (n,).
-        flights: Scored publications and false alarms by regime, one for each golden flight.
     """
 
     golden: np.ndarray
@@ -57,7 +55,6 @@ class Scores:
     hours: float
     corrupted: np.ndarray
     harmful: np.ndarray
-    flights: tuple[Exposure, ...] = ()
 
     def threshold_at(self, per_hour: float) -> float | None:
         """Lowest threshold with at most this rate of false alarms; None if the exposure is too short for the rate."""
@@ -135,16 +132,16 @@ class _Kept:
     """Scores of one detector in one flight."""
 
     golden: list[float] = field(default_factory=list)
-    exposure: Exposure = field(default_factory=Exposure)
+    judged: int = 0
+    hours: float = 0.0
     corrupted: dict[int, float] = field(default_factory=dict)
 
 
 class _Scorer:
     """Recorder in which detectors score each publication, and its corrupted copies at fault sites."""
 
-    def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault], autopilot: str) -> None:
+    def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors  # those that have `score`
-        self._regime_of = RegimeClock(autopilot)
         self._injectors = {place: StateInjector(fault) for place, fault in enumerate(faults)}
         self.kept = {name: _Kept() for name in detectors}
         for detector in detectors.values():
@@ -153,19 +150,18 @@ class _Scorer:
     def __call__(self, state: State, time_us: int) -> None:
         corrupted = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
         changed = [(place, other) for place, other in corrupted if other is not state]
-        regime = self._regime_of(state)
         for name in self._detectors:
-            self._judge(name, state, time_us, changed, regime)
+            self._judge(name, state, time_us, changed)
         for place, _ in changed:
             del self._injectors[place]
 
-    def _judge(self, name: str, state: State, time_us: int, changed: Changed, regime: int) -> None:
+    def _judge(self, name: str, state: State, time_us: int, changed: Changed) -> None:
         kept, detector = self.kept[name], self._detectors[name]
         for place, other in changed:
             kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
         found = detector.score(state, time_us)
         if found is not None:
-            kept.exposure.add(regime, found)
+            kept.judged += 1
             if found > 0.0:
                 kept.golden.append(found)
         detector.accept(state, time_us)
@@ -203,11 +199,11 @@ def _score(task: _Task) -> dict[str, _Kept]:
         for arm in task.arms
     }
     judging = {name: detector for name, detector in loaded.items() if not detector.seals}
-    scorer = _Scorer(judging, task.faults, scenario.autopilot.name)
+    scorer = _Scorer(judging, task.faults)
     log = fly(scenario, recorders=[scorer]).log
     hours = quality_of_flight(log).flight_time_s / 3600
     for kept in scorer.kept.values():
-        kept.exposure.environment, kept.exposure.hours = task.mission.environment, hours
+        kept.hours = hours
     return scorer.kept
 
 
@@ -270,9 +266,9 @@ def _joined(flown: Sequence[tuple[_Task, _Kept]]) -> Scores:
     golden = np.sort(np.array([score for _, kept in flown for score in kept.golden]))[::-1]
     corrupted = [kept.corrupted.get(place, 0.0) for task, kept in flown for place in range(len(task.faults))]
     harmful = [lost for task, _ in flown for lost in task.harmful]
-    flights = tuple(kept.exposure for _, kept in flown)
-    hours, judged = sum(flight.hours for flight in flights), sum(sum(flight.judged) for flight in flights)
-    return Scores(golden, judged, hours, np.array(corrupted), np.array(harmful, bool), flights)
+    hours = sum(kept.hours for _, kept in flown)
+    judged = sum(kept.judged for _, kept in flown)
+    return Scores(golden, judged, hours, np.array(corrupted), np.array(harmful, bool))
 
 
 def table(found: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[str, str] | None = None) -> Table:

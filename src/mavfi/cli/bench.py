@@ -133,18 +133,14 @@ def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | N
 
 
 def _score_tables(flown: "Mapping[str, Entry]", scored: "Mapping[str, Scores]") -> "dict[str, Table]":
-    """Tables from the scores: detection at fixed rates of false alarms, and false alarms by regime."""
-    from mavfi.campaign import regimes
-    from mavfi.campaign.bench import REGIMES, SCORES
+    """The table from the scores: detection at fixed rates of false alarms."""
+    from mavfi.campaign.bench import SCORES
     from mavfi.campaign.scores import table, unscored
 
     if not scored:
         return {}
     judged = {name: entry.campaign for name, entry in flown.items() if entry.part.scores}
-    return {
-        SCORES: table(scored, list(judged), unscored(judged.values(), scored)),
-        REGIMES: regimes.table({name: found.flights for name, found in scored.items()}),
-    }
+    return {SCORES: table(scored, list(judged), unscored(judged.values(), scored))}
 
 
 def _scores(

@@ -22,7 +22,6 @@ from mavfi.cli import (
     harden,
     inject,
     mavlink,
-    pack,
     redundancy,
     replay,
     report,
@@ -61,8 +60,6 @@ for verb in (
     reproduce.reproduce, harden.harden, watch_logs.watch,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
-for verb in (pack.pack, pack.unpack):
-    campaign.app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(bench.app, name="bench")
 app.add_typer(mavlink.app, name="mavlink")

@@ -147,7 +147,6 @@ def test_a_detector_that_watches_nothing_is_no_scheme():
 @pytest.mark.parametrize(
     ("name", "more", "message"),
     [("../p", {}, "key 'parts.../p': '../p': allowed: a plain folder name"), ("scores", {}, "is the name of a table"),
-     ("regimes", {}, "is the name of a table"),
      ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state")],
 )  # fmt: skip
 def test_names_are_folders_and_scores_need_publications(name, more, message):

@@ -1,7 +1,6 @@
 import errno
 import json
 import os
-import re
 import shutil
 import signal
 import sqlite3
@@ -14,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from mavfi.campaign import run as run_module
-from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from tests.unit.campaign.fakes import HOST, HURRY, TROUBLE
@@ -95,15 +93,6 @@ def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
     assert run([*verb, str(tmp_path / "copy"), *(["sparse"] if verb == ["explain"] else [])]) == 2
     stderr = capsys.readouterr().err
     assert stderr.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in stderr
-
-
-@pytest.mark.slow
-def test_runs_of_a_campaign_that_was_sent_are_verified(capsys, really_flown, tmp_path):
-    assert run(["campaign", "pack", str(really_flown), "--out", str(tmp_path / "a.zip")]) == 0
-    assert run(["campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there")]) == 0
-    capsys.readouterr()
-    found = _json(capsys, "campaign", "verify", str(tmp_path / "there"), "--share", "1")
-    assert found["flown"] == found["runs"] and found["differing"] == []
 
 
 def test_digest_is_the_same_when_run_again(capsys, config, flown):
@@ -328,42 +317,3 @@ def _flown(directory):
         return status(directory).done
     except (BadInputError, TypeError):  # the ledger is being made
         return 0
-
-
-def test_a_campaign_is_sent_as_one_file(capsys, config, flown, tmp_path):
-    sent = _json(capsys, "campaign", "pack", str(flown), "--out", str(tmp_path / "a.zip"))
-    arrived = _json(capsys, "campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there"))
-    assert arrived == {**sent, "file": str(tmp_path / "there")}
-    assert sent["digest"] == _json(capsys, "campaign", "digest", str(flown))["digest"]
-    assert run(["campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there")]) == 2
-    stderr = capsys.readouterr().err
-    assert stderr == f"mavfi: {tmp_path / 'there'}: exists already; allowed: a folder that is empty or absent\n"
-    assert run(["campaign", "pack", str(flown), "--out", str(tmp_path / "a.tar")]) == 2
-    assert f"--out: {tmp_path / 'a.tar'}: allowed ending: .zip" in capsys.readouterr().err
-
-
-def test_unpacking_a_part_prints_how_to_continue(capsys, config, tmp_path, monkeypatch):
-    really, plans = Store.plan, []
-
-    def stop(store, specs):
-        plans.append(specs)
-        if len(plans) == 2:
-            raise KeyboardInterrupt
-        return really(store, specs)
-
-    monkeypatch.setattr(Store, "plan", stop)
-    assert run(["campaign", "run", str(config), "--out", str(tmp_path / "here"), "--workers", "1"]) == 130
-    monkeypatch.undo()
-    assert run(["campaign", "pack", str(tmp_path / "here")]) == 0
-    capsys.readouterr()
-    assert run(["campaign", "unpack", str(tmp_path / "here.zip"), "--out", str(tmp_path / "there")]) == 0
-    printed = capsys.readouterr().out.splitlines()
-    start = re.escape(f"{tmp_path / 'there'}: campaign tiny, ")
-    done = "[01] of 5 runs"  # a golden run that arrives together with the second plan is written after it
-    assert re.match(f"{start}{done}, 0 trained models, digest ", printed[0])
-    command = printed[1].removeprefix("Resume: mavfi ").split()
-    assert run(command) == 0
-    monkeypatch.setattr("mavfi.campaign.fingerprint.version", lambda _: "0.0")
-    shutil.rmtree(tmp_path / "there")
-    assert run(["campaign", "unpack", str(tmp_path / "here.zip"), "--out", str(tmp_path / "there")]) == 0
-    assert "with other versions it cannot be resumed" in capsys.readouterr().err

@@ -179,10 +179,10 @@ def test_the_published_page_has_the_sums_of_the_published_rows():
 def test_scores_of_schemes_that_were_not_scored_again_stay(monkeypatch, tmp_path):
     monkeypatch.setattr(results, "TABLES", tmp_path / "tables")
     (tmp_path / "tables" / "leaderboard").mkdir(parents=True)
-    (tmp_path / "tables" / "leaderboard" / "regimes.csv").write_text("arm,alarms\ngaussian,1\nlimits,1\n")
-    (tmp_path / "regimes.csv").write_text("arm,alarms\ngaussian,2\ngaussian,3\n")
+    (tmp_path / "tables" / "leaderboard" / "scores.csv").write_text("arm,alarms\ngaussian,1\nlimits,1\n")
+    (tmp_path / "scores.csv").write_text("arm,alarms\ngaussian,2\ngaussian,3\n")
     build_leaderboard.publish_scores(BENCH, tmp_path)
-    written = (tmp_path / "tables" / "leaderboard" / "regimes.csv").read_text()
+    written = (tmp_path / "tables" / "leaderboard" / "scores.csv").read_text()
     assert written == "arm,alarms\ngaussian,2\ngaussian,3\nlimits,1\n"
 
 
