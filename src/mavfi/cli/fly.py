@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavfi.cli import firmware, observing, options
+from mavfi.cli import firmware, observing, options, ros_nodes
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
@@ -38,8 +38,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     profile: options.Profile = None,
     models: options.Models = None,
     register_fault: firmware.FaultOption = None,
-    registers: firmware.RegistersOption = None,
-    register_seed: firmware.SeedOption = None,
+    registers: ros_nodes.RegistersOption = None,
+    register_seed: ros_nodes.SeedOption = None,
     as_json: options.AsJson = False,
     save: options.Save = None,
     picture: options.Picture = None,
