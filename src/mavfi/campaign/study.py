@@ -5,9 +5,9 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
+from mavfi.campaign.config import Campaign, Scale, load_campaign
 from mavfi.campaign.sampling import check_distinct, check_known
-from mavfi.config import Config, Name, load
+from mavfi.config import Config, Name, shipped
 from mavfi.errors import BadInputError
 
 
@@ -76,4 +76,4 @@ def load_study(name: str | Path) -> Study:
     Raises:
         BadInputError: The file does not exist or is invalid.
     """
-    return load(Study, config_path("studies", name))
+    return shipped("studies", Study, str(name))

@@ -153,9 +153,10 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
 
 
 def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
-    from mavfi.cli.flight_pages import fly_command, write_page_of_result
+    from mavfi.cli.flight_pages import fly_command, page_of_result
+    from mavfi.reports.html.flight_page import write_flight_page
 
-    write_page_of_result(html, result, setup, bare, fly_command(*options))
+    write_flight_page(html, page_of_result(result, setup, bare, fly_command(*options)))
 
 
 def _draw(picture: Path, result: FlightResult) -> None:
