@@ -373,7 +373,8 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
         allowed, what = ", ".join(names(kind)), "is a folder" if is_dir(Path(name)) else "not known"
         files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
         text = f"{what}{hint(name, names(kind))}; allowed: {allowed}, or a path to a {files} file"
-        raise BadInputError(f"{kind.rstrip('s')} {name!r}: {text}")
+        singular = "study" if kind == "studies" else kind.rstrip("s")
+        raise BadInputError(f"{singular} {name!r}: {text}")
     return load(model, path)
 
 

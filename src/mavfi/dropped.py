@@ -93,6 +93,8 @@ OPTIONS: Mapping[str, str] = {
         ("airsim serve --detector", "airsim serve --profile", "airsim serve --train"),
         "use mavfi airsim run --detector, or --save and mavfi watch FILE.jsonl --train CALLS.jsonl",
     ),
+    "campaign run --dry-run": "no replacement: names are checked before the first flight, campaign status counts runs",
+    "vulnerability --lines": "use mavfi vulnerability DIR --json, which has every line",
     "fly --live-port": "no replacement: --live serves at port 8765",
     "--machine": "use make bench NAME=machine_level, which flips bits of registers in plain and in protected code",
 }

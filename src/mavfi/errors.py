@@ -82,3 +82,9 @@ def writing(path: Path | str) -> Iterator[None]:
         yield
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def write_text(path: Path, content: str) -> None:
+    """Write a text file; raises a `BadInputError` that names it if it cannot be written."""
+    with writing(path):
+        path.write_text(content, encoding="utf-8")

@@ -37,6 +37,9 @@ from mavfi.campaign.integrity import (
     mission_checksum,
     salt_of,
 )
+from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
+from mavfi.campaign.names import check_names
+from mavfi.campaign.plan import arms_of
 from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.run import run_campaign, status
@@ -44,7 +47,6 @@ from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.study import load_study
 from mavfi.campaign.training import KeptRecordings
-from mavfi.cli.campaign import _what
 from mavfi.cli.export import _write
 from mavfi.cli.ros_attach import trained_on_file
 from mavfi.config import AutopilotConfig, PlatformConfig, load
@@ -136,10 +138,13 @@ def read_vehicle(path):
 
 
 def read_campaign(path):
-    """As `mavfi campaign run --dry-run` does, at each of its scales."""
+    """As `mavfi campaign run` begins, at each of its scales."""
     campaign = load_campaign(path)
     for scale in ("quick", *campaign.scales):
-        assert _what(campaign.at_scale(scale), path.parent / "ledger", 2, None, WHOLE)
+        sized = campaign.at_scale(scale)
+        check_names(sized, str(path))
+        scenarios = scenarios_of(sized, arms_of(sized))
+        assert plan_of(sized, model_hashes(sized, scenarios, None), scenarios).count(WHOLE)
 
 
 def read_study(path):
@@ -659,7 +664,7 @@ READERS = {
         of_option("planner", "planner", 70, find_planner),
         of_option("autopilot", "autopilot", 100, partial(find_shipped, "autopilots", AutopilotConfig)),
         of_option("platform", "platform", 80, partial(find_shipped, "platforms", PlatformConfig)),
-        of_yaml("campaign", read_campaign, 45, ("campaign", "run", "{}", "--dry-run")),
+        of_yaml("campaign", read_campaign, 45),
         of_yaml("study", read_study, 30, ("reproduce", "--study", "{}")),
         of_yaml("detector", lambda path: load(DetectorConfig, path), 90),
         Reader("fault", "x.txt", lambda: FAULTS, str.encode, mutate_fault, read_fault, 150, ("fly", "--fault={text}")),

@@ -166,7 +166,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     part = bench.parts[name]
     own = load_campaign(part.campaign)
     if scale in part.scales:
-        own = own.model_copy(update=part.scales[scale].model_dump(exclude_none=True))
+        own = own.resized(part.scales[scale])
     else:
         own = own.at_scale(scale)
     changed = {

@@ -19,11 +19,9 @@ from mavfi.campaign.sampling import (
     check_strata,
     label_of,
 )
-from mavfi.config import STORED, Config, Name, config_root, load, parse
-from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, hint
+from mavfi.config import STORED, Config, Name, parse, shipped
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
-from mavfi.files import is_dir
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
@@ -345,18 +343,4 @@ def load_campaign(name: str | Path) -> Campaign:
     Raises:
         BadInputError: The file does not exist or is invalid.
     """
-    return load(Campaign, config_path("campaigns", name))
-
-
-def config_path(folder: str, name: str | Path) -> Path:
-    """Path of a shipped campaign or study (folder "campaigns" or "studies"); a YAML path is returned unchanged."""
-    if Path(name).suffix in (".yaml", ".yml"):
-        return Path(name)
-    shipped = {file.stem: file for file in sorted((config_root() / folder).glob("*.yaml"))}
-    if str(name) not in shipped:
-        if dropped_name(folder, str(name)):
-            raise BadInputError(dropped_name(folder, str(name)))
-        kind, what = {"campaigns": "campaign", "studies": "study"}[folder], "is a folder" if is_dir(Path(name)) else ""
-        what = what or f"not known{hint(str(name), shipped)}"
-        raise BadInputError(f"{kind} {str(name)!r}: {what}; allowed: {', '.join(shipped)}, or a path to a .yaml file")
-    return shipped[str(name)]
+    return shipped("campaigns", Campaign, str(name))

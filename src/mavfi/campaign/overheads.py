@@ -20,7 +20,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import arms_of
 from mavfi.detectors.detector import Detector
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, write_text
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.decide import SCANNING, Action
@@ -272,8 +272,7 @@ def _shares(costs: Iterable[Cost], stage: str) -> dict[str, Any]:
 def save(measured: Mapping[str, Any], directory: Path) -> Path:
     """Write measured overheads to the folder of a campaign, from which its views read them."""
     path = directory / FILE
-    with writing(path):
-        path.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(measured, indent=1) + "\n")
     return path
 
 

@@ -75,8 +75,7 @@ class Scores:
         """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
         from sklearn.metrics import roc_auc_score
 
-        samples = self._samples()
-        return None if samples is None else float(roc_auc_score(*samples[:2], sample_weight=samples[2]))
+        return self._rated(roc_auc_score)
 
     def precision(self) -> float | None:
         """Average precision: area under the curve of precision over recall, harmful corrupted publications to find.
@@ -85,18 +84,18 @@ class Scores:
         """
         from sklearn.metrics import average_precision_score
 
-        samples = self._samples()
-        return None if samples is None else float(average_precision_score(*samples[:2], sample_weight=samples[2]))
+        return self._rated(average_precision_score)
 
-    def _samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Labels (1 = harmful), scores and weights; the last sample stands for all golden scores of 0."""
+    def _rated(self, rating: Callable[..., float]) -> float | None:
+        """Rating of the scores as a classifier of harmful publications; None without both kinds."""
         own = self.corrupted[self.harmful]
         if not len(own) or not self.judged:
             return None
         scores = np.concatenate([own, self.golden, [0.0]])
         weights = np.ones(len(scores))
-        weights[-1] = self.judged - len(self.golden)
-        return np.arange(len(scores)) < len(own), np.minimum(scores, np.finfo(float).max), weights
+        weights[-1] = self.judged - len(self.golden)  # the last sample stands for all golden scores of 0
+        labels = np.arange(len(scores)) < len(own)
+        return float(rating(labels, np.minimum(scores, np.finfo(float).max), sample_weight=weights))
 
     def curve(self) -> list[tuple[float, float, float]]:
         """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""

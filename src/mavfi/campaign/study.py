@@ -1,14 +1,13 @@
 """Model of a study (YAML files in configs/studies): campaigns, their sizes, and the sections of the report."""
 
-from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
-from mavfi.campaign.sampling import check_distinct
-from mavfi.config import Config, Name, load
+from mavfi.campaign.config import Campaign, Scale, load_campaign
+from mavfi.campaign.sampling import check_distinct, check_known
+from mavfi.config import Config, Name, shipped
 from mavfi.errors import BadInputError
 
 
@@ -48,9 +47,9 @@ class Study(Config):
     @model_validator(mode="after")
     def _consistent(self) -> "Study":
         named = [section.campaign for section in self.sections if section.campaign]
-        _check_known("sections: campaign", named, self.campaigns)
+        check_known("sections: campaign", named, self.campaigns)
         for scale, sizes in self.scales.items():
-            _check_known(f"scales: {scale}", sizes, self.campaigns)
+            check_known(f"scales: {scale}", sizes, self.campaigns)
         return self
 
     def campaigns_at(self, scale: str) -> dict[str, Campaign]:
@@ -77,10 +76,4 @@ def load_study(name: str | Path) -> Study:
     Raises:
         BadInputError: The file does not exist or is invalid.
     """
-    return load(Study, config_path("studies", name))
-
-
-def _check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
-    for name in names:
-        if name not in allowed:
-            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
+    return shipped("studies", Study, str(name))

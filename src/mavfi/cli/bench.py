@@ -12,7 +12,7 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, write_text
 from mavfi.files import check_folder, is_file
 
 if TYPE_CHECKING:
@@ -165,8 +165,7 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
 
     runs = Runs.read(ledger)
     faults = faults_of(ledger)
-    with writing(ledger / "faults.csv"):
-        (ledger / "faults.csv").write_text(faults, encoding="utf-8")
+    write_text(ledger / "faults.csv", faults)
     frozen = frozen_faults(bench, name, scale)
     same = {None: "no list of them is published", faults: f"as published in {bench.name}"}
     drawn = f"{faults.count(chr(10)) - 1} faults, sha256 {checksum(faults)[:16]}…: "
@@ -186,8 +185,7 @@ def _write(own: "Mapping[str, Table]", scored: "Mapping[str, Scores]", page: str
     if scored:
         draw_curves(scored, out / "curves.png")
     for name, content in texts.items():
-        with writing(out / name):
-            (out / name).write_text(content, encoding="utf-8")
+        write_text(out / name, content)
 
 
 def _show(tables: "Mapping[str, Table]", out: Path) -> None:

@@ -2,19 +2,14 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import console, counted, write_json
+from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import MavfiError
-from mavfi.files import is_file
-
-if TYPE_CHECKING:
-    from mavfi.campaign.config import Campaign
-    from mavfi.campaign.shard import Shard
 
 app = typer.Typer(
     help="Fly a campaign, see how far it is, prove what came out.\n\n"
@@ -39,7 +34,7 @@ def run(  # noqa: PLR0913 - options
     scheduler: options.Scheduler = "",
     shard: options.Shard = "1/1",
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
-    models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
+    models: options.Models = None,
     fast_forward: Annotated[
         bool,
         typer.Option(
@@ -47,7 +42,6 @@ def run(  # noqa: PLR0913 - options
             help="Begin injected runs at checkpoints of their golden run; the result does not depend on it.",
         ),
     ] = True,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and stop.")] = False,
     allow_unknown: Annotated[
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
@@ -66,10 +60,6 @@ def run(  # noqa: PLR0913 - options
     check_names(campaign, config)
     ledger = out or Path("out") / campaign.name
     flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")
-    if dry_run:
-        for line in _what(campaign, ledger, models, part):
-            typer.echo(line)
-        return
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
         status = run_campaign(
@@ -96,34 +86,6 @@ def _most_frequent_reason(ledger: Path) -> str:
     with Store.open(ledger) as store:
         ((reason, number),) = store.unknown().most_common(1)
     return f" ({number} of them: {reason})"
-
-
-def _what(campaign: "Campaign", ledger: Path, models: Path | None, shard: "Shard") -> list[str]:
-    """Description of a campaign for --dry-run, as lines; names are checked, no file is written."""
-    from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
-    from mavfi.campaign.plan import arms_of
-    from mavfi.campaign.samplers.sampler import draws_of
-    from mavfi.campaign.store import FILE, Store
-
-    arms = arms_of(campaign)
-    scenarios = scenarios_of(campaign, arms)
-    plan = plan_of(campaign, model_hashes(campaign, scenarios, models), scenarios)
-    blocks = plan.sampler.blocks(campaign.environments[0])
-    draws = draws_of(blocks, range(campaign.missions), campaign.missions)
-    targets = list(dict.fromkeys(draw.target for _, draw in draws))
-    golden, total, done = plan.golden_count(shard), plan.count(shard), 0
-    if is_file(ledger / FILE):
-        with Store.open(ledger) as store:
-            done = sum(flown for _, flown, _ in store.counts().values())
-    return [
-        f"{counted(total, 'run')} at most, {done} of them done in {ledger}",
-        f"host {campaign.host} · {counted(campaign.missions, 'mission')} in each of: {', '.join(campaign.environments)}"
-        f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
-        f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
-        f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
-        f"{counted(shard.missions(campaign), 'mission')} · {counted(golden, 'golden run')}, "
-        f"{total - golden} with a fault or null",
-    ]
 
 
 @app.command("status")

@@ -11,6 +11,7 @@ import typer
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mavfi.errors import BadInputError, writing
 from mavfi.files import exists
@@ -54,6 +55,13 @@ def complain(text: str, code: int) -> int:
     """Write one line to stderr, and return the exit code."""
     typer.echo(f"mavfi: {one_line(text)}", err=True)
     return code
+
+
+def say_written(*paths: Path | None) -> None:
+    """Print the files that were written; None = none was asked for."""
+    for path in paths:
+        if path is not None:
+            console().print(Text.assemble(("wrote ", "dim"), str(path)))
 
 
 def write_json(data: Any) -> None:

@@ -23,14 +23,6 @@ FaultOption = Annotated[
         help="Flip a bit in a register of the flight controller's firmware, e.g. firmware@10.",
     ),
 ]
-RegistersOption = Annotated[
-    str | None, typer.Option(help="Of the register fault: general (with the flags), fp (XMM, YMM), or all (default).")
-]
-SeedOption = Annotated[
-    int | None,
-    typer.Option("--register-seed", help="Draws instruction, register and bit of the register fault; default 0."),
-]
-
 app = typer.Typer(no_args_is_help=True)
 
 

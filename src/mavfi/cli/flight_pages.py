@@ -13,14 +13,9 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports.explain import Lines, detector_name, end_of, lines, steps, verdict
 from mavfi.reports.flight_result import FlightResult
 from mavfi.reports.html.flight_data import GOLDEN, INJECTED, RECOVERED, Course
-from mavfi.reports.html.flight_page import FlightPage, write_flight_page
+from mavfi.reports.html.flight_page import FlightPage
 
 FAULT, NO_FAULT = "with the fault", "golden run"
-
-
-def write_page_of_result(path: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, command: str) -> None:
-    """Write the page of a flight requested by `mavfi fly`; other arguments: see `page_of_result`."""
-    write_flight_page(path, page_of_result(result, setup, bare, command))
 
 
 def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, command: str) -> FlightPage:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavfi.cli import firmware, observing, options
+from mavfi.cli import firmware, observing, options, ros_nodes
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
@@ -38,8 +38,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     profile: options.Profile = None,
     models: options.Models = None,
     register_fault: firmware.FaultOption = None,
-    registers: firmware.RegistersOption = None,
-    register_seed: firmware.SeedOption = None,
+    registers: ros_nodes.RegistersOption = None,
+    register_seed: ros_nodes.SeedOption = None,
     as_json: options.AsJson = False,
     save: options.Save = None,
     picture: options.Picture = None,
@@ -153,9 +153,10 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
 
 
 def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
-    from mavfi.cli.flight_pages import fly_command, write_page_of_result
+    from mavfi.cli.flight_pages import fly_command, page_of_result
+    from mavfi.reports.html.flight_page import write_flight_page
 
-    write_page_of_result(html, result, setup, bare, fly_command(*options))
+    write_flight_page(html, page_of_result(result, setup, bare, fly_command(*options)))
 
 
 def _draw(picture: Path, result: FlightResult) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, check_file, check_number, check_writable, console, write_json
+from mavfi.cli.console import PAGES, check_file, check_number, check_writable, console, say_written, write_json
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
 
@@ -57,7 +57,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     check_number("--budget", budget, 0.0, 10.0)
     check_number("--faults", faults, 1, 100_000)
-    names = [name.strip() for name in kernels.split(",") if name.strip()]
+    names = options.listed(kernels)
     if certify:
         _check_certify(plan, {"--budget": budget, "--addresses": addresses or None})
         check_file("--html", html, PAGES)
@@ -116,9 +116,7 @@ def _advise(
         out.print(Text(line))
     out.print()
     show_table(advice_table(found), out)
-    for path in (plan, html):
-        if path is not None:
-            out.print(Text.assemble(("wrote ", "dim"), str(path)))
+    say_written(plan, html)
 
 
 def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
@@ -152,7 +150,6 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_j
         out.print(Text(verdict_line(found), style="bold"))
         out.print()
         show_table(certificate_table(found), out)
-        for file in written:
-            out.print(Text.assemble(("wrote ", "dim"), str(file)))
+        say_written(*written)
     if found.refuted:
         raise typer.Exit(EXIT_REFUTED)

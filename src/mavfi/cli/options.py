@@ -113,6 +113,11 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
         raise BadInputError(f"{option_name(name)}: {given_text}: allowed: {_allowed(name)}") from None
 
 
+def listed(text: str) -> list[str]:
+    """Parts of a comma-separated list."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
 def option_name(field: str) -> str:
     """Option name of a field, e.g. `--map-resolution` for `map_resolution`."""
     return "--" + field.replace("_", "-")

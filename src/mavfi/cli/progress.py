@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
@@ -157,40 +156,15 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
         yield cold
     else:
         about = "two minutes" if instrumented else "40 s"
-        with _telling(f"compiling kernels for this machine, once (about {about})", folder, out):
+        text = f"compiling kernels for this machine, once (about {about}) ..."
+        if not out.is_terminal:
+            out.print(text)
+        with out.status(text):  # draws nothing elsewhere than in a terminal
             yield cold
     if flight:
         with suppress(OSError):  # a cache that cannot be written stays as it is
             folder.mkdir(parents=True, exist_ok=True)
             (folder / f"flight-{packages_digest()}.warm").touch()
-
-
-@contextmanager
-def _telling(text: str, folder: Path, out: Console) -> Iterator[None]:
-    """Show a text, in a terminal with the growing number of functions that were compiled into a folder."""
-
-    def count() -> int:
-        return sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
-
-    if not out.is_terminal:
-        out.print(f"{text} ...")
-        yield
-        return
-    stop = threading.Event()
-    before = count()
-    with out.status(f"{text} ...") as shown:
-
-        def follow() -> None:
-            while not stop.wait(0.5):
-                shown.update(f"{text}: {count() - before} functions")
-
-        watcher = threading.Thread(target=follow, daemon=True)
-        watcher.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            watcher.join()
 
 
 def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from mavfi.cli.console import PICTURES, check_file, console
+from mavfi.cli.console import PICTURES, check_file, console, say_written
 
 
 def redundancy(
@@ -45,5 +45,4 @@ def redundancy(
     out.print()
     for table in tables:
         show_table(table, out)
-    if picture is not None:
-        out.print(Text.assemble(("wrote ", "dim"), str(picture)))
+    say_written(picture)

@@ -169,10 +169,13 @@ def watch(  # noqa: PLR0913 - one parameter per option
     from mavfi.hosts.node.master import Master
     from mavfi.hosts.node.watch import Listener, Watch
 
-    listener = Listener(Master(), _list(topics, "--topics"))
+    names = options.listed(topics)
+    if not names:
+        raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
+    listener = Listener(Master(), names)
     out = console()
     with stoppable("Stopped. The graph is as it was."), listener:
-        probes, trained, used = _trained(listener, (detector, profile), _list(fields), train, learn_s)
+        probes, trained, used = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
         watching = Watch(listener, probes, trained)
         if not as_json:
             out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
@@ -190,14 +193,6 @@ def watch(  # noqa: PLR0913 - one parameter per option
                 })  # fmt: skip
     if not as_json:
         out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")
-
-
-def _list(text: str, option: str = "") -> list[str]:
-    """Parts of a comma-separated list."""
-    parts = [part.strip() for part in text.split(",") if part.strip()]
-    if option and not parts:
-        raise BadInputError(f"{option}: {text!r}: allowed: names, with commas between")
-    return parts
 
 
 def _trained(

@@ -65,7 +65,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
         raise BadInputError(f"--train, --split: {given}; allowed: one of them, what a normal flight is learned from")
     _check_apart(logs, train or [])
     with stoppable("Stopped."):
-        wanted = [part.strip() for part in fields.split(",") if part.strip()]
+        wanted = options.listed(fields)
         trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
     rates, used = Rates(judged), sum(watching.trained_on for watching in trained)
     names = {topic: [f.name for f in probe.spec.header] for watching in trained

@@ -26,7 +26,7 @@ from pydantic import (
 )
 
 from mavfi.config import Config, load, shipped
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, write_text
 from mavfi.version import __version__
 
 Kind = Literal["duplicate", "none"]
@@ -243,8 +243,7 @@ def save_plan(plan: Plan, path: Path) -> None:
     content = plan.model_dump(mode="json", exclude_defaults=True)
     content = {key: getattr(plan, key) for key in ("mavfi", "numba", "llvmlite", "cpu", "ledger")} | content
     text = yaml.dump(content, sort_keys=False, width=_LINE, allow_unicode=True)
-    with writing(path):
-        path.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def _expand(number: Any, text: Any) -> list[Site]:

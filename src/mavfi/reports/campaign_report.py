@@ -12,7 +12,7 @@ from mavfi.campaign.analysis import views_for
 from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import TEXT, Table
-from mavfi.errors import writing
+from mavfi.errors import write_text
 from mavfi.flight_record import plain
 from mavfi.reports import figures
 from mavfi.reports.text import (
@@ -75,8 +75,7 @@ def write_report(directory: Path) -> Report:
     if found.tables:
         texts["readme_block.md"] = _readme_block(found.runs, found.tables[0], today)
     for name, content in texts.items():
-        with writing(directory / name):
-            (directory / name).write_text(content, encoding="utf-8")
+        write_text(directory / name, content)
     return replace(found, files=tuple(directory / name for name in (*texts, *captions)))
 
 

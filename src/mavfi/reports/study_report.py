@@ -19,7 +19,7 @@ from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
 from mavfi.dropped import dropped_name
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, write_text, writing
 from mavfi.files import LARGEST_TEXT, is_file, read_file
 from mavfi.flight_record import plain
 from mavfi.reports.campaign_report import markdown_table
@@ -219,8 +219,7 @@ def write_texts(found: StudyReport, scale: str, folder: Path) -> list[str]:
     with writing(folder / TABLES_FOLDER):
         (folder / TABLES_FOLDER).mkdir(exist_ok=True)
     for name, content in texts.items():
-        with writing(folder / name):
-            (folder / name).write_text(content, encoding="utf-8")
+        write_text(folder / name, content)
     return list(texts)
 
 

@@ -74,7 +74,7 @@ def test_an_older_name_in_a_file_is_refused_in_one_line(capsys, tmp_path):
     (path := tmp_path / "own.yaml").write_text(
         "{name: own, environments: [sparse], missions: 1, faults: 1, mission: {stack: hardened}}", encoding="utf-8"
     )
-    assert run(["campaign", "run", str(path), "--out", str(tmp_path), "--dry-run"]) == 2
+    assert run(["campaign", "run", str(path), "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "key 'stack': dropped; use autopilot" in error and error.count("\n") == 1
 

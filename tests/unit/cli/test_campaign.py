@@ -105,18 +105,6 @@ def test_digest_is_the_same_when_run_again(capsys, config, flown):
     assert capsys.readouterr().out.strip() == digest
 
 
-def test_a_dry_run_says_what_would_be_flown_and_writes_nothing(capsys, config, flown, tmp_path):
-    assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("5 runs at most, 0 of them done")
-    assert "1 mission in each of: sparse · seeds 10000 to 10000" in text
-    assert "faults of level state, 3 per environment: perception, planning, control" in text
-    assert "1 mission · 1 golden run, 4 with a fault or null" in text
-    assert not (tmp_path / "out").exists()
-    assert run(["campaign", "run", str(config), "--out", str(flown), "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("5 runs at most, 5 of them done")
-
-
 def test_an_ambiguous_id_lists_its_candidates(capsys, flown):
     assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
     stderr = capsys.readouterr().err

@@ -28,7 +28,7 @@ from mavfi.campaign.hardening.ratio import p_value_below
 from mavfi.campaign.hardening.spending import Key, Spending, key_of, spending_of, ticks_of
 from mavfi.campaign.hardening.study import Study, Tell, stated
 from mavfi.campaign.overheads import processor
-from mavfi.errors import BadInputError, writing
+from mavfi.errors import BadInputError, write_text
 from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import Protection
 from mavfi.hosts.loop.protection import check_plan
@@ -204,8 +204,7 @@ def save_certification(certification: Certification, plan_path: Path) -> Path:
         BadInputError: The file cannot be written.
     """
     path = plan_path.with_suffix(".certificate.json")
-    with writing(path):
-        path.write_text(json.dumps(certification_json(certification), indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(certification_json(certification), indent=1) + "\n")
     return path
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from mavfi.campaign.hardening.certification import Certification
 from mavfi.campaign.hardening.summary import PROTECTED, AdviceSummary, FunctionSummary, LineSummary
+from mavfi.errors import write_text
 from mavfi.reports.hardening.drawing import curve
 from mavfi.reports.hardening.plain import caveats, certificate_table, headline, interval, verdict_line
-from mavfi.reports.html.page import render, write
+from mavfi.reports.html.page import render
 from mavfi.reports.text import percent
 from mavfi.reports.vulnerability.source import read_source
 
@@ -47,7 +48,7 @@ def write_page(path: Path, summary: AdviceSummary, directory: Path, plan: Path |
     Raises:
         BadInputError: The file cannot be written.
     """
-    write(path, page(summary, directory, plan))
+    write_text(path, page(summary, directory, plan))
 
 
 def write_certificate(
@@ -67,7 +68,7 @@ def write_certificate(
         missions=", ".join(certification.missions),
         command=f"{_certify(directory, kernels, plan)} --faults {certification.faults}",
     )
-    write(path, content)
+    write_text(path, content)
 
 
 def page(summary: AdviceSummary, directory: Path, plan: Path | None) -> str:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from mavfi.errors import write_text
 from mavfi.reports.explain import Lines
 from mavfi.reports.html import page
 from mavfi.reports.html.flight_data import Course, flight_data
@@ -48,4 +49,5 @@ class FlightPage:
 
 def write_flight_page(path: Path, flight: FlightPage) -> Path:
     """Write the page of one flight; `BadInputError` if the file cannot be written."""
-    return page.write(path, page.render("flight.html.j2", flight=flight.to_json()))
+    write_text(path, page.render("flight.html.j2", flight=flight.to_json()))
+    return path

@@ -6,14 +6,12 @@ import re
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mavfi.errors import writing
 from mavfi.flight_record import plain
 from mavfi.reports.html.time_lines import AFTER, BEFORE
 from mavfi.version import __version__
@@ -56,17 +54,6 @@ def _environment() -> Environment:
 def render(template: str, **values: Any) -> str:
     """Render a page as text."""
     return _environment().get_template(template).render(**values)
-
-
-def write(path: Path, content: str) -> Path:
-    """Write a page.
-
-    Raises:
-        BadInputError: The file cannot be written.
-    """
-    with writing(path):
-        path.write_text(content, encoding="utf-8")
-    return path
 
 
 def size_of(data: Sequence[Any] | dict[str, Any]) -> int:

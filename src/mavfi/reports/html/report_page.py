@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, write_text
 from mavfi.reports import style
 from mavfi.reports.campaign_report import REMARKS, Report
 from mavfi.reports.figures import FIGURES
@@ -175,7 +175,7 @@ def write_report_page(
     if left < 0:
         raise BadInputError(f"{path}: the report takes {largest - left} bytes without any flight; allowed: {largest}")
     stored = _as_fit(flights, left)
-    page.write(path, page.render("report.html.j2", **values, flights=stored))
+    write_text(path, page.render("report.html.j2", **values, flights=stored))
     return len(stored)
 
 
