@@ -36,7 +36,6 @@ from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.hardening.compiled import Compiled, compiled
-from mavfi.hardening.full import full_plan
 from mavfi.hardening.protection import Protection
 from mavfi.hardening.recorded import copied
 from mavfi.hardening.wrapper import MESSAGE
@@ -44,6 +43,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
+from tools.full_plan import full_plan
 from tools.markers import between
 from tools.processors import with_others
 

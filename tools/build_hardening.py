@@ -25,7 +25,7 @@ from typing import Any
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.table import NUMBER, Column, Table
 from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
-from mavfi.campaign.hardening.certification import Certification, certification_of, merged
+from mavfi.campaign.hardening.certification import Certification, merged
 from mavfi.campaign.hardening.certify import certify, pairs_of, rate_of, verdict_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.learned import Injected, injections_in
@@ -43,6 +43,7 @@ from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import advice_table, caveats, certificate_table, headline, verdict_line
 from tools import results
 from tools.markers import ROOT, fill
+from tools.stored_certificate import certification_of
 
 PAGE = "hardening"
 LEDGER = Path("out/hardening")

@@ -12,11 +12,11 @@ from mavfi.campaign.hardening.advise import codes_of, times_of
 from mavfi.campaign.hardening.observed import observe
 from mavfi.campaign.hardening.target import targets_of
 from mavfi.campaign.overheads import processor
-from mavfi.hardening.full import full_plan
 from mavfi.hardening.plan import FunctionPlan, Plan, save_plan
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.states import PLANNERS
+from tools.full_plan import full_plan
 
 
 def full(kernels: list[str], environment: str = "sparse", seed: int = 7) -> Plan:

@@ -8,7 +8,6 @@ from mavfi.errors import BadInputError
 from mavfi.faults.instruction.variant import signature_of
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
-from mavfi.hardening.full import full_plan
 from mavfi.hardening.plan import Coverage, Plan, Site, load_plan, save_plan
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.local import fly
@@ -20,6 +19,7 @@ from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect, effect_of
 from mavfi.pipeline.functions import PLAIN
 from mavfi.reports.explain import injection_lines, verdict
+from tools.full_plan import full_plan
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from mavfi.campaign.hardening.advise import Curve, Step
-from mavfi.campaign.hardening.certification import certification_json, certification_of
+from mavfi.campaign.hardening.certification import certification_json
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.learned import Injected
 from mavfi.errors import BadInputError
@@ -16,6 +16,7 @@ from mavfi.reports.hardening.plain import certificate_table
 from tools import build_hardening, results
 from tools.build_hardening import CERTIFICATE, certificate, certificate_sentence
 from tools.markers import ROOT
+from tools.stored_certificate import certification_of
 
 PAGE = results.RESULTS / "hardening.md"
 

@@ -1,8 +1,8 @@
 """From a plan to its certificate: fresh missions, fresh faults, and what they say of the plan as a whole."""
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -219,14 +219,3 @@ def certification_json(certification: Certification) -> dict[str, Any]:
         "unprotected": [one.to_json() for one in certification.others],
         "spending": [asdict(one) for one in certification.spending],
     }  # fmt: skip
-
-
-def certification_of(found: Mapping[str, Any]) -> Certification:
-    """Inverse of `certification_json`; ones that were written without processor or spending have none."""
-    others = [{one.name: row[one.name] for one in fields(Unprotected)} for row in found["unprotected"]]
-    return Certification(
-        found["plan"], found["faults"], tuple(found["missions"]), tuple(map(Certificate.from_json, found["functions"])),
-        GoldenCheck(**found["golden"]), tuple(Unprotected(**row) for row in others),
-        () if found["kernels"] == "all" else tuple(found["kernels"]), found.get("cpu", ""),
-        tuple(Spending(**row) for row in found.get("spending", ())),
-    )  # fmt: skip

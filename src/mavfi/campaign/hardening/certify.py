@@ -4,7 +4,7 @@ Faults are drawn over the dynamic instructions of the protected program, so shad
 The same calls are injected without protection, and these faults once more, instruction by instruction, with it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from math import hypot
@@ -45,26 +45,17 @@ class FunctionResult:
         kernel: That calls it, as in a campaign's sampling.
         function: Module and name.
         signature: Numba types of its arguments.
+        instructions: Dynamic instructions of plain code in the observed flights.
     """
 
     kernel: str
     function: str
     signature: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Counted(FunctionResult):
-    """The same, with the exposure of the function.
-
-    Attributes:
-        instructions: Dynamic instructions of plain code in the observed flights.
-    """
-
     instructions: int
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate(_Counted):
+class Certificate(FunctionResult):
     """What fresh faults show of the protection of one function.
 
     Attributes:
@@ -110,17 +101,6 @@ class Certificate(_Counted):
         """See `verdict_of`."""
         return verdict_of(self.coverage, self.predicted_rate)
 
-    @staticmethod
-    def from_json(found: Mapping[str, Any]) -> "Certificate":
-        """Inverse of `to_json`."""
-        same = ("kernel", "function", "signature", "instructions", "before", "after", "growth", "time", "planned_time")
-        predicted, paired = found["predicted"], found["paired"]
-        return Certificate(
-            **{key: found[key] for key in same},
-            predicted=None if predicted is None else Coverage(**predicted),
-            paired=Paired(*(paired[key] for key in ("n", "plain_only", "protected_only", "p"))),
-        )
-
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return {
@@ -138,7 +118,7 @@ class Certificate(_Counted):
 
 
 @dataclass(frozen=True, slots=True)
-class Unprotected(_Counted):
+class Unprotected(FunctionResult):
     """What fresh faults show of a function that the plan leaves as it is.
 
     Attributes:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.analysis.pairs import mcnemar
-from mavfi.campaign.hardening.certification import Certification, certification_json, certification_of
+from mavfi.campaign.hardening.certification import Certification, certification_json
 from mavfi.campaign.hardening.certify import Certificate
 from mavfi.campaign.hardening.golden import GoldenCheck
 from mavfi.campaign.hardening.spending import Spending, key_of, spending_of, ticks_of
 from mavfi.ir.build import name_of
 from mavfi.reports.hardening.plain import certificate_table, verdict_line
 from tests.unit.campaign.hardening.kernels import calls, see, smooth
+from tools.stored_certificate import certification_of
 
 
 def seen(signature, total):

@@ -17,9 +17,9 @@ from mavfi.campaign.hardening.study import plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import targets_of
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.hardening.full import full_plan
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
 from tests.unit.campaign.hardening.kernels import calls, see, smooth
+from tools.full_plan import full_plan
 
 
 @pytest.fixture(scope="module")

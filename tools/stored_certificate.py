@@ -1,0 +1,44 @@
+"""Reads the certificate of a plan back from its JSON, for the tool that makes the pages of results."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from mavfi.campaign.analysis.pairs import Paired
+from mavfi.campaign.hardening.certification import Certification
+from mavfi.campaign.hardening.certify import Certificate, Unprotected
+from mavfi.campaign.hardening.golden import GoldenCheck
+from mavfi.campaign.hardening.spending import Spending
+from mavfi.hardening.plan import Coverage
+
+
+def certificate_of(content: Mapping[str, Any]) -> Certificate:
+    """Inverse of `Certificate.to_json`."""
+    same = ("kernel", "function", "signature", "instructions", "before", "after", "growth", "time", "planned_time")
+    predicted = content["predicted"]
+    paired = content["paired"]
+    return Certificate(
+        **{key: content[key] for key in same},
+        predicted=None if predicted is None else Coverage(**predicted),
+        paired=Paired(*(paired[key] for key in ("n", "plain_only", "protected_only", "p"))),
+    )
+
+
+def unprotected_of(content: Mapping[str, Any]) -> Unprotected:
+    """Inverse of `Unprotected.to_json`, which also writes the rate of silent corruption."""
+    return Unprotected(**{field.name: content[field.name] for field in fields(Unprotected)})
+
+
+def certification_of(content: Mapping[str, Any]) -> Certification:
+    """Inverse of `certification_json`; ones that were written without processor or spending have none."""
+    return Certification(
+        plan=content["plan"],
+        faults=content["faults"],
+        missions=tuple(content["missions"]),
+        certificates=tuple(map(certificate_of, content["functions"])),
+        golden=GoldenCheck(**content["golden"]),
+        others=tuple(map(unprotected_of, content["unprotected"])),
+        scope=() if content["kernels"] == "all" else tuple(content["kernels"]),
+        cpu=content.get("cpu", ""),
+        spending=tuple(Spending(**row) for row in content.get("spending", ())),
+    )
