@@ -2,14 +2,13 @@
 
 from fnmatch import fnmatchcase
 from itertools import product
-from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim.frames import flipped, geo_point, pose, turned, vector
+from mavfi.bridges.airsim.frames import Data, flipped, geo_point, pose, turned, vector
 from mavfi.bridges.airsim.pictures import View, check_kind, owners
 from mavfi.bridges.airsim.sensing import find_camera, view
-from mavfi.bridges.airsim.table import Api, Wanted, call
+from mavfi.bridges.airsim.table import Api, Wanted, camera_call
 from mavfi.errors import BadInputError
 from mavfi.numerics.rotations import rotation_matrix
 
@@ -25,31 +24,25 @@ def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
     return api.detected.setdefault((str(camera_name), int(kind)), Wanted())
 
 
-@call("simSetDetectionFilterRadius")
-def _(
-    api: Api, camera_name: str, image_type: int, radius_cm: float, vehicle_name: str = "", external: Any = False
-) -> None:  # fmt: skip
+@camera_call("simSetDetectionFilterRadius")
+def _(api: Api, camera_name: str, image_type: int, radius_cm: float) -> None:
     if not radius_cm >= 0.0:
         raise BadInputError(f"simSetDetectionFilterRadius: {radius_cm}: allowed: 0 or more (cm)")
     _wanted(api, camera_name, image_type).radius = 0.01 * radius_cm
 
 
-@call("simAddDetectionFilterMeshName")
-def _(
-    api: Api, camera_name: str, image_type: int, mesh_name: str, vehicle_name: str = "", external: Any = False
-) -> None:  # fmt: skip
+@camera_call("simAddDetectionFilterMeshName")
+def _(api: Api, camera_name: str, image_type: int, mesh_name: str) -> None:
     _wanted(api, camera_name, image_type).names.append(str(mesh_name))
 
 
-@call("simClearDetectionMeshNames")
-def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", external: Any = False) -> None:
+@camera_call("simClearDetectionMeshNames")
+def _(api: Api, camera_name: str, image_type: int) -> None:
     _wanted(api, camera_name, image_type).names.clear()
 
 
-@call("simGetDetections")
-def _(
-    api: Api, camera_name: str, image_type: int, vehicle_name: str = "", external: Any = False
-) -> list[dict[str, Any]]:  # fmt: skip
+@camera_call("simGetDetections")
+def _(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
     wanted = _wanted(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
@@ -67,7 +60,7 @@ def _(
 
 def _detection(
     api: Api, seen: View, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
-) -> dict[str, Any]:
+) -> Data:
     """DetectionInfo of a box, lower and upper corner in the world (m), that is seen in these pixels."""
     matrix = np.empty((3, 3))
     rotation_matrix(np.array(seen.pose[3:]), matrix)

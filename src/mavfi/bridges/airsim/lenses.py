@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from mavfi.bridges.airsim.sensing import find_camera
-from mavfi.bridges.airsim.table import FILM_MM, NARROWEST, WIDEST, Api, Camera, call
+from mavfi.bridges.airsim.table import FILM_MM, NARROWEST, WIDEST, Api, Camera, camera_call
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import atan2, tan
 
@@ -68,10 +68,10 @@ _READINGS: dict[str, Callable[[Camera], Any]] = {
 
 
 def _add_reading(name: str, read: Callable[[Camera], Any]) -> None:
-    def get(api: Api, camera_name: str, vehicle_name: str = "", external: bool = False) -> Any:
+    def get(api: Api, camera_name: str) -> Any:
         return read(find_camera(api, camera_name))
 
-    call(name)(get)
+    camera_call(name)(get)
 
 
 for _name, _read in _READINGS.items():
@@ -79,51 +79,46 @@ for _name, _read in _READINGS.items():
 
 
 # ---- settings --------------------------------------------------------------------------------------------------------
-@call("simSetPresetLensSettings")
-def _(api: Api, preset_lens_settings: str, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+@camera_call("simSetPresetLensSettings")
+def _(api: Api, preset_lens_settings: str, camera_name: str) -> None:
     find_camera(api, camera_name)
     _preset("simSetPresetLensSettings", preset_lens_settings, LENS)
 
 
-@call("simSetFocalLength")
-def _(api: Api, focal_length: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+@camera_call("simSetFocalLength")
+def _(api: Api, focal_length: float, camera_name: str) -> None:
     camera = find_camera(api, camera_name)
     _set_optics("simSetFocalLength", camera, camera.film_mm, focal_length)
 
 
-@call("simSetPresetFilmbackSettings")
-def _(
-    api: Api, preset_filmback_settings: str, camera_name: str, vehicle_name: str = "", external: bool = False
-) -> None:  # fmt: skip
+@camera_call("simSetPresetFilmbackSettings")
+def _(api: Api, preset_filmback_settings: str, camera_name: str) -> None:
     camera = find_camera(api, camera_name)
     _preset("simSetPresetFilmbackSettings", preset_filmback_settings, FILM)
     _set_optics("simSetPresetFilmbackSettings", camera, FILM_MM, focal_length(camera))
 
 
-@call("simSetFilmbackSettings")
-def _(
-    api: Api, sensor_width: float, sensor_height: float, camera_name: str, vehicle_name: str = "",
-    external: bool = False,
-) -> float:  # fmt: skip
+@camera_call("simSetFilmbackSettings")
+def _(api: Api, sensor_width: float, sensor_height: float, camera_name: str) -> float:
     """Sides of the film (mm); the focal length stays.  Returns their ratio."""
     camera = find_camera(api, camera_name)
     _set_optics("simSetFilmbackSettings", camera, (sensor_width, sensor_height), focal_length(camera))
     return sensor_width / sensor_height
 
 
-def _enable(api: Api, enable: bool, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+def _enable(api: Api, enable: bool, camera_name: str) -> None:
     find_camera(api, camera_name)
 
 
 for _name in ("simEnableManualFocus", "simEnableFocusPlane"):
-    call(_name)(_enable)
+    camera_call(_name)(_enable)
 
 
-@call("simSetFocusDistance")
-def _(api: Api, value: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+@camera_call("simSetFocusDistance")
+def _(api: Api, value: float, camera_name: str) -> None:
     find_camera(api, camera_name).focus_distance = float(value)
 
 
-@call("simSetFocusAperture")
-def _(api: Api, value: float, camera_name: str, vehicle_name: str = "", external: bool = False) -> None:
+@camera_call("simSetFocusAperture")
+def _(api: Api, value: float, camera_name: str) -> None:
     find_camera(api, camera_name).aperture = float(value)

@@ -9,6 +9,7 @@ import numpy as np
 from mavfi.bridges.airsim import pictures
 from mavfi.bridges.airsim.frames import (
     LEVEL,
+    Data,
     Triple,
     flipped,
     geo_point,
@@ -20,7 +21,18 @@ from mavfi.bridges.airsim.frames import (
     vector,
 )
 from mavfi.bridges.airsim.frames import rotation as rotated
-from mavfi.bridges.airsim.table import DESTROYED, GROUND, NARROWEST, WIDEST, Api, Camera, call
+from mavfi.bridges.airsim.table import (
+    DESTROYED,
+    GROUND,
+    NARROWEST,
+    WIDEST,
+    Api,
+    Camera,
+    add_readings,
+    call,
+    camera_call,
+    vehicle_call,
+)
 from mavfi.bridges.airsim.vehicle import FLYING, LANDED
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
@@ -49,7 +61,7 @@ _THRUST_COEFFICIENT, _PROPELLER_M = 0.109919, 0.2286
 """Thrust coefficient and diameter of AirSim's propeller (RotorParams: GWS 9x5, measured by UIUC)."""
 
 
-def kinematics(api: Api, odometry: np.ndarray) -> dict[str, Any]:
+def kinematics(api: Api, odometry: np.ndarray) -> Data:
     """KinematicsState of a state of the vehicle."""
     position, orientation, velocity, rates = api.vehicle.in_ned(odometry)
     return {
@@ -59,7 +71,7 @@ def kinematics(api: Api, odometry: np.ndarray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def collision(api: Api) -> dict[str, Any]:
+def collision(api: Api) -> Data:
     """CollisionInfo."""
     v, found = api.vehicle, api.vehicle.collision
     if found is None:
@@ -78,8 +90,8 @@ def collision(api: Api) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("getMultirotorState")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getMultirotorState")
+def _(api: Api) -> Data:
     switches = {f"switch{n}": 0 for n in range(1, 9)}
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
@@ -94,13 +106,8 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("simGetGroundTruthKinematics")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return kinematics(api, api.vehicle.sim.odometry)
-
-
-@call("simGetGroundTruthEnvironment")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("simGetGroundTruthEnvironment")
+def _(api: Api) -> Data:
     position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
     height = geo_point(position)["altitude"]
     kelvin = 288.15 - 0.0065 * height
@@ -111,19 +118,8 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("simGetVehiclePose")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    position, orientation, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
-    return pose(position, orientation)
-
-
-@call("simGetCollisionInfo")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return collision(api)
-
-
-@call("getRotorStates")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getRotorStates")
+def _(api: Api) -> Data:
     thrusts, ratio = api.vehicle.sim.thrusts.tolist(), api.vehicle.scenario.vehicle.rotor_torque_ratio
     rotors = [{"thrust": thrust, "torque_scaler": thrust * ratio, "speed": _rotor_speed(thrust)} for thrust in thrusts]
     return {"timestamp": api.vehicle.stamp, "rotors": rotors}
@@ -136,8 +132,8 @@ def _rotor_speed(thrust: float) -> float:
 
 
 # ---- motion sensors --------------------------------------------------------------------------------------------------
-@call("getImuData")
-def _(api: Api, imu_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getImuData")
+def _(api: Api, imu_name: str = "") -> Data:
     sample = api.vehicle.imu()
     return {
         "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
@@ -151,22 +147,22 @@ def _pressure(height: float) -> float:
     return float(_SEA_LEVEL_PA * base**5.25588) if base > 0.0 else 0.0
 
 
-@call("getBarometerData")
-def _(api: Api, barometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getBarometerData")
+def _(api: Api, barometer_name: str = "") -> Data:
     height = geo_point(api.vehicle.position)["altitude"]
     return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
 
 
-@call("getMagnetometerData")
-def _(api: Api, magnetometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getMagnetometerData")
+def _(api: Api, magnetometer_name: str = "") -> Data:
     matrix = np.empty((3, 3))
     rotation_matrix(np.array(api.vehicle.orientation), matrix)
     body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
     return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
 
 
-@call("getGpsData")
-def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getGpsData")
+def _(api: Api, gps_name: str = "") -> Data:
     v = api.vehicle
     gnss = {
         "geo_point": geo_point(v.position), "eph": 0.1, "epv": 0.1, "velocity": vector(v.velocity), "fix_type": 3,
@@ -175,13 +171,8 @@ def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
     return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
 
 
-@call("getHomeGeoPoint")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return geo_point((0.0, 0.0, 0.0))
-
-
-@call("getDistanceSensorData")
-def _(api: Api, distance_sensor_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getDistanceSensorData")
+def _(api: Api, distance_sensor_name: str = "") -> Data:
     found = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
     return {
         "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, found)), "min_distance": _NEAREST,
@@ -199,8 +190,8 @@ def lidar_rays() -> np.ndarray:
     return np.array([(level * x, -level * y, up) for level, up in tilts for x, y in turns])
 
 
-@call("getLidarData")
-def _(api: Api, lidar_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getLidarData")
+def _(api: Api, lidar_name: str = "") -> Data:
     """Points in NED (AirSim's frame VehicleInertialFrame)."""
     v, rays = api.vehicle, lidar_rays()
     ranges = v.sim.cast(rays, _LIDAR_RANGE)
@@ -250,12 +241,12 @@ def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annot
     return pictures.encoded(api, view(api, camera_name, image_type), image_type)
 
 
-@call("simGetImages")
-def _(api: Api, requests: Any, vehicle_name: str = "", external: Any = False) -> list[dict[str, Any]]:
+@camera_call("simGetImages")
+def _(api: Api, requests: Any) -> list[Data]:
     return [_response(api, request) for request in requests]
 
 
-def _response(api: Api, request: Any) -> dict[str, Any]:
+def _response(api: Api, request: Any) -> Data:
     """ImageResponse to an ImageRequest."""
     try:
         name, kind = request["camera_name"], int(request["image_type"])
@@ -273,8 +264,8 @@ def _response(api: Api, request: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("simGetCameraInfo")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: Any = False) -> dict[str, Any]:
+@camera_call("simGetCameraInfo")
+def _(api: Api, camera_name: str) -> Data:
     width, height = api.pixels
     fov = find_camera(api, camera_name).fov_deg
     x = 1.0 / tan(math.radians(0.5 * fov))
@@ -282,8 +273,8 @@ def _(api: Api, camera_name: str, vehicle_name: str = "", external: Any = False)
     return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
 
 
-@call("simSetCameraPose")
-def _(api: Api, camera_name: str, pose: Any, vehicle_name: str = "", external: Any = False) -> None:
+@camera_call("simSetCameraPose")
+def _(api: Api, camera_name: str, pose: Any) -> None:
     place_camera(find_camera(api, camera_name), *pose_numbers(pose))
 
 
@@ -301,35 +292,30 @@ def place_camera(camera: Camera, position: Triple, orientation: tuple[float, flo
     camera.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
 
 
-@call("simSetCameraFov")
-def _(api: Api, camera_name: str, fov_degrees: float, vehicle_name: str = "", external: Any = False) -> None:
+@camera_call("simSetCameraFov")
+def _(api: Api, camera_name: str, fov_degrees: float) -> None:
     if not NARROWEST <= fov_degrees <= WIDEST:
         raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
     find_camera(api, camera_name).fov_deg = float(fov_degrees)
 
 
-# ---- names before AirSim 1.3 ----------------------------------------------------------------------------------------
-@call("getPosition")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return vector(api.vehicle.in_ned(api.vehicle.believed)[0])
-
-
-@call("getVelocity")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return vector(api.vehicle.in_ned(api.vehicle.believed)[2])
-
-
-@call("getOrientation")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return rotated(api.vehicle.in_ned(api.vehicle.believed)[1])
-
-
-@call("getCollisionInfo")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return collision(api)
-
-
-@call("simSetCameraOrientation")
-def _(api: Api, camera_name: str, orientation: Any, vehicle_name: str = "") -> None:
+@vehicle_call("simSetCameraOrientation")
+def _(api: Api, camera_name: str, orientation: Any) -> None:
     camera = find_camera(api, camera_name)
     place_camera(camera, camera.position, quaternion(orientation))
+
+
+add_readings(
+    vehicle_call,
+    {
+        "simGetGroundTruthKinematics": lambda api: kinematics(api, api.vehicle.sim.odometry),
+        "simGetVehiclePose": lambda api: pose(*api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]),
+        "simGetCollisionInfo": collision,
+        "getHomeGeoPoint": lambda _: geo_point((0.0, 0.0, 0.0)),
+        # names before AirSim 1.3
+        "getPosition": lambda api: vector(api.vehicle.position),
+        "getVelocity": lambda api: vector(api.vehicle.velocity),
+        "getOrientation": lambda api: rotated(api.vehicle.orientation),
+        "getCollisionInfo": collision,
+    },
+)

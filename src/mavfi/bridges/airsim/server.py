@@ -100,10 +100,10 @@ class Server:
         given = self.boundary.arguments(name, given, api.vehicle.now_us)
         if found.is_task:
             require_ready(api, name)
-            number = api.vehicle.start(found.function(api, *given))
+            number = api.vehicle.start(found.run(api, given))
             self._waiting[number] = (reply, name, given)
             return
-        result = found.function(api, *given)
+        result = found.run(api, given)
         self.clock.after_call(api)
         reply(None, self.boundary.returned(name, given, result, api.vehicle.now_us))
 
