@@ -2,54 +2,31 @@
 
 import math
 from functools import cache
-from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim import pictures
 from mavfi.bridges.airsim.frames import (
     LEVEL,
     Data,
-    Triple,
     flipped,
     geo_point,
-    looking,
-    mount,
     pose,
-    pose_numbers,
-    quaternion,
     vector,
 )
 from mavfi.bridges.airsim.frames import rotation as rotated
 from mavfi.bridges.airsim.table import (
     DESTROYED,
     GROUND,
-    NARROWEST,
-    WIDEST,
     Api,
-    Camera,
     add_readings,
-    call,
-    camera_call,
     vehicle_call,
 )
 from mavfi.bridges.airsim.vehicle import FLYING, LANDED
-from mavfi.config import CameraConfig
-from mavfi.errors import BadInputError
-from mavfi.numerics.elementary import cos, sin, tan
+from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim import grounded
 from mavfi.sim.engine import GRAVITY
 
-CAMERA_RANGE = 100.0
-"""Beyond it a depth image shows the sky (m)."""
-SKY = 65504.0
-"""Depth of the sky, the largest float16, as in AirSim."""
-_FACING = {"front_center": (0, 0), "front_right": (0, 0), "front_left": (0, 0), "bottom_center": (0, -90),
-           "back_center": (180, 0)}  # fmt: skip
-_NUMBERS = dict(zip("01234", _FACING, strict=True))
-_CAMERAS = {**_FACING, "fpv": (0, 0)}
-"""AirSim's cameras: turned to the right and up (deg); all of them sit at the centre of the vehicle."""
 _CHANNELS, _STEPS = 16, 360
 _LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _LIDAR_RANGE = -15.0, -25.0, 100.0
 _NEAREST, _FARTHEST = 0.2, 40.0
@@ -202,107 +179,6 @@ def _(api: Api, lidar_name: str = "") -> Data:
         "point_cloud": points.astype(np.float32).ravel().tolist(), "time_stamp": v.stamp,
         "pose": pose(v.position, v.orientation), "segmentation": [],
     }  # fmt: skip
-
-
-# ---- cameras ---------------------------------------------------------------------------------------------------------
-def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
-    """A camera by name or number.
-
-    Raises:
-        BadInputError: There is none.
-    """
-    known = _NUMBERS.get(str(name), str(name))
-    if known not in _CAMERAS:
-        raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
-    if known not in api.cameras:
-        api.cameras[known] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[known]))
-    return api.cameras[known]
-
-
-def view(api: Api, name: Any, kind: int) -> pictures.View:  # noqa: ANN401 - a client's
-    """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
-    found, (width, height) = find_camera(api, name), api.pixels
-    config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
-    placed = mount(found.position, found.orientation)
-    ranges, rays = api.vehicle.sim.ranges(config, placed)
-    if kind in pictures.DEPTH:
-        ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return pictures.View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
-
-
-def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
-    found = find_camera(api, name)
-    at = api.vehicle.sim.sensor_pose(mount(found.position, found.orientation))
-    return api.vehicle.to_ned(np.array(at[:3])), (at[3], at[4], -at[5], -at[6])
-
-
-@call("simGetImage")
-def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = "") -> bytes:
-    return pictures.encoded(api, view(api, camera_name, image_type), image_type)
-
-
-@camera_call("simGetImages")
-def _(api: Api, requests: Any) -> list[Data]:
-    return [_response(api, request) for request in requests]
-
-
-def _response(api: Api, request: Any) -> Data:
-    """ImageResponse to an ImageRequest."""
-    try:
-        name, kind = request["camera_name"], int(request["image_type"])
-        as_float, compress = bool(request["pixels_as_float"]), bool(request["compress"])
-    except (KeyError, TypeError, ValueError):
-        raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
-    seen = view(api, name, kind)
-    position, orientation = _camera_pose(api, name)
-    return {
-        "image_data_uint8": b"" if as_float else pictures.encoded(api, seen, kind, compress),
-        "image_data_float": pictures.floats(seen, kind, SKY) if as_float else [],
-        "camera_position": vector(position), "camera_name": str(name), "camera_orientation": rotated(orientation),
-        "time_stamp": api.vehicle.stamp, "message": "", "pixels_as_float": as_float, "compress": compress,
-        "width": seen.width, "height": seen.height, "image_type": kind, "annotation_name": "",
-    }  # fmt: skip
-
-
-@camera_call("simGetCameraInfo")
-def _(api: Api, camera_name: str) -> Data:
-    width, height = api.pixels
-    fov = find_camera(api, camera_name).fov_deg
-    x = 1.0 / tan(math.radians(0.5 * fov))
-    matrix = [[x, 0.0, 0.0, 0.0], [0.0, x * width / height, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0], [0.0, 0.0, 1.0, 0.0]]
-    return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
-
-
-@camera_call("simSetCameraPose")
-def _(api: Api, camera_name: str, pose: Any) -> None:
-    place_camera(find_camera(api, camera_name), *pose_numbers(pose))
-
-
-def place_camera(camera: Camera, position: Triple, orientation: tuple[float, float, float, float]) -> None:
-    """Set position and orientation in the body frame FRD (m, w x y z).
-
-    Raises:
-        BadInputError: Not finite, or an orientation of zero.
-    """
-    norm = math.sqrt(sum(value * value for value in orientation))
-    if not norm > 0.0 or not all(map(math.isfinite, (*position, *orientation))):
-        text = "allowed: finite numbers, an orientation other than zero"
-        raise BadInputError(f"camera at {position}, orientation {orientation}: {text}")
-    camera.position = position
-    camera.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
-
-
-@camera_call("simSetCameraFov")
-def _(api: Api, camera_name: str, fov_degrees: float) -> None:
-    if not NARROWEST <= fov_degrees <= WIDEST:
-        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
-    find_camera(api, camera_name).fov_deg = float(fov_degrees)
-
-
-@vehicle_call("simSetCameraOrientation")
-def _(api: Api, camera_name: str, orientation: Any) -> None:
-    camera = find_camera(api, camera_name)
-    place_camera(camera, camera.position, quaternion(orientation))
 
 
 add_readings(

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from mavfi.bridges.airsim import detections, flying, lenses, refused, scene, sensing
+from mavfi.bridges.airsim import cameras, flying, refused, scene, sensing
 from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.clock import Real, Steps
 from mavfi.bridges.airsim.runner import TIME_IS_UP
@@ -21,7 +21,7 @@ from mavfi.errors import BadInputError
 HOST, PORT = "127.0.0.1", 41451
 _REQUEST, _RESPONSE = 0, 1
 _READ = 1 << 16
-_MODULES = detections, flying, lenses, refused, scene, sensing  # register their calls
+_MODULES = cameras, flying, refused, scene, sensing  # register their calls
 Reply = Callable[[str | None, Any], None]
 
 
