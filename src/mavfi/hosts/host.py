@@ -59,6 +59,24 @@ class Recorded(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class RunResult:
+    """The record of a run at a host without flights, as a `Recorded`.
+
+    Attributes:
+        kept: The record.
+        passed: Calls of an error-free run of a program, from which faults are drawn.
+    """
+
+    kept: FlightRecord
+    passed: tuple[Any, ...] = ()
+    profile: None = None
+
+    def record(self) -> FlightRecord:
+        """See `Recorded.record`."""
+        return self.kept
+
+
+@dataclass(frozen=True, slots=True)
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
 

@@ -8,10 +8,10 @@ import time
 
 import pytest
 
-from mavfi.hosts.ros1 import install
 from tests.hosts.ros1.flights import NODES
 from tests.hosts.ros1.needs import ros
 from tests.pages import DOCS, arguments, commands
+from tools import install_ros as install
 
 pytestmark = [*ros, pytest.mark.slow]
 ALL = commands("ros.md")

@@ -10,7 +10,7 @@ import numpy as np
 from mavfi.bridges.airsim import attitude
 from mavfi.bridges.airsim.attitude import Vertical
 from mavfi.bridges.airsim.frames import from_geo_point, pose_numbers, triple
-from mavfi.bridges.airsim.table import Api, call, require_ready, task
+from mavfi.bridges.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
 from mavfi.bridges.airsim.tasks import (
     Yaw,
     fly_path,
@@ -50,18 +50,23 @@ def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's
 
 
 # ---- control ---------------------------------------------------------------------------------------------------------
-@call("enableApiControl")
-def _(api: Api, is_enabled: bool, vehicle_name: str = "") -> None:
+call("reset")(lambda api: api.vehicle.reset())
+add_readings(
+    vehicle_call,
+    {
+        "isApiControlEnabled": lambda api: api.vehicle.api,
+        "cancelLastTask": lambda api: api.vehicle.cancel(),
+    },
+)
+
+
+@vehicle_call("enableApiControl")
+def _(api: Api, is_enabled: bool) -> None:
     api.vehicle.api = bool(is_enabled)
 
 
-@call("isApiControlEnabled")
-def _(api: Api, vehicle_name: str = "") -> bool:
-    return api.vehicle.api
-
-
-@call("armDisarm")
-def _(api: Api, arm: bool, vehicle_name: str = "") -> bool:
+@vehicle_call("armDisarm")
+def _(api: Api, arm: bool) -> bool:
     if bool(arm) != api.vehicle.sim.armed:
         if not arm:
             api.vehicle.cancel()
@@ -69,24 +74,14 @@ def _(api: Api, arm: bool, vehicle_name: str = "") -> bool:
     return True
 
 
-@call("reset")
-def _(api: Api) -> None:
-    api.vehicle.reset()
-
-
-@call("cancelLastTask")
-def _(api: Api, vehicle_name: str = "") -> None:
-    api.vehicle.cancel()
-
-
-@call("simSetVehiclePose")
-def _(api: Api, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> bool:
+@vehicle_call("simSetVehiclePose")
+def _(api: Api, pose: Any, ignore_collision: bool) -> bool:
     api.vehicle.place(*pose_numbers(pose))
     return True
 
 
-@call("simSetKinematics")
-def _(api: Api, state: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
+@vehicle_call("simSetKinematics")
+def _(api: Api, state: Any, ignore_collision: bool) -> None:
     try:
         moving = [triple(state[name]) for name in ("linear_velocity", "angular_velocity")]
     except (KeyError, TypeError):
@@ -98,22 +93,22 @@ def _(api: Api, state: Any, ignore_collision: bool, vehicle_name: str = "") -> N
 
 # ---- tasks -----------------------------------------------------------------------------------------------------------
 @task("takeoff")
-def _(api: Api, timeout_sec: float = 20.0, vehicle_name: str = "") -> Task:
+def _(api: Api, timeout_sec: float = 20.0) -> Task:
     return take_off(api.vehicle, timeout_sec)
 
 
 @task("land")
-def _(api: Api, timeout_sec: float = 60.0, vehicle_name: str = "") -> Task:
+def _(api: Api, timeout_sec: float = 60.0) -> Task:
     return land(api.vehicle, timeout_sec)
 
 
 @task("goHome")
-def _(api: Api, timeout_sec: float = 3e38, vehicle_name: str = "") -> Task:
+def _(api: Api, timeout_sec: float = 3e38) -> Task:
     return fly_path(api.vehicle, [(0.0, 0.0, 0.0)], _HOME_SPEED, timeout_sec, Yaw())
 
 
 @task("hover")
-def _(api: Api, vehicle_name: str = "") -> Task:
+def _(api: Api) -> Task:
     return hover(api.vehicle)
 
 
@@ -139,8 +134,7 @@ def _add_velocity_task(name: str, arguments: str) -> None:
     along_heading, at_height = name.endswith("BodyFrame"), arguments.endswith(" z")
 
     def fly(
-        api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
-        vehicle_name: str = "",
+        api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
     ) -> Task:  # fmt: skip
         yaw = yaw_of(yaw_mode, drivetrain)
         horizontal = from_body(api.vehicle, vx, vy) if along_heading else (vx, vy)
@@ -149,7 +143,7 @@ def _add_velocity_task(name: str, arguments: str) -> None:
         return fly_velocity(api.vehicle, (*horizontal, vertical), duration, yaw)
 
     numbers = (*arguments.split(), "duration")
-    task(name)(_with_signature(fly, numbers, drivetrain=0, yaw_mode=None, vehicle_name=""))
+    task(name)(_with_signature(fly, numbers, drivetrain=0, yaw_mode=None))
 
 
 for _name, _arguments in _VELOCITIES.items():
@@ -158,9 +152,15 @@ for _name, _arguments in _VELOCITIES.items():
 
 @task("moveOnPath")
 def _(
-    api: Api, path: Any, velocity: float, timeout_sec: float, drivetrain: int, yaw_mode: Any, lookahead: float,
-    adaptive_lookahead: float, vehicle_name: str = "",
-) -> Task:  # fmt: skip
+    api: Api,
+    path: Any,
+    velocity: float,
+    timeout_sec: float,
+    drivetrain: int,
+    yaw_mode: Any,
+    lookahead: float,
+    adaptive_lookahead: float,
+) -> Task:
     yaw = yaw_of(yaw_mode, drivetrain)
     if yaw.is_rate and drivetrain == _FORWARD_ONLY:
         raise BadInputError("moveOnPath: ForwardOnly with a yaw rate; allowed: YawMode(is_rate=False)")
@@ -171,37 +171,52 @@ def _(
 
 @task("moveToPosition")
 def _(
-    api: Api, x: float, y: float, z: float, velocity: float, timeout_sec: float, drivetrain: int, yaw_mode: Any,
-    lookahead: float, adaptive_lookahead: float, vehicle_name: str = "",
-) -> Task:  # fmt: skip
+    api: Api,
+    x: float,
+    y: float,
+    z: float,
+    velocity: float,
+    timeout_sec: float,
+    drivetrain: int,
+    yaw_mode: Any,
+    lookahead: float,
+    adaptive_lookahead: float,
+) -> Task:
     return fly_path(api.vehicle, [(x, y, z)], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
 
 
 @task("moveToGPS")
 def _(
-    api: Api, latitude: float, longitude: float, altitude: float, velocity: float, timeout_sec: float,
-    drivetrain: int, yaw_mode: Any, lookahead: float, adaptive_lookahead: float, vehicle_name: str = "",
-) -> Task:  # fmt: skip
+    api: Api,
+    latitude: float,
+    longitude: float,
+    altitude: float,
+    velocity: float,
+    timeout_sec: float,
+    drivetrain: int,
+    yaw_mode: Any,
+    lookahead: float,
+    adaptive_lookahead: float,
+) -> Task:
     place = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
     return fly_path(api.vehicle, [place], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
 
 
 @task("moveToZ")
 def _(
-    api: Api, z: float, velocity: float, timeout_sec: float, yaw_mode: Any, lookahead: float,
-    adaptive_lookahead: float, vehicle_name: str = "",
-) -> Task:  # fmt: skip
+    api: Api, z: float, velocity: float, timeout_sec: float, yaw_mode: Any, lookahead: float, adaptive_lookahead: float
+) -> Task:
     north, east, _ = api.vehicle.position
     return fly_path(api.vehicle, [(north, east, z)], velocity, timeout_sec, yaw_of(yaw_mode), lookahead)
 
 
 @task("rotateToYaw")
-def _(api: Api, yaw: float, timeout_sec: float, margin: float, vehicle_name: str = "") -> Task:
+def _(api: Api, yaw: float, timeout_sec: float, margin: float) -> Task:
     return turn_to(api.vehicle, math.radians(yaw), timeout_sec, math.radians(margin))
 
 
 @task("rotateByYawRate")
-def _(api: Api, yaw_rate: float, duration: float, vehicle_name: str = "") -> Task:
+def _(api: Api, yaw_rate: float, duration: float) -> Task:
     return fly_velocity(api.vehicle, (0.0, 0.0, 0.0), duration, Yaw(value=math.radians(yaw_rate)))
 
 
@@ -233,7 +248,7 @@ def _add_attitude_task(name: str, arguments: str) -> None:
             rotors = attitude.at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
         return fly_rotors(api.vehicle, rotors, own["duration"])
 
-    task(name)(_with_signature(fly, numbers, vehicle_name=""))
+    task(name)(_with_signature(fly, numbers))
 
 
 for _name, _arguments in _ATTITUDES.items():
@@ -242,17 +257,21 @@ for _name, _arguments in _ATTITUDES.items():
 
 @task("moveByMotorPWMs")
 def _(
-    api: Api, front_right_pwm: float, rear_left_pwm: float, front_left_pwm: float, rear_right_pwm: float,
-    duration: float, vehicle_name: str = "",
-) -> Task:  # fmt: skip
+    api: Api,
+    front_right_pwm: float,
+    rear_left_pwm: float,
+    front_left_pwm: float,
+    rear_right_pwm: float,
+    duration: float,
+) -> Task:
     shares = (front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
     if not np.isfinite(shares).all():
         raise BadInputError(f"moveByMotorPWMs: {shares}: allowed: 0 to 1")
     return fly_rotors(api.vehicle, attitude.motors(api.vehicle, shares), duration)
 
 
-@call("moveByRC")
-def _(api: Api, rcdata: Any, vehicle_name: str = "") -> None:
+@vehicle_call("moveByRC")
+def _(api: Api, rcdata: Any) -> None:
     """Positions of the sticks of a remote control: roll, pitch and yaw rate from -1 to 1, throttle from 0 to 1."""
     try:
         sticks = {key: float(rcdata[key]) for key in ("roll", "pitch", "yaw", "throttle")}
@@ -269,10 +288,7 @@ def _(api: Api, rcdata: Any, vehicle_name: str = "") -> None:
 
 
 @task("moveByManual")
-def _(
-    api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any,
-    vehicle_name: str = "",
-) -> Task:  # fmt: skip
+def _(api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any) -> Task:
     """Velocities from the sticks of the last moveByRC; without one, they are centred."""
     forward, right = vx_max * api.sticks.get("pitch", 0.0), vy_max * api.sticks.get("roll", 0.0)
     velocity = from_body(api.vehicle, forward, right)

@@ -21,6 +21,8 @@ _GEO_POINT = ("latitude", "longitude", "altitude")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 Numbers = Sequence[float] | np.ndarray
+Data = dict[str, Any]
+"""An object of the API, as plain data."""
 
 
 def flipped(values: Numbers) -> Triple:
@@ -35,16 +37,22 @@ def vector(values: Numbers) -> dict[str, float]:
     return {"x_val": float(x), "y_val": float(y), "z_val": float(z)}
 
 
+def _numbers_of(data: Any, kind: str, names: Sequence[str]) -> list[float]:  # noqa: ANN401 - a client's
+    """Numbers of an object of the API by name, or a `BadInputError`; `kind`: the type that it must have."""
+    try:
+        return [float(data[name]) for name in names]
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{data!r}: allowed: a {kind} ({', '.join(names)})") from None
+
+
 def triple(data: Any) -> Triple:  # noqa: ANN401 - a client's
     """Numbers of a Vector3r.
 
     Raises:
         BadInputError: It is none.
     """
-    try:
-        return float(data["x_val"]), float(data["y_val"]), float(data["z_val"])
-    except (KeyError, TypeError, ValueError):
-        raise BadInputError(f"{data!r}: allowed: a Vector3r (x_val, y_val, z_val)") from None
+    x, y, z = _numbers_of(data, "Vector3r", ("x_val", "y_val", "z_val"))
+    return x, y, z
 
 
 def turned(quaternion: Numbers) -> tuple[float, float, float, float]:
@@ -65,13 +73,11 @@ def quaternion(data: Any) -> tuple[float, float, float, float]:  # noqa: ANN401 
     Raises:
         BadInputError: It is none.
     """
-    try:
-        return float(data["w_val"]), float(data["x_val"]), float(data["y_val"]), float(data["z_val"])
-    except (KeyError, TypeError, ValueError):
-        raise BadInputError(f"{data!r}: allowed: a Quaternionr (w_val, x_val, y_val, z_val)") from None
+    w, x, y, z = _numbers_of(data, "Quaternionr", ("w_val", "x_val", "y_val", "z_val"))
+    return w, x, y, z
 
 
-def pose(position: Numbers, orientation: Numbers) -> dict[str, Any]:
+def pose(position: Numbers, orientation: Numbers) -> Data:
     """Pose, from NED numbers."""
     return {"position": vector(position), "orientation": rotation(orientation)}
 
@@ -98,10 +104,7 @@ def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
     Raises:
         BadInputError: It is none.
     """
-    try:
-        latitude, longitude, altitude = (float(data[key]) for key in _GEO_POINT)
-    except (KeyError, TypeError, ValueError):
-        raise BadInputError(f"{data!r}: allowed: a GeoPoint (latitude, longitude, altitude)") from None
+    latitude, longitude, altitude = _numbers_of(data, "GeoPoint", _GEO_POINT)
     return local(latitude, longitude, altitude, HOME)
 
 

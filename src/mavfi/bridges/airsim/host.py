@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from mavfi.bridges.airsim.boundary import Boundary, Passed
+from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.bridges.airsim.program import Ended, client_version, run_program
 from mavfi.bridges.airsim.server import msgpack
@@ -19,7 +19,7 @@ from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.sensor.fault import SensorFault
 from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.host import ArmSetup, Recorded, one_by_one
+from mavfi.hosts.host import ArmSetup, Recorded, RunResult, one_by_one
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
@@ -39,19 +39,6 @@ class ProgramMission:
     def key(self) -> str:
         """Identifying hash."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
-
-
-@dataclass(frozen=True, slots=True)
-class ProgramResult:
-    """The record of a run, as a `Recorded`; `passed`: the calls of an error-free run, from which faults are drawn."""
-
-    kept: FlightRecord
-    passed: tuple[Passed, ...] = ()
-    profile: None = None
-
-    def record(self) -> FlightRecord:
-        """See `Recorded.record`."""
-        return self.kept
 
 
 class AirsimProgramHost:
@@ -92,7 +79,7 @@ class ProgramRuns:
         self._missions = missions
         self._golden: dict[str, Ended] = {}
 
-    def golden(self, arm: str, *, profile: bool = False) -> ProgramResult:
+    def golden(self, arm: str, *, profile: bool = False) -> RunResult:
         """The error-free runs.
 
         Raises:
@@ -111,7 +98,7 @@ class ProgramRuns:
         if runs[0].how == "hang":
             raise BadInputError(f"{mission.program.script}: {runs[0].reason} without a fault; allowed: a larger wall_s")
         self._golden[arm] = runs[0]
-        return ProgramResult(record_of_program(runs[0], runs[0]), tuple(runs[0].boundary.passed))
+        return RunResult(record_of_program(runs[0], runs[0]), tuple(runs[0].boundary.passed))
 
     def know(self, arm: str, flight: Recorded) -> None:
         """See `MissionFlights.know`; no operation, as no program is run elsewhere."""
@@ -119,10 +106,10 @@ class ProgramRuns:
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `one_by_one`."""
 
-        def run(arm: str, fault: Fault) -> ProgramResult:
+        def run(arm: str, fault: Fault) -> RunResult:
             mission, boundary = self._missions[arm], Boundary.of(cast(MessageFault | SensorFault, fault))
             ended = run_program(mission.program, mission.spec, boundary)
-            return ProgramResult(record_of_program(ended, ended if ended.how == "ended" else self._golden_run(arm)))
+            return RunResult(record_of_program(ended, ended if ended.how == "ended" else self._golden_run(arm)))
 
         return one_by_one(runs, run)
 

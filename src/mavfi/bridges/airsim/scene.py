@@ -11,6 +11,7 @@ import numpy as np
 
 from mavfi.bridges.airsim.frames import (
     LEVEL,
+    Data,
     Triple,
     flipped,
     from_geo_point,
@@ -22,7 +23,7 @@ from mavfi.bridges.airsim.frames import (
 )
 from mavfi.bridges.airsim.identity import KEY, identity
 from mavfi.bridges.airsim.pictures import DUST, FOG
-from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, call
+from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
 from mavfi.bridges.airsim.vehicle import TICK_US
 from mavfi.config import names
 from mavfi.errors import BadInputError
@@ -37,31 +38,25 @@ _NOTHING = (
 """Calls that draw into AirSim's window, which does not exist here, or move its sun, which lights no picture here."""
 
 
+add_readings(
+    call,
+    {
+        "ping": lambda _: True,
+        "getServerVersion": lambda api: api.version,
+        "getMinRequiredClientVersion": lambda api: api.version,
+        "listVehicles": lambda api: [api.name],
+        "simIsPaused": lambda api: api.paused,
+        "simListAssets": lambda _: ["Cube"],
+        "isRecording": lambda api: api.recording,
+    },
+)
+
+
 # ---- connection ------------------------------------------------------------------------------------------------------
-@call("ping")
-def _(api: Api) -> bool:
-    return True
-
-
-@call("getServerVersion")
-def _(api: Api) -> int:
-    return api.version
-
-
-@call("getMinRequiredClientVersion")
-def _(api: Api) -> int:
-    return api.version
-
-
-@call("listVehicles")
-def _(api: Api) -> list[str]:
-    return [api.name]
-
-
 @call("getSettingsString")
 def _(api: Api) -> str:
     """AirSim's settings, and under a key of its own what the server flies."""
-    vehicles: dict[str, Any] = {api.name: {}}
+    vehicles: Data = {api.name: {}}
     own = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
     settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: own}
     return json.dumps(settings)
@@ -76,11 +71,6 @@ def _(api: Api, message: Any, message_param: Any = "", severity: int = 0) -> boo
 @call("simPause")
 def _(api: Api, is_paused: bool) -> None:
     api.paused, api.resume_until_us = bool(is_paused), None
-
-
-@call("simIsPaused")
-def _(api: Api) -> bool:
-    return api.paused
 
 
 def continue_for(api: Api, seconds: float) -> None:
@@ -154,7 +144,7 @@ def _(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
 
 
 @call("simGetObjectPose")
-def _(api: Api, object_name: str, ned: bool = True) -> dict[str, Any]:
+def _(api: Api, object_name: str, ned: bool = True) -> Data:
     """NaN for an object that does not exist, as in AirSim."""
     if object_name == api.name:
         return pose(api.vehicle.position, api.vehicle.orientation)
@@ -182,16 +172,16 @@ def _(api: Api, object_name: str, scale_vector: Any) -> bool:
     return True
 
 
-@call("simListAssets")
-def _(api: Api) -> list[str]:
-    return ["Cube"]
-
-
 @call("simSpawnObject")
 def _(
-    api: Api, object_name: str, asset_name: str, pose: Any, scale: Any, physics_enabled: bool = False,
+    api: Api,
+    object_name: str,
+    asset_name: str,
+    pose: Any,
+    scale: Any,
+    physics_enabled: bool = False,
     is_blueprint: bool = False,
-) -> str:  # fmt: skip
+) -> str:
     """A box, as large as AirSim's cube (1 m) times the scale; returns its name, made unique."""
     if physics_enabled:
         raise BadInputError("simSpawnObject: obstacles do not move; allowed: physics_enabled=False")
@@ -246,8 +236,8 @@ def _(api: Api) -> list[dict[str, float]]:
     return [geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
 
 
-@call("simTestLineOfSightToPoint")
-def _(api: Api, point: Any, vehicle_name: str = "") -> bool:
+@vehicle_call("simTestLineOfSightToPoint")
+def _(api: Api, point: Any) -> bool:
     return api.vehicle.sim.is_free(api.vehicle.sim.odometry[:3].copy(), _geo(api, point))
 
 
@@ -290,11 +280,6 @@ def _(api: Api) -> None:
 @call("stopRecording")
 def _(api: Api) -> None:
     api.recording = False
-
-
-@call("isRecording")
-def _(api: Api) -> bool:
-    return api.recording
 
 
 def _nothing(api: Api, *arguments: Any) -> None:

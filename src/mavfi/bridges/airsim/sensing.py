@@ -2,42 +2,31 @@
 
 import math
 from functools import cache
-from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim import pictures
 from mavfi.bridges.airsim.frames import (
     LEVEL,
-    Triple,
+    Data,
     flipped,
     geo_point,
-    looking,
-    mount,
     pose,
-    pose_numbers,
-    quaternion,
     vector,
 )
 from mavfi.bridges.airsim.frames import rotation as rotated
-from mavfi.bridges.airsim.table import DESTROYED, GROUND, NARROWEST, WIDEST, Api, Camera, call
+from mavfi.bridges.airsim.table import (
+    DESTROYED,
+    GROUND,
+    Api,
+    add_readings,
+    vehicle_call,
+)
 from mavfi.bridges.airsim.vehicle import FLYING, LANDED
-from mavfi.config import CameraConfig
-from mavfi.errors import BadInputError
-from mavfi.numerics.elementary import cos, sin, tan
+from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim import grounded
 from mavfi.sim.engine import GRAVITY
 
-CAMERA_RANGE = 100.0
-"""Beyond it a depth image shows the sky (m)."""
-SKY = 65504.0
-"""Depth of the sky, the largest float16, as in AirSim."""
-_FACING = {"front_center": (0, 0), "front_right": (0, 0), "front_left": (0, 0), "bottom_center": (0, -90),
-           "back_center": (180, 0)}  # fmt: skip
-_NUMBERS = dict(zip("01234", _FACING, strict=True))
-_CAMERAS = {**_FACING, "fpv": (0, 0)}
-"""AirSim's cameras: turned to the right and up (deg); all of them sit at the centre of the vehicle."""
 _CHANNELS, _STEPS = 16, 360
 _LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _LIDAR_RANGE = -15.0, -25.0, 100.0
 _NEAREST, _FARTHEST = 0.2, 40.0
@@ -49,7 +38,7 @@ _THRUST_COEFFICIENT, _PROPELLER_M = 0.109919, 0.2286
 """Thrust coefficient and diameter of AirSim's propeller (RotorParams: GWS 9x5, measured by UIUC)."""
 
 
-def kinematics(api: Api, odometry: np.ndarray) -> dict[str, Any]:
+def kinematics(api: Api, odometry: np.ndarray) -> Data:
     """KinematicsState of a state of the vehicle."""
     position, orientation, velocity, rates = api.vehicle.in_ned(odometry)
     return {
@@ -59,7 +48,7 @@ def kinematics(api: Api, odometry: np.ndarray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def collision(api: Api) -> dict[str, Any]:
+def collision(api: Api) -> Data:
     """CollisionInfo."""
     v, found = api.vehicle, api.vehicle.collision
     if found is None:
@@ -78,8 +67,8 @@ def collision(api: Api) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("getMultirotorState")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getMultirotorState")
+def _(api: Api) -> Data:
     switches = {f"switch{n}": 0 for n in range(1, 9)}
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
@@ -94,13 +83,8 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("simGetGroundTruthKinematics")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return kinematics(api, api.vehicle.sim.odometry)
-
-
-@call("simGetGroundTruthEnvironment")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("simGetGroundTruthEnvironment")
+def _(api: Api) -> Data:
     position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
     height = geo_point(position)["altitude"]
     kelvin = 288.15 - 0.0065 * height
@@ -111,19 +95,8 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@call("simGetVehiclePose")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    position, orientation, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
-    return pose(position, orientation)
-
-
-@call("simGetCollisionInfo")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return collision(api)
-
-
-@call("getRotorStates")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getRotorStates")
+def _(api: Api) -> Data:
     thrusts, ratio = api.vehicle.sim.thrusts.tolist(), api.vehicle.scenario.vehicle.rotor_torque_ratio
     rotors = [{"thrust": thrust, "torque_scaler": thrust * ratio, "speed": _rotor_speed(thrust)} for thrust in thrusts]
     return {"timestamp": api.vehicle.stamp, "rotors": rotors}
@@ -136,8 +109,8 @@ def _rotor_speed(thrust: float) -> float:
 
 
 # ---- motion sensors --------------------------------------------------------------------------------------------------
-@call("getImuData")
-def _(api: Api, imu_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getImuData")
+def _(api: Api, imu_name: str = "") -> Data:
     sample = api.vehicle.imu()
     return {
         "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
@@ -151,22 +124,22 @@ def _pressure(height: float) -> float:
     return float(_SEA_LEVEL_PA * base**5.25588) if base > 0.0 else 0.0
 
 
-@call("getBarometerData")
-def _(api: Api, barometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getBarometerData")
+def _(api: Api, barometer_name: str = "") -> Data:
     height = geo_point(api.vehicle.position)["altitude"]
     return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
 
 
-@call("getMagnetometerData")
-def _(api: Api, magnetometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getMagnetometerData")
+def _(api: Api, magnetometer_name: str = "") -> Data:
     matrix = np.empty((3, 3))
     rotation_matrix(np.array(api.vehicle.orientation), matrix)
     body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
     return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
 
 
-@call("getGpsData")
-def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getGpsData")
+def _(api: Api, gps_name: str = "") -> Data:
     v = api.vehicle
     gnss = {
         "geo_point": geo_point(v.position), "eph": 0.1, "epv": 0.1, "velocity": vector(v.velocity), "fix_type": 3,
@@ -175,13 +148,8 @@ def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
     return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
 
 
-@call("getHomeGeoPoint")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return geo_point((0.0, 0.0, 0.0))
-
-
-@call("getDistanceSensorData")
-def _(api: Api, distance_sensor_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getDistanceSensorData")
+def _(api: Api, distance_sensor_name: str = "") -> Data:
     found = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
     return {
         "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, found)), "min_distance": _NEAREST,
@@ -199,8 +167,8 @@ def lidar_rays() -> np.ndarray:
     return np.array([(level * x, -level * y, up) for level, up in tilts for x, y in turns])
 
 
-@call("getLidarData")
-def _(api: Api, lidar_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+@vehicle_call("getLidarData")
+def _(api: Api, lidar_name: str = "") -> Data:
     """Points in NED (AirSim's frame VehicleInertialFrame)."""
     v, rays = api.vehicle, lidar_rays()
     ranges = v.sim.cast(rays, _LIDAR_RANGE)
@@ -213,123 +181,17 @@ def _(api: Api, lidar_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
     }  # fmt: skip
 
 
-# ---- cameras ---------------------------------------------------------------------------------------------------------
-def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
-    """A camera by name or number.
-
-    Raises:
-        BadInputError: There is none.
-    """
-    known = _NUMBERS.get(str(name), str(name))
-    if known not in _CAMERAS:
-        raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
-    if known not in api.cameras:
-        api.cameras[known] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[known]))
-    return api.cameras[known]
-
-
-def view(api: Api, name: Any, kind: int) -> pictures.View:  # noqa: ANN401 - a client's
-    """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
-    found, (width, height) = find_camera(api, name), api.pixels
-    config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
-    placed = mount(found.position, found.orientation)
-    ranges, rays = api.vehicle.sim.ranges(config, placed)
-    if kind in pictures.DEPTH:
-        ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return pictures.View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
-
-
-def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
-    found = find_camera(api, name)
-    at = api.vehicle.sim.sensor_pose(mount(found.position, found.orientation))
-    return api.vehicle.to_ned(np.array(at[:3])), (at[3], at[4], -at[5], -at[6])
-
-
-@call("simGetImage")
-def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = "") -> bytes:
-    return pictures.encoded(api, view(api, camera_name, image_type), image_type)
-
-
-@call("simGetImages")
-def _(api: Api, requests: Any, vehicle_name: str = "", external: Any = False) -> list[dict[str, Any]]:
-    return [_response(api, request) for request in requests]
-
-
-def _response(api: Api, request: Any) -> dict[str, Any]:
-    """ImageResponse to an ImageRequest."""
-    try:
-        name, kind = request["camera_name"], int(request["image_type"])
-        as_float, compress = bool(request["pixels_as_float"]), bool(request["compress"])
-    except (KeyError, TypeError, ValueError):
-        raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
-    seen = view(api, name, kind)
-    position, orientation = _camera_pose(api, name)
-    return {
-        "image_data_uint8": b"" if as_float else pictures.encoded(api, seen, kind, compress),
-        "image_data_float": pictures.floats(seen, kind, SKY) if as_float else [],
-        "camera_position": vector(position), "camera_name": str(name), "camera_orientation": rotated(orientation),
-        "time_stamp": api.vehicle.stamp, "message": "", "pixels_as_float": as_float, "compress": compress,
-        "width": seen.width, "height": seen.height, "image_type": kind, "annotation_name": "",
-    }  # fmt: skip
-
-
-@call("simGetCameraInfo")
-def _(api: Api, camera_name: str, vehicle_name: str = "", external: Any = False) -> dict[str, Any]:
-    width, height = api.pixels
-    fov = find_camera(api, camera_name).fov_deg
-    x = 1.0 / tan(math.radians(0.5 * fov))
-    matrix = [[x, 0.0, 0.0, 0.0], [0.0, x * width / height, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0], [0.0, 0.0, 1.0, 0.0]]
-    return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
-
-
-@call("simSetCameraPose")
-def _(api: Api, camera_name: str, pose: Any, vehicle_name: str = "", external: Any = False) -> None:
-    place_camera(find_camera(api, camera_name), *pose_numbers(pose))
-
-
-def place_camera(camera: Camera, position: Triple, orientation: tuple[float, float, float, float]) -> None:
-    """Set position and orientation in the body frame FRD (m, w x y z).
-
-    Raises:
-        BadInputError: Not finite, or an orientation of zero.
-    """
-    norm = math.sqrt(sum(value * value for value in orientation))
-    if not norm > 0.0 or not all(map(math.isfinite, (*position, *orientation))):
-        text = "allowed: finite numbers, an orientation other than zero"
-        raise BadInputError(f"camera at {position}, orientation {orientation}: {text}")
-    camera.position = position
-    camera.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
-
-
-@call("simSetCameraFov")
-def _(api: Api, camera_name: str, fov_degrees: float, vehicle_name: str = "", external: Any = False) -> None:
-    if not NARROWEST <= fov_degrees <= WIDEST:
-        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
-    find_camera(api, camera_name).fov_deg = float(fov_degrees)
-
-
-# ---- names before AirSim 1.3 ----------------------------------------------------------------------------------------
-@call("getPosition")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return vector(api.vehicle.in_ned(api.vehicle.believed)[0])
-
-
-@call("getVelocity")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return vector(api.vehicle.in_ned(api.vehicle.believed)[2])
-
-
-@call("getOrientation")
-def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return rotated(api.vehicle.in_ned(api.vehicle.believed)[1])
-
-
-@call("getCollisionInfo")
-def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    return collision(api)
-
-
-@call("simSetCameraOrientation")
-def _(api: Api, camera_name: str, orientation: Any, vehicle_name: str = "") -> None:
-    camera = find_camera(api, camera_name)
-    place_camera(camera, camera.position, quaternion(orientation))
+add_readings(
+    vehicle_call,
+    {
+        "simGetGroundTruthKinematics": lambda api: kinematics(api, api.vehicle.sim.odometry),
+        "simGetVehiclePose": lambda api: pose(*api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]),
+        "simGetCollisionInfo": collision,
+        "getHomeGeoPoint": lambda _: geo_point((0.0, 0.0, 0.0)),
+        # names before AirSim 1.3
+        "getPosition": lambda api: vector(api.vehicle.position),
+        "getVelocity": lambda api: vector(api.vehicle.velocity),
+        "getOrientation": lambda api: rotated(api.vehicle.orientation),
+        "getCollisionInfo": collision,
+    },
+)

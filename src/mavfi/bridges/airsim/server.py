@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from mavfi.bridges.airsim import detections, flying, lenses, refused, scene, sensing
+from mavfi.bridges.airsim import cameras, flying, refused, scene, sensing
 from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.clock import Real, Steps
 from mavfi.bridges.airsim.runner import TIME_IS_UP
@@ -21,7 +21,7 @@ from mavfi.errors import BadInputError
 HOST, PORT = "127.0.0.1", 41451
 _REQUEST, _RESPONSE = 0, 1
 _READ = 1 << 16
-_MODULES = detections, flying, lenses, refused, scene, sensing  # register their calls
+_MODULES = cameras, flying, refused, scene, sensing  # register their calls
 Reply = Callable[[str | None, Any], None]
 
 
@@ -100,10 +100,10 @@ class Server:
         given = self.boundary.arguments(name, given, api.vehicle.now_us)
         if found.is_task:
             require_ready(api, name)
-            number = api.vehicle.start(found.function(api, *given))
+            number = api.vehicle.start(found.run(api, given))
             self._waiting[number] = (reply, name, given)
             return
-        result = found.function(api, *given)
+        result = found.run(api, given)
         self.clock.after_call(api)
         reply(None, self.boundary.returned(name, given, result, api.vehicle.now_us))
 

@@ -1,9 +1,9 @@
 """The table of calls of AirSim's API: every call is a function of an `Api` and its arguments, registered by name."""
 
-import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from inspect import Parameter, signature
 from typing import Any
 
 from mavfi.bridges.airsim.vehicle import ApiVehicle
@@ -113,16 +113,24 @@ class Call:
         name: As on the wire.
         function: Takes an `Api` and the arguments; returns plain data, or a generator if it `is_task`.
         is_task: Whether the answer comes when a task has ended.
+        ending: Last parameters of the call, which the function does not take.
     """
 
     name: str
     function: Callable[..., Any]
     is_task: bool
+    ending: tuple[Parameter, ...] = ()
 
     @cached_property
-    def parameters(self) -> list[inspect.Parameter]:
+    def parameters(self) -> list[Parameter]:
         """Its parameters, without the `Api`."""
-        return list(inspect.signature(self.function).parameters.values())[1:]
+        return [*list(signature(self.function).parameters.values())[1:], *self.ending]
+
+    def run(self, api: Api, given: list[Any]) -> Any:
+        """What the function returns for arguments that `check` accepts."""
+        if self.ending:
+            given = given[: len(self.parameters) - len(self.ending)]
+        return self.function(api, *given)
 
     @property
     def arguments(self) -> list[str]:
@@ -142,9 +150,9 @@ class Call:
         Raises:
             BadInputError: They do not fit.
         """
-        if any(parameter.kind is inspect.Parameter.VAR_POSITIONAL for parameter in self.parameters):
+        if any(parameter.kind is Parameter.VAR_POSITIONAL for parameter in self.parameters):
             return
-        needed = sum(parameter.default is inspect.Parameter.empty for parameter in self.parameters)
+        needed = sum(parameter.default is Parameter.empty for parameter in self.parameters)
         if not needed <= len(given) <= len(self.parameters):
             allowed = ", ".join(self.arguments) or "none"
             raise BadInputError(f"{self.name}: {len(given)} arguments; allowed: {allowed}")
@@ -159,18 +167,36 @@ class Call:
 CALLS: dict[str, Call] = {}
 
 
-def call(name: str, *, is_task: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+_KIND = Parameter.POSITIONAL_OR_KEYWORD
+_VEHICLE = Parameter("vehicle_name", _KIND, default="", annotation=str)
+_EXTERNAL = Parameter("external", _KIND, default=False)
+"""Whether a camera is one of the scene, not of the vehicle; there is none."""
+
+
+def call(
+    name: str, *, is_task: bool = False, ending: tuple[Parameter, ...] = ()
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a function as the call of this name."""
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        CALLS[name] = Call(name, function, is_task)
+        CALLS[name] = Call(name, function, is_task, ending)
         return function
 
     return add
 
 
-task = partial(call, is_task=True)
+vehicle_call = partial(call, ending=(_VEHICLE,))
+"""Register a function as a call that may end with the name of the vehicle."""
+camera_call = partial(call, ending=(_VEHICLE, _EXTERNAL))
+"""Register a function as a call about a camera, which may end with the name of the vehicle and `external`."""
+task = partial(vehicle_call, is_task=True)
 """Register a function that returns a `Task`, which needs running motors."""
+
+
+def add_readings(register: Callable[[str], Any], readings: Mapping[str, Callable[[Api], Any]]) -> None:
+    """Register functions of the `Api` alone, by name; `register`: `call` or `vehicle_call`."""
+    for name, read in readings.items():
+        register(name)(read)
 
 
 def find_call(name: Any) -> Call:

@@ -8,14 +8,13 @@ equal the golden ones.
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import cast
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.host import ArmSetup, Recorded, one_by_one
+from mavfi.hosts.host import ArmSetup, Recorded, RunResult, one_by_one
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.hosts.node.trial import Trial, run_trial
 from mavfi.hosts.ros1 import finder
@@ -58,18 +57,6 @@ class NodeHost:
         golden_trial(self._node)
 
 
-@dataclass(frozen=True, slots=True)
-class TrialResult:
-    """The record of a trial, as a `Recorded`; a node has no publication profile."""
-
-    kept: FlightRecord
-    profile: None = None
-
-    def record(self) -> FlightRecord:
-        """See `Recorded.record`."""
-        return self.kept
-
-
 class NodeMission:
     """The trials of one mission."""
 
@@ -77,11 +64,11 @@ class NodeMission:
         self._node = node
         self._outputs: tuple[str, ...] = ()
 
-    def golden(self, arm: str, *, profile: bool = False) -> TrialResult:
+    def golden(self, arm: str, *, profile: bool = False) -> RunResult:
         """The error-free trials; see `golden_trial`."""
         trial = golden_trial(self._node)
         self._outputs = tuple(trial.outputs)
-        return TrialResult(record_of_trial(trial))
+        return RunResult(record_of_trial(trial))
 
     def know(self, arm: str, flight: Recorded) -> None:
         """See `MissionFlights.know`; no operation, as no trial is run elsewhere."""
@@ -89,8 +76,8 @@ class NodeMission:
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `one_by_one`."""
 
-        def run(_: str, fault: Fault) -> TrialResult:
-            return TrialResult(record_of_trial(run_trial(self._node, self._outputs, cast(RegisterFault, fault))))
+        def run(_: str, fault: Fault) -> RunResult:
+            return RunResult(record_of_trial(run_trial(self._node, self._outputs, cast(RegisterFault, fault))))
 
         return one_by_one(runs, run)
 

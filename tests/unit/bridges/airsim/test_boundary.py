@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.bridges.airsim import flying, scene, sensing  # noqa: F401 - register their calls
+from mavfi.bridges.airsim import cameras, flying, scene, sensing  # noqa: F401 - register their calls
 from mavfi.bridges.airsim.boundary import Boundary, Recording, parse_fault
 from mavfi.bridges.airsim.table import CALLS
 from mavfi.errors import BadInputError

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from mavfi.bridges.airsim.boundary import Boundary, parse_fault
+from mavfi.bridges.airsim.cameras import SKY, view
 from mavfi.bridges.airsim.config import ProgramConfig, pixels
 from mavfi.bridges.airsim.pictures import PERSPECTIVE
 from mavfi.bridges.airsim.program import client_version, effect_on, make_api, run_program
-from mavfi.bridges.airsim.sensing import SKY, view
 from mavfi.errors import BadInputError
 from mavfi.flight_log import Injection
 from mavfi.mission import MissionSpec

@@ -5,13 +5,13 @@ from collections import Counter
 import pytest
 
 from mavfi.bridges.airsim.boundary import Passed
-from mavfi.bridges.airsim.host import ProgramResult
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import Sampled, draws_of
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.flight_record import End, FlightRecord
+from mavfi.hosts.host import RunResult
 
 CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
 PROGRAM = {"host": "airsim_program", "sampling": {"level": "message"}}
@@ -25,7 +25,7 @@ def campaign(**changes):
 def faults(of, calls=CALLS):
     sampler = sampler_for(of)
     draws = [draw for _, draw in draws_of(sampler.blocks("sparse"), range(1), 1)]
-    golden = {"": Sampled(ProgramResult(FlightRecord(End.FLOWN), tuple(calls)))}
+    golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(calls)))}
     return sampler.draw(draws, "sparse", golden), sampler, golden
 
 

@@ -4,7 +4,6 @@ from collections import Counter
 
 import pytest
 
-from mavfi.bridges.airsim.host import ProgramResult
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import Sampled, draws_of
@@ -12,8 +11,9 @@ from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.faults.sensor.fault import FAILING, UNITS
 from mavfi.flight_record import End, FlightRecord
+from mavfi.hosts.host import RunResult
 
-GOLDEN = {"": Sampled(ProgramResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}
+GOLDEN = {"": Sampled(RunResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}
 
 
 def campaign(mission=None, **sampling):
