@@ -84,7 +84,10 @@ def test_what_does_not_fit_is_one_line(folder, capsys, arguments, message):
 def test_a_plugin_that_exits_does_not_choose_the_exit_code(folder, capsys):
     page = folder / "my_detector.py"
     text = page.read_text(encoding="utf-8")
-    page.write_text(text.replace("        pass", "        raise SystemExit(0)", 1), encoding="utf-8")
+    page.write_text(
+        text.replace("    def check(", "    def start(self):\n        raise SystemExit(0)\n\n    def check(", 1),
+        encoding="utf-8",
+    )
     assert run(["fly", "--environment", "sparse", "--seed", "7", "--detector", "my_detector:Altitude"]) == 2
     stderr = capsys.readouterr().err
     assert "my_detector:Altitude: SystemExit: 0 (my_detector.py:8, start)" in stderr and stderr.count("\n") == 1
