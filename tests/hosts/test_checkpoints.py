@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, Detector
+from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.local import checkpoints, fly
@@ -16,7 +17,7 @@ from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import DetectorTap
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.watching import detector_for
-from mavfi.pipeline.memory import Foreign, Memory
+from mavfi.pipeline.memory import Memory
 from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES
 from tests.hosts.missions import AUTOPILOTS, Scripted, fault, mission
@@ -65,7 +66,7 @@ class Stop:
         loop.record.set_counts(counts)
         loop.taps.injector = None if self.injector is None else self.injector.copy()
         self.keeper.restore(self.detector)
-        if self.keeper.content is not None:
+        if not isinstance(self.keeper.content, NoDetector):
             loop.taps.detector = DetectorTap(loop, self.keeper.content)
         with np.errstate(all="ignore"):
             loop.run()
@@ -75,7 +76,7 @@ class Stop:
 def fly_with_stops(scenario, detector=None, injected=None, pitch=20):
     loop = new_loop(scenario, rewindable=True)
     loop.taps.injector = None if injected is None else StateInjector(injected)
-    keeper = checkpoints.DetectorKeeper(detector)
+    keeper = checkpoints.DetectorKeeper(detector or NoDetector())
     watch(loop, detector)
     loop.begin()
     stops = []
@@ -193,7 +194,7 @@ def test_a_checkpoint_that_forgets_a_part_of_the_loop_is_noticed(name, monkeypat
     assert not same_from_everywhere()
 
 
-@pytest.mark.parametrize("forgets", [Foreign, Simulator])
+@pytest.mark.parametrize("forgets", [checkpoints.DetectorKeeper, Simulator])
 def test_a_checkpoint_that_forgets_the_detector_or_the_vehicle_is_noticed(forgets, monkeypatch):
     monkeypatch.setattr(forgets, "restore", lambda *_: None)
     assert not same_from_everywhere()

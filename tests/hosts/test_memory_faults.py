@@ -233,7 +233,7 @@ def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
 def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
     watching = detector("acceptance")
     part, spoilt, calls = part_of(watching, "acceptance"), [], []
-    judge = part._at_ticks["control.command"]
+    judge = part._judges_at_ticks["control.command"]
 
     def raising(header, record):
         calls.append(header)
@@ -242,14 +242,14 @@ def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
             raise IndexError("of such a number")
         return judge(header, record)
 
-    part._at_ticks["control.command"] = raising
+    part._judges_at_ticks["control.command"] = raising
     log = fly(mission(), MemoryFault("acceptance", "changes", None, "i8", AT, 40), watching).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "IndexError: of such a number")
     assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS
     missed = round(0.57 / 0.02)
     flown = round(log.column("time")[-1] / 0.02)
     assert flown - missed - 3 <= len(calls) <= flown - missed + 3, "it returns after its restart"
-    assert not {"check", "accept"} & set(vars(part)) and not part._stepwise
+    assert not {"check", "accept"} & set(vars(part))
 
 
 def test_faults_in_detectors_are_drawn_from_flights_with_them():

@@ -44,14 +44,14 @@ def test_a_figure_that_is_not_there_is_refused(tmp_path):
     runs = mavfi.run(mavfi.Campaign(name="one", environments=("sparse",), missions=1, faults=1, null_runs=0), tmp_path)
     with pytest.raises(mavfi.BadInputError, match="figure 'success': these runs have nothing to show"):
         mavfi.figure(runs.where(setting="golden"), "success")
-    with pytest.raises(mavfi.BadInputError, match="figure 'map': not known; allowed: success, flight_time, sites"):
+    with pytest.raises(mavfi.BadInputError, match="figure 'map': not known; allowed: success, flight_time, kernels"):
         mavfi.figure(runs, "map")
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"detector": 3}, "^detector: 3: allowed: a name, or an object with start, check and accept$"),
+        ({"detector": 3}, "^detector builtins:int: allowed: an object whose class inherits mavfi.Detector$"),
         ({"fault_seed": 3}, "^fault_seed: 3: no fault to draw; allowed: with the text of a fault$"),
     ],
 )
