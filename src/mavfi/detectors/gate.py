@@ -194,7 +194,7 @@ class PhysicsGate(Detector):
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
         """See `Detector`."""
-        function = made.get("judge_gate", judge)
+        function: Callable[..., int] = made.get("judge_gate", judge)
         arrays = self._limits, self._kept, self._then
         self._stored = Stored(_KIND, *arrays)
         self._address = self._stored.address
