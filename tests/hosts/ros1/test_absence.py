@@ -10,10 +10,11 @@ import pytest
 from mavfi.cli import run
 from mavfi.cli.ros_nodes import mission_with
 from mavfi.errors import BadInputError
-from mavfi.hosts.ros1 import finder, install
+from mavfi.hosts.ros1 import finder
 from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
 from tests.hosts.ros1.needs import ros
+from tools import install_ros as install
 
 
 def python(code, **variables):

@@ -25,23 +25,9 @@ def golden(**row):
     return {"kind": "golden", "setting": "golden", "population": "all", "level": "", **row}
 
 
-def test_sites_are_drawn_in_the_leading_stratum_that_each_has():
-    rows = [{"state": "x", "population": "mantissa"}, {"state": "x", "success": False}, {"state": "x"},
-            {"state": "y", "population": "sign", "success": False}, {"state": "y", "population": "sign"}]  # fmt: skip
-    axes = figures.sites(runs(*rows)).axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["x  (n = 2)", "y  (n = 2)"]
-    assert axes.containers[0].lines[0].get_xdata().tolist() == [0.5, 0.5]
-
-
-def test_faults_in_instructions_are_drawn_by_kernel():
-    rows = [{"level": "instruction", "kernel": name, "population": "all_bits"} for name in ("pid", "octomap")]
-    axes = figures.sites(runs(*rows)).axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["pid  (n = 1)", "octomap  (n = 1)"]
-
-
 def test_nothing_to_show_is_no_figure():
     empty = runs()
-    assert figures.success(empty) is figures.sites(empty) is figures.flight_time(empty) is None
+    assert figures.success(empty) is figures.flight_time(empty) is None
     assert figures.success(runs(golden())) is None, "without faults there is nothing to compare"
 
 

@@ -63,7 +63,7 @@ def test_nothing_to_show_is_no_figure(name):
 
 
 def test_figures_that_are_not_known_are_refused():
-    with pytest.raises(BadInputError, match="figure 'none': not known; allowed: success, flight_time, sites, kernels"):
+    with pytest.raises(BadInputError, match="figure 'none': not known; allowed: success, flight_time, kernels"):
         figures.figure(runs(), "none")
 
 
