@@ -4,6 +4,7 @@ import pytest
 
 import mavfi
 from mavfi.campaign.config import load_campaign
+from mavfi.cli import run
 from mavfi.config import parse
 from mavfi.dropped import NAMES, VALUES, dropped_name
 from mavfi.errors import BadInputError
@@ -26,6 +27,15 @@ def test_a_dropped_value_is_refused_with_the_value_to_use(key: str, value: str):
     with pytest.raises(BadInputError) as refusal:
         parse(MissionSpec, {key: value}, "mission")
     assert str(refusal.value) == f"mission: key {key!r}: {value!r}: dropped; use {VALUES[key, value]!r}"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "instead"), [("--dead-node", "latched", "readback"), ("--degraded", "hover", "hold")]
+)
+def test_a_dropped_value_of_an_option_is_refused_with_the_value_to_use(option, value, instead, capsys):
+    assert run(["fly", option, value]) == 2
+    message = f"mavfi: {option}: {value!r}: dropped; use {instead!r}\n"
+    assert capsys.readouterr().err == message
 
 
 def test_a_dropped_key_is_refused():

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from mavfi.config import Vector
+from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 from mavfi.plugins import known
@@ -110,7 +111,9 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
         found = error.errors()[0]
         name = str(found["loc"][0])
         given_text = repr(found["input"]) if isinstance(found["input"], str) else str(found["input"])
-        raise BadInputError(f"{option_name(name)}: {given_text}: allowed: {_allowed(name)}") from None
+        replacement = VALUES.get((name, str(found["input"])))
+        reason = f"dropped; use {replacement!r}" if replacement else f"allowed: {_allowed(name)}"
+        raise BadInputError(f"{option_name(name)}: {given_text}: {reason}") from None
 
 
 def listed(text: str) -> list[str]:
