@@ -257,9 +257,14 @@ def test_time_passes_as_on_the_wall_if_wanted():
 @pytest.mark.alone
 def test_a_fault_in_a_register_of_a_node():
     scenario = short()
-    plan = Plan(scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=1.0)
-    log = fly_there(plan).flight.log
-    (injection,) = log.injections
+    for pace in (1.0, 0.3, 0.1):  # on a busy machine the tracer may attach only after a flight of five seconds
+        plan = Plan(
+            scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace
+        )  # fmt: skip
+        log = fly_there(plan).flight.log
+        (injection,) = log.injections
+        if injection.activated:
+            break
     assert injection.activated and injection.details["node"] == "pid", injection
     assert int(injection.before, 16) ^ int(injection.after, 16) == 1 << injection.bit
     expected = ("crash", "hang")
