@@ -7,6 +7,7 @@ import sys
 import numba
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 
 from mavfi.numerics import jit
 from mavfi.numerics.jit import entry, kernel_jit
@@ -137,6 +138,7 @@ def test_a_function_is_compiled_once_for_literals_and_integers_of_any_size():
     def caller(values, small):
         return callee(3, True) + callee(values[0], values[0] > 1) + callee(small[0], False)
 
+    caller._cache = NullCache()  # an earlier run of this test left its code, and loading it compiles no callee
     assert caller(np.array([4]), np.array([5], np.int32)) == 6 + 8 + 5
     assert [str(signature) for signature in callee.signatures] == ["(int64, bool)"]
 
