@@ -1,7 +1,7 @@
 """What the machine code of a compiled function depends on, as a digest: the key of the cache of compiled code.
 
 It covers the bytecode with its constants, the values that the function takes from its module and from enclosing
-functions, and the same of every compiled function that it calls.  Comments, docstrings, layout, line numbers, and the
+functions, and those of every compiled function that it calls.  Comments, docstrings, layout, line numbers, and the
 names of files and modules are not in it: to change them recompiles nothing elsewhere.
 """
 

@@ -90,7 +90,7 @@ class CodeFiles(NullCache):
     """Machine code of one function on disk, one file per signature, as Numba's dispatcher asks for it.
 
     Line tables of kept code are those of the text from which it was compiled; source lines that are shown come from
-    `mavfi.ir`, which compiles anew where a file has changed.
+    `mavfi.ir`, which compiles again where a file has changed.
 
     Args:
         dispatcher: The compiled function.

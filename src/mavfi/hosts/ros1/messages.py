@@ -41,7 +41,7 @@ class Action(IntEnum):
     AGAIN = 7  # the kernel prepares to repeat its last step
     GIVE = 8  # the publication `number` is `value`: one of before the node's restart
     RESUME = 9  # the kernel continues from what was given
-    RESET = 10  # the node's kernels are constructed anew
+    RESET = 10  # the node's kernels are constructed again
     CHECK = 11  # the detector checks the publication `number`
     ACCEPT = 12  # the detector records the publication `number`
 

@@ -1,4 +1,4 @@
-"""Register faults during a flight: the world starts a tracer, which injects while the flight goes on."""
+"""Register faults during a flight: the world starts a tracer, which injects during the flight."""
 
 import subprocess
 import threading
@@ -59,7 +59,7 @@ class RegisterInjector:
         self._begun, self._planned = [], []
 
     def _begin(self, fault: RegisterFault) -> None:
-        """Start a tracer, and wait until it is attached: a node computes only while the flight goes on."""
+        """Start a tracer, and wait until it is attached: a node computes only during the flight."""
         pid = self._pid_of(fault.node)
         tracing: Future[list[Injection]] = Future()
         threading.Thread(target=_trace, args=(pid, fault, tracing), daemon=True).start()
