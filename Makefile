@@ -55,7 +55,7 @@ test-all: setup  ## run all tests, including those that repeat others in more se
 	@$(PYTEST) -n 2 -m "alone"
 
 machines: setup  ## flights and campaigns have the same bits on every x86-64 machine: other C library, CPU, folder, environment
-	@$(PYTEST) -n $(JOBS) --dist=worksteal -m machines tests/golden/test_machines.py
+	@$(PYTEST) -n $(JOBS) --dist=worksteal -m machines tests/core/golden/test_machines.py
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)
@@ -67,7 +67,7 @@ check: lint  ## the same, and fast tests
 	@$(PYTEST) -n $(JOBS) -m "not slow and not long and not alone"
 
 check-nojit: setup  ## tests of kernels and numerics as plain Python, without the compiler
-	@$(BIN)/python -m tests.robustness.nojit
+	@$(BIN)/python -m tests.nightly.nojit
 
 reliability: setup  ## hours of killed campaigns, full disks, damaged files, flipped bits (ONLY="chaos fuzz" SHARE=0.1)
 	@$(BIN)/python -m tools.reliability

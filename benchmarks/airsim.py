@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
-from mavfi.bridges.airsim.boundary import Boundary
-from mavfi.bridges.airsim.config import ProgramConfig
-from mavfi.bridges.airsim.program import Ended, run_program
+from mavfi.extras.airsim.boundary import Boundary
+from mavfi.extras.airsim.config import ProgramConfig
+from mavfi.extras.airsim.program import Ended, run_program
 from mavfi.mission import MissionSpec
-from mavfi.reports.text import markdown_grid
+from mavfi.report.text import markdown_grid
 from tools.markers import DOCS, ROOT, fill
 
 PROGRAMS = ("box", "orbit", "survey")

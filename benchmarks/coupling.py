@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from mavfi.faults.sampling import draw, stage_target
-from mavfi.hosts.local import Flight, fly
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.watching import detector_for, with_keys_of
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import Flight, fly
+from mavfi.flight.policy import Recovery
+from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 

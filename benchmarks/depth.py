@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.rows import Row
 from mavfi.config import CameraConfig, EnvironmentConfig
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.camera import Camera

@@ -14,7 +14,7 @@ written registers is larger; the following rules apply:
 import re
 from collections.abc import Sequence
 
-from mavfi.faults.register.registers import Instruction, Register
+from mavfi.extras.registers.registers import Instruction, Register
 
 _STACK = ("push", "pop", "call", "ret", "leave", "enter")
 _CLEAR = ("vzeroupper", "vzeroall")

@@ -5,7 +5,7 @@
 N: repeats of each flight (5); one only for detectors that take more than a second of it.  SEEDS: missions of each
 setting (2).  MODELS: folder of models of the detectors from other libraries (`mavfi train --baselines`); without it
 they are left out.  ONLY: these detectors; the table is then printed, not written.  Detectors take turns within a
-repeat; how they are timed: `mavfi.campaign.overheads`.
+repeat; how they are timed: `mavfi.extras.paper.overheads`.
 """
 
 import os
@@ -15,10 +15,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
-from mavfi.campaign.overheads import ALL, LONG_S, Cost, cost
 from mavfi.errors import NotInstalledError, SpecMismatchError
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.watching import detector_for, with_keys_of
+from mavfi.extras.paper.overheads import ALL, LONG_S, Cost, cost
+from mavfi.flight.compose import resolve
+from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec
 from mavfi.states import BASELINES
 from tools.markers import DOCS, between

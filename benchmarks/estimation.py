@@ -11,8 +11,8 @@ import sys
 
 import numpy as np
 
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, State, floats
 

@@ -17,12 +17,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from mavfi.campaign.bench import entries, load_bench, with_schemes
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
 from mavfi.campaign.plan import Flown, Planned, arms_of
-from mavfi.flight_record import FlightRecord
+from mavfi.extras.bench.bench import entries, load_bench, with_schemes
+from mavfi.record import FlightRecord
 
 TAKE_OFF, FAST = "from take-off", "fast-forward"
 

@@ -13,10 +13,10 @@ from benchmarks.rows import Row
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.config import CameraConfig, MapConfig
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
-from mavfi.reports.style import BLUE, GREY, ORANGE, house_style
+from mavfi.report.style import BLUE, GREY, ORANGE, house_style
 from tools.results import RESULTS
 
 FIGURE = RESULTS / "growth.png"

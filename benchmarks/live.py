@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.observe import Attached
+from mavfi.extras.logs.live import LiveView
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
+from mavfi.flight.observe import Attached
 from mavfi.mission import MissionSpec
-from mavfi.reports.export.live import LiveView
-from tests.unit.reports.export.viewer import Viewer
+from tests.core.unit.report.export.viewer import Viewer
 from tools.markers import DOCS, fill
 
 PAGE = DOCS / "logs.md"

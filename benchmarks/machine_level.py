@@ -27,20 +27,20 @@ import numba
 import numpy as np
 
 from benchmarks.single_step import SteppedCall
-from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.hardening.battery import DETECTED
-from mavfi.campaign.hardening.ratio import coverage
-from mavfi.campaign.overheads import processor
+from mavfi.analysis.statistics import Rate, wilson
 from mavfi.errors import BadInputError
-from mavfi.faults.instruction import count, draw, run_forked
-from mavfi.faults.instruction.api import digest
-from mavfi.faults.instruction.variant import signature_of
-from mavfi.hardening.compiled import Compiled, compiled
-from mavfi.hardening.protection import Protection
-from mavfi.hardening.recorded import copied
-from mavfi.hardening.wrapper import MESSAGE
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.extras.hardening.battery import DETECTED
+from mavfi.extras.hardening.compiled import Compiled, compiled
+from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.ratio import coverage
+from mavfi.extras.hardening.recorded import copied
+from mavfi.extras.hardening.wrapper import MESSAGE
+from mavfi.extras.paper.overheads import processor
+from mavfi.faults.levels.instruction import count, draw, run_forked
+from mavfi.faults.levels.instruction.api import digest
+from mavfi.faults.levels.instruction.variant import signature_of
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tools.full_plan import full_plan

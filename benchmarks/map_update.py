@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.rows import Row
 from mavfi.config import MapConfig
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.kernels.perception import octomap
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.maps import MAPS

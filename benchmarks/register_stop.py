@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mavfi.extras.registers import inject
 from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
-from mavfi.faults.register import inject
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros-attach.md"

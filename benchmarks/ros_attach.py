@@ -14,13 +14,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mavfi.campaign.config import load_campaign
+from mavfi.extras.registers import inject
+from mavfi.extras.ros.node.bench import MASTER_URI, Bench
+from mavfi.extras.ros.node.message import Composer
+from mavfi.extras.ros.node.peer import Outlet
+from mavfi.extras.ros.ros1.supervisor import loopback_up
 from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
-from mavfi.faults.register import inject
-from mavfi.flight_log import Injection
-from mavfi.hosts.node.bench import MASTER_URI, Bench
-from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.peer import Outlet
-from mavfi.hosts.ros1.supervisor import loopback_up
+from mavfi.record import Injection
 
 MESSAGES = 500
 ROUNDS = 3
@@ -29,8 +29,8 @@ PERIOD_S = 0.002
 TOPIC = "/speed"
 READER = """
 import sys, time
-from mavfi.hosts.node.master import Master
-from mavfi.hosts.node.peer import Peer
+from mavfi.extras.ros.node.master import Master
+from mavfi.extras.ros.node.peer import Peer
 
 def arrived(message):
     sys.stdout.buffer.write(time.perf_counter_ns().to_bytes(8, "little"))

@@ -25,11 +25,11 @@ from benchmarks.instruction import instruction_rows
 from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
 from benchmarks.rows import Row
-from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.overheads import processor
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.assemble import new_loop
-from mavfi.hosts.loop.compose import resolve
+from mavfi.analysis.table import Table
+from mavfi.extras.paper.overheads import processor
+from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.sim.simulator import Simulator

@@ -22,9 +22,9 @@ import numpy as np
 
 from benchmarks.destinations import destinations, is_out_of_reach
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.register.ptrace import TargetGoneError, Tracee, TracerTimeoutError
-from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
-from mavfi.faults.register.target import check_machine, not_permitted
+from mavfi.extras.registers.ptrace import TargetGoneError, Tracee, TracerTimeoutError
+from mavfi.extras.registers.registers import Instruction, Register, decode, flip, value_of
+from mavfi.extras.registers.target import check_machine, not_permitted
 from mavfi.ir.forked import Ended, judge_exit, run_in_child
 
 _LIMIT = 10.0

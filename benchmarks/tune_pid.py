@@ -22,8 +22,8 @@ import numpy as np
 
 from mavfi.config import AutopilotConfig, shipped
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec, MissionStatus
 
 DESIGN_SEEDS = range(10_000)

@@ -2,7 +2,7 @@
 
 import os
 
-from tests.architecture.source import ROOT
+from tests.core.architecture.source import ROOT
 
 
 def python_of(name):

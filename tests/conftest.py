@@ -56,16 +56,19 @@ def _heap_in_large_pages():
             madvise(ctypes.c_void_p(low), ctypes.c_size_t(high - low), _MADV_COLLAPSE)
 
 
-_ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
+_ALONE = (
+    "tests/extras/registers", "tests/extras/ros/node/test_attach", "tests/extras/ros/node/test_node_campaign",
+    "tests/extras/ros/ros1/test_processes.py",
+)  # fmt: skip
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves.
 Most wait most of the time, so two files run at once."""
 
 
 _SLOW = (
-    "tests/golden", "tests/hosts", "tests/robustness", "tests/unit/bridges", "tests/unit/campaign/executors",
-    "tests/unit/campaign/hardening", "tests/unit/campaign/test_log.py", "tests/unit/campaign/test_pack.py",
-    "tests/unit/campaign/test_training.py", "tests/unit/detectors", "tests/unit/faults/instruction",
-    "tests/unit/hardening", "tests/unit/reports",
+    "tests/core/flights", "tests/core/golden", "tests/core/unit/campaign/test_log.py",
+    "tests/core/unit/campaign/test_training.py", "tests/core/unit/detectors", "tests/core/unit/faults/instruction",
+    "tests/core/unit/report", "tests/extras/airsim", "tests/extras/bench", "tests/extras/dask", "tests/extras/firmware",
+    "tests/extras/hardening", "tests/extras/mavlink", "tests/extras/ros", "tests/nightly",
 )  # fmt: skip
 """Missions fly in these tests, or instrumented kernels are compiled: `make check` leaves them to `make test`."""
 
@@ -91,15 +94,14 @@ def pytest_collection_modifyitems(config, items):
 
 
 _PLACES = {  # that of the first prefix counts
-    "tests/hosts/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
-    "tests/unit/faults/register/test_inject": 0,  # the longest of those that run after the others
-    "tests/unit/campaign/test_bench": 5,  # loads all detectors
-    "tests/unit/campaign/test_overheads": 5,  # compiles the paper's detector, as test_pack would at the same time
-    "tests/unit/campaign/test_session": 3,  # finds compiled what the first file compiles
-    "tests/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
-    "tests/hosts/instruction": 3,
-    "tests/hosts/ros1": 4,  # finds compiled what eight nodes would compile at once
-    "tests/hosts": 2,
+    "tests/core/flights/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
+    "tests/extras/registers/test_inject": 0,  # the longest of those that run after the others
+    "tests/core/unit/campaign/test_session": 3,  # finds compiled what the first file compiles
+    "tests/core/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
+    "tests/core/flights/instruction": 3,
+    "tests/extras/ros/ros1": 4,  # finds compiled what eight nodes would compile at once
+    "tests/core/flights": 2,
+    "tests/extras/airsim": 2,
 }  # fmt: skip
 
 

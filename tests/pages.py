@@ -10,7 +10,7 @@ import sys
 import time
 from contextlib import contextmanager, suppress
 
-from tests.architecture.source import ROOT
+from tests.core.architecture.source import ROOT
 
 DOCS = ROOT / "docs"
 _PROGRAMS = ("make", "mavfi", "python", "rosbag", "$FLIGHT/join")

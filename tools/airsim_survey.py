@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mavfi.bridges.airsim import server  # noqa: F401 - registers all calls
-from mavfi.bridges.airsim.refused import REFUSED
-from mavfi.bridges.airsim.table import CALLS
-from mavfi.reports.text import markdown_grid, percent
+from mavfi.extras.airsim.refused import REFUSED
+from mavfi.extras.airsim.table import CALLS
+from mavfi.report.text import markdown_grid, percent
 from tools.markers import DOCS, fill
 
 DATA = Path(__file__).with_suffix(".csv")

@@ -7,12 +7,12 @@ import sys
 
 import polars as pl
 
+from mavfi.analysis.measures import FAILS_OR_SLOWER, rate_of
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.table import RATE, SIGNED, Column, Table
 from mavfi.api import load
-from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, rate_of
-from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.table import RATE, SIGNED, Column, Table
 from mavfi.errors import BadInputError
-from mavfi.reports.text import header
+from mavfi.report.text import header
 from tools import results
 from tools.markers import ROOT
 

@@ -22,25 +22,25 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.analysis.table import NUMBER, Column, Table
-from mavfi.campaign.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
-from mavfi.campaign.hardening.certification import Certification, merged
-from mavfi.campaign.hardening.certify import certify, pairs_of, rate_of, verdict_of
-from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
-from mavfi.campaign.hardening.learned import Injected, injections_in
-from mavfi.campaign.hardening.ledger import harm_of
-from mavfi.campaign.hardening.observed import Seen, observe
-from mavfi.campaign.hardening.study import Study, advise, plan_of, planned_of
-from mavfi.campaign.hardening.summary import AdviceSummary, growth_of, summary
-from mavfi.campaign.hardening.target import Target
-from mavfi.campaign.overheads import processor
+from mavfi.analysis.statistics import Rate
+from mavfi.analysis.table import NUMBER, Column, Table
 from mavfi.errors import BadInputError
-from mavfi.hardening.plan import Plan, load_plan, save_plan
-from mavfi.hardening.protection import Protection
-from mavfi.hosts.loop.compose import resolve
+from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
+from mavfi.extras.hardening.certification import Certification, merged
+from mavfi.extras.hardening.certify import certify, pairs_of, rate_of, verdict_of
+from mavfi.extras.hardening.golden import GoldenCheck, check_golden
+from mavfi.extras.hardening.learned import Injected, injections_in
+from mavfi.extras.hardening.ledger import harm_of
+from mavfi.extras.hardening.observed import Seen, observe
+from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
+from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.study import Study, advise, plan_of, planned_of
+from mavfi.extras.hardening.summary import AdviceSummary, growth_of, summary
+from mavfi.extras.hardening.target import Target
+from mavfi.extras.hardening.text import advice_table, caveats, certificate_table, headline, verdict_line
+from mavfi.extras.paper.overheads import processor
+from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.reports.hardening.plain import advice_table, caveats, certificate_table, headline, verdict_line
 from tools import results
 from tools.markers import ROOT, fill
 from tools.stored_certificate import certification_of

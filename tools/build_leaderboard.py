@@ -17,14 +17,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from mavfi.analysis.flight_views import TOTAL
+from mavfi.analysis.statistics import Rate, wilson
+from mavfi.analysis.table import RATE, Column, Table
 from mavfi.api import load, table
-from mavfi.campaign.analysis.flight_views import TOTAL
-from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.analysis.table import RATE, Column, Table
-from mavfi.campaign.bench import FOLDER, ROWS, SCORES, Bench, Part, level_of, load_bench, published_rows
 from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
-from mavfi.reports.text import rate, shown
+from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, Part, level_of, load_bench, published_rows
+from mavfi.report.text import rate, shown
 from tools import results
 from tools.markers import DOCS, IMAGES, ROOT, fill
 

@@ -5,20 +5,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from mavfi.bridges.mavlink.autopilot import TYPES as MAVLINK_TYPES
-from mavfi.bridges.mavlink.autopilot import UNITS as MAVLINK_UNITS
 from mavfi.errors import BadInputError
-from mavfi.faults.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
+from mavfi.extras.mavlink.autopilot import TYPES as MAVLINK_TYPES
+from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
+from mavfi.extras.ros.ros1.graph import WORLD, Graph
+from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
+from mavfi.extras.ros.ros1.messages import type_name
+from mavfi.extras.ros.ros1.session import configure
+from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
 from mavfi.faults.strata import WORD_BITS
-from mavfi.hosts.host import GROUP, SHIPPED
-from mavfi.hosts.loop.assemble import new_loop
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
-from mavfi.hosts.loop.sensor_faults import check_read
-from mavfi.hosts.ros1.graph import WORLD, Graph
-from mavfi.hosts.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
-from mavfi.hosts.ros1.messages import type_name
-from mavfi.hosts.ros1.session import configure
+from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import resolve
+from mavfi.flight.host import GROUP, SHIPPED
+from mavfi.flight.loop import CONTROL_PERIOD_US
+from mavfi.flight.sensor_faults import check_read
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline

@@ -15,8 +15,8 @@ import shutil
 import sys
 from pathlib import Path
 
-from mavfi.reports.study_report import JSON
-from mavfi.reports.text import markdown_grid
+from mavfi.extras.paper.report import JSON
+from mavfi.report.text import markdown_grid
 from tools import published_digests
 from tools.markers import DOCS, ROOT, banner, fill
 from tools.results import RESULTS, TABLES

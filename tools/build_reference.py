@@ -16,12 +16,12 @@ from pydantic.fields import FieldInfo
 
 from mavfi import config
 from mavfi.campaign import config as campaigns
-from mavfi.campaign.analysis.failure_rate import UpsetConfig
-from mavfi.campaign.study import Study
 from mavfi.detectors.registry import DetectorConfig
+from mavfi.extras.paper.failure_rate import UpsetConfig
+from mavfi.extras.paper.redundancy import DesignConfig
+from mavfi.extras.paper.study import Study
 from mavfi.faults.fault import LEVELS
 from mavfi.mission import MissionSpec
-from mavfi.platforms.redundancy import DesignConfig
 from tools.markers import GENERATED, banner
 
 COMMAND = "make docs"

@@ -6,8 +6,8 @@ make results NAME=five-rules
 import sys
 from pathlib import Path
 
+from mavfi.analysis.statistics import Rate
 from mavfi.api import load, table
-from mavfi.campaign.analysis.statistics import Rate
 from mavfi.errors import BadInputError
 from tools.build_leaderboard import RULES, fly
 from tools.markers import DOCS, fill

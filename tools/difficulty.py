@@ -18,20 +18,20 @@ import numpy as np
 import polars as pl
 import typer
 
+from mavfi.analysis.measures import FAILS_OR_SLOWER, SLOWER, rate_of
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import Rate, wilson
+from mavfi.analysis.table import RATE, Column, Table
 from mavfi.api import load
-from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, SLOWER, rate_of
-from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.analysis.table import RATE, Column, Table
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.cli.progress import Bar
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
-from mavfi.hosts.loop.compose import find_environment
-from mavfi.reports import style
-from mavfi.reports.text import short, versions
+from mavfi.flight.compose import find_environment
+from mavfi.report import style
+from mavfi.report.text import short, versions
 from tools import results
 from tools.markers import ROOT
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
 from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.control import MAX_YAW_RATE
-from mavfi.reports import style
+from mavfi.report import style
 from mavfi.sim.environments.arena import arena_world
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats

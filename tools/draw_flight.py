@@ -10,10 +10,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import LineStyleType
 
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
 from mavfi.kernels.perception.clearance import KNOWN_FREE
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.reports import style
+from mavfi.report import style
 from mavfi.states import State
 from tools import drawing
 

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mavfi.reports import style
-from mavfi.reports.hardening.drawing import best
+from mavfi.extras.hardening.drawing import best
+from mavfi.report import style
 from tools.drawing import save
 from tools.markers import IMAGES
 from tools.results import TABLES

@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.kernels.perception.octree import DEPTH
 from mavfi.mission import MissionSpec
-from mavfi.reports import style
+from mavfi.report import style
 from tools import drawing
 from tools.markers import IMAGES
 

@@ -9,11 +9,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
-from mavfi.hosts.local import Flight
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import Flight
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.reports import style
+from mavfi.report import style
 from mavfi.states import State, floats
 from tools import drawing
 

@@ -9,13 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
 from mavfi.mission import MissionSpec
 from mavfi.numerics.random import seed_generator
 from mavfi.pipeline.clearance_map import ClearanceMap
-from mavfi.reports import style
+from mavfi.report import style
 from mavfi.sim.environments import World
 from tools import drawing
 

@@ -9,8 +9,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import pipeline_config, resolve
+from mavfi.flight.compose import pipeline_config, resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.estimation import StateEstimator
 from mavfi.states import State, floats

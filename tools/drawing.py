@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from mavfi.hosts.local import Flight, fly
-from mavfi.hosts.loop.compose import pipeline_config
+from mavfi.flight.compose import pipeline_config
+from mavfi.flight.fly import Flight, fly
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import Scenario
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.planning import MotionPlanner
-from mavfi.reports import style
+from mavfi.report import style
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import World
 from mavfi.states import State, new_state

@@ -3,8 +3,8 @@
 import csv
 from collections.abc import Iterable
 
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.reports.text import markdown_grid
+from mavfi.analysis.statistics import wilson
+from mavfi.report.text import markdown_grid
 from tools.results import TABLES
 
 HEADINGS = ("level", "n", "masked", "other result", "crash", "hang", "exception", "n, missions", "mission succeeds")

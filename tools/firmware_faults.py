@@ -17,22 +17,21 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.analysis.statistics import wilson
+from mavfi.analysis.table import NUMBER, RATE, SIGNED, Column, Table
 from mavfi.api import load
 from mavfi.api import table as table_of
-from mavfi.bridges.firmware.build import installed
-from mavfi.bridges.firmware.controller import BetaflightController
-from mavfi.bridges.firmware.host import fly, register_fault
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.table import NUMBER, RATE, SIGNED, Column, Table
+from mavfi.extras.firmware.build import installed
+from mavfi.extras.firmware.controller import BetaflightController
+from mavfi.extras.firmware.host import fly, register_fault
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.sampling import stream
-from mavfi.flight_log import FlightLog
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.scheduler import Loop
+from mavfi.flight.compose import resolve
+from mavfi.flight.loop import Loop
 from mavfi.mission import MissionSpec
-from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
-from mavfi.qof import energy
-from mavfi.reports.text import header
+from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of, energy
+from mavfi.record import FlightLog
+from mavfi.report.text import header
 from tools import firmware_patterns as patterns
 from tools import results
 from tools.fault_levels import level_table

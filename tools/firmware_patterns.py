@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.firmware.controller import BetaflightController
-from mavfi.bridges.firmware.injector import FirmwareInjector
+from mavfi.extras.firmware.controller import BetaflightController
+from mavfi.extras.firmware.injector import FirmwareInjector
+from mavfi.extras.registers.classes import class_of, function_of
 from mavfi.faults.fault import RegisterFault
-from mavfi.faults.register.classes import class_of, function_of
-from mavfi.flight_log import Injection
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import LOST_TILT, Control
+from mavfi.record import Injection
 from mavfi.sim.environments import build_world
 from mavfi.sim.scene import STEP_US
 from mavfi.sim.simulator import Simulator

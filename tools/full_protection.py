@@ -8,12 +8,12 @@ Signatures and calls, in which the time is measured, are those of a golden fligh
 import sys
 from pathlib import Path
 
-from mavfi.campaign.hardening.advise import codes_of, times_of
-from mavfi.campaign.hardening.observed import observe
-from mavfi.campaign.hardening.target import targets_of
-from mavfi.campaign.overheads import processor
-from mavfi.hardening.plan import FunctionPlan, Plan, save_plan
-from mavfi.hosts.loop.compose import resolve
+from mavfi.extras.hardening.advise import codes_of, times_of
+from mavfi.extras.hardening.observed import observe
+from mavfi.extras.hardening.plan import FunctionPlan, Plan, save_plan
+from mavfi.extras.hardening.target import targets_of
+from mavfi.extras.paper.overheads import processor
+from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.states import PLANNERS
 from tools.full_plan import full_plan

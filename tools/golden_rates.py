@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.table import NUMBER, RATE, Column, Table
+from mavfi.analysis.statistics import wilson
+from mavfi.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec, MissionStatus
 from tools import results
 from tools.markers import ROOT

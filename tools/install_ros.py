@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.ros1 import finder
+from mavfi.extras.ros.ros1 import finder
 
 _PYTHON = (
     "rosmaster", "rospy", "rosbag", "rostopic", "rosnode", "rosmsg", "rosservice", "rosparam", "std-msgs",

@@ -14,9 +14,9 @@ from mavfi.campaign.mission import scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import identity_of
 from mavfi.campaign.store import held
-from mavfi.campaign.study import load_study
-from mavfi.flight_record import canonical
-from mavfi.reports.text import markdown_grid, short
+from mavfi.extras.paper.study import load_study
+from mavfi.record import canonical
+from mavfi.report.text import markdown_grid, short
 from tools.markers import DOCS, ROOT
 
 FILE = "results/digests.json"
@@ -43,7 +43,7 @@ def identities(scale: str) -> dict[str, str]:
 
 def fingerprint(scale: str) -> str:
     """Hash of campaigns and golden flights."""
-    golden = (ROOT / "tests" / "golden" / "digests.json").read_text(encoding="utf-8")
+    golden = (ROOT / "tests" / "core" / "golden" / "digests.json").read_text(encoding="utf-8")
     return hashlib.sha256(canonical([identities(scale), golden]).encode()).hexdigest()[:16]
 
 

@@ -11,10 +11,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mavfi.campaign.analysis.table import Table
-from mavfi.flight_logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, judge_rest, read_recording, select
-from mavfi.reports.log_watch import Rates, rate_text
-from mavfi.reports.text import ABSENT, rate
+from mavfi.analysis.table import Table
+from mavfi.extras.logs.report import Rates, rate_text
+from mavfi.extras.logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, judge_rest, read_recording, select
+from mavfi.report.text import ABSENT, rate
 from tools import results
 from tools.markers import ROOT
 

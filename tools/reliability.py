@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
-from mavfi.campaign.analysis.table import Table
-from mavfi.hosts.ros1 import finder
+from mavfi.analysis.table import Table
+from mavfi.extras.ros.ros1 import finder
 from tools import results
 from tools.markers import ROOT
 
@@ -41,7 +41,7 @@ class Long:
     @property
     def module(self) -> str:
         """Module of the test; `only` names a part of it."""
-        return f"tests.robustness.{self.name.partition('-')[0]}"
+        return f"tests.nightly.{self.name.partition('-')[0]}"
 
 
 TESTS = (

@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mavfi.analysis.table import Table
 from mavfi.api import load, table
-from mavfi.campaign.analysis.table import Table
 from mavfi.errors import BadInputError
-from mavfi.reports.text import header, markdown_grid, shown
+from mavfi.report.text import header, markdown_grid, shown
 from tools.markers import DOCS, ROOT, banner
 
 RESULTS = DOCS / "results"

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from mavfi.campaign.analysis.pairs import Paired
-from mavfi.campaign.hardening.certification import Certification
-from mavfi.campaign.hardening.certify import Certificate, Unprotected
-from mavfi.campaign.hardening.golden import GoldenCheck
-from mavfi.campaign.hardening.spending import Spending
-from mavfi.hardening.plan import Coverage
+from mavfi.analysis.pairs import Paired
+from mavfi.extras.hardening.certification import Certification
+from mavfi.extras.hardening.certify import Certificate, Unprotected
+from mavfi.extras.hardening.golden import GoldenCheck
+from mavfi.extras.hardening.plan import Coverage
+from mavfi.extras.hardening.spending import Spending
 
 
 def certificate_of(content: Mapping[str, Any]) -> Certificate:

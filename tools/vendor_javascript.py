@@ -1,7 +1,7 @@
 """Renew the JavaScript libraries that reports inline: three.js (bundled, only what `scene.js` uses) and uPlot.
 
 Needs npm, to fetch packages of exactly these versions; nothing of them is run but esbuild, which bundles.
-Run it as `python -m tools.vendor_javascript`; it writes src/mavfi/reports/html/vendor/.
+Run it as `python -m tools.vendor_javascript`; it writes src/mavfi/report/html/vendor/.
 """
 
 import platform
@@ -11,7 +11,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-VENDOR = Path(__file__).parents[1] / "src" / "mavfi" / "reports" / "html" / "vendor"
+VENDOR = Path(__file__).parents[1] / "src" / "mavfi" / "report" / "html" / "vendor"
 VERSIONS = {"three": "0.187.0", "uplot": "1.6.32", "@esbuild/linux-x64": "0.28.2"}
 ENTRY = """\
 export {

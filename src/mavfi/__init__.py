@@ -14,30 +14,30 @@ _PUBLIC = {
     "MissionSpec": "mavfi.mission", "Scenario": "mavfi.mission", "MissionStatus": "mavfi.mission",
     "StateFault": "mavfi.faults.fault", "InstructionFault": "mavfi.faults.fault", "MessageFault": "mavfi.faults.fault",
     "MemoryFault": "mavfi.faults.fault", "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault",
-    "Fault": "mavfi.faults.fault", "SensorFault": "mavfi.faults.sensor.fault",
-    "Injection": "mavfi.flight_log", "FlightLog": "mavfi.flight_log", "FlightRecord": "mavfi.flight_record",
-    "Effect": "mavfi.outcomes", "QoF": "mavfi.qof", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
-    "Campaign": "mavfi.campaign.config", "Study": "mavfi.campaign.study", "Runs": "mavfi.campaign.analysis.runs",
+    "Fault": "mavfi.faults.fault", "SensorFault": "mavfi.faults.levels.sensor.fault",
+    "Injection": "mavfi.record", "FlightLog": "mavfi.record", "FlightRecord": "mavfi.record",
+    "Effect": "mavfi.outcomes", "QoF": "mavfi.outcomes", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
+    "Campaign": "mavfi.campaign.config", "Study": "mavfi.extras.paper.study", "Runs": "mavfi.analysis.runs",
     "Alarm": "mavfi.detectors.detector", "Detector": "mavfi.detectors.detector",
-    "FlightResult": "mavfi.reports.flight_result", "BadInputError": "mavfi.errors", "MavfiError": "mavfi.errors",
+    "FlightResult": "mavfi.report.flight_result", "BadInputError": "mavfi.errors", "MavfiError": "mavfi.errors",
 }  # fmt: skip
 
 __all__ = ["__version__", *_PUBLIC]
 
 if TYPE_CHECKING:
+    from mavfi.analysis.runs import Runs as Runs
     from mavfi.api import draw as draw
     from mavfi.api import figure as figure
     from mavfi.api import fly as fly
     from mavfi.api import load as load
     from mavfi.api import run as run
     from mavfi.api import table as table
-    from mavfi.campaign.analysis.runs import Runs as Runs
     from mavfi.campaign.config import Campaign as Campaign
-    from mavfi.campaign.study import Study as Study
     from mavfi.detectors.detector import Alarm as Alarm
     from mavfi.detectors.detector import Detector as Detector
     from mavfi.errors import BadInputError as BadInputError
     from mavfi.errors import MavfiError as MavfiError
+    from mavfi.extras.paper.study import Study as Study
     from mavfi.faults.fault import Fault as Fault
     from mavfi.faults.fault import FaultSite as FaultSite
     from mavfi.faults.fault import InstructionFault as InstructionFault
@@ -45,17 +45,17 @@ if TYPE_CHECKING:
     from mavfi.faults.fault import MessageFault as MessageFault
     from mavfi.faults.fault import RegisterFault as RegisterFault
     from mavfi.faults.fault import StateFault as StateFault
-    from mavfi.faults.sensor.fault import SensorFault as SensorFault
-    from mavfi.flight_log import FlightLog as FlightLog
-    from mavfi.flight_log import Injection as Injection
-    from mavfi.flight_record import FlightRecord as FlightRecord
+    from mavfi.faults.levels.sensor.fault import SensorFault as SensorFault
     from mavfi.mission import MissionSpec as MissionSpec
     from mavfi.mission import MissionStatus as MissionStatus
     from mavfi.mission import Scenario as Scenario
     from mavfi.outcomes import Effect as Effect
+    from mavfi.outcomes import QoF as QoF
     from mavfi.plugins import allow_plugins as allow_plugins
-    from mavfi.qof import QoF as QoF
-    from mavfi.reports.flight_result import FlightResult as FlightResult
+    from mavfi.record import FlightLog as FlightLog
+    from mavfi.record import FlightRecord as FlightRecord
+    from mavfi.record import Injection as Injection
+    from mavfi.report.flight_result import FlightResult as FlightResult
     from mavfi.states import KERNELS as KERNELS
     from mavfi.states import STATES as STATES
 

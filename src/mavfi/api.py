@@ -23,20 +23,20 @@ from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
-from mavfi.hosts.host import ArmSetup, Flight, Host, host_for
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.watching import detector_for, with_keys_of
+from mavfi.flight.compose import resolve
+from mavfi.flight.host import ArmSetup, Flight, Host, host_for
+from mavfi.flight.policy import Recovery
+from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
-from mavfi.reports.flight_result import FlightResult
+from mavfi.report.flight_result import FlightResult
 from mavfi.states import WATCHING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from mavfi.campaign.analysis.runs import Runs
-    from mavfi.campaign.analysis.table import Table
+    from mavfi.analysis.runs import Runs
+    from mavfi.analysis.table import Table
     from mavfi.campaign.executors.executor import Executor
     from mavfi.campaign.session import Progress
 
@@ -133,7 +133,7 @@ def load(directory: Path | str) -> "Runs":
     Raises:
         BadInputError: The folder has no ledger.
     """
-    from mavfi.campaign.analysis.runs import Runs
+    from mavfi.analysis.runs import Runs
 
     return Runs.read(Path(directory))
 
@@ -148,7 +148,7 @@ def table(runs: "Runs", view: str) -> "Table":
     Raises:
         BadInputError: Unknown view, or these runs have nothing to show in it.
     """
-    from mavfi.campaign.analysis import table_asked_for
+    from mavfi.analysis import table_asked_for
 
     return table_asked_for(runs, view)
 
@@ -163,7 +163,7 @@ def figure(runs: "Runs", name: str) -> "Figure":
     Raises:
         BadInputError: Unknown figure, or no data for it.
     """
-    from mavfi.reports.figures import figure as figure_of
+    from mavfi.report.figures import figure as figure_of
 
     return figure_of(runs, name)
 

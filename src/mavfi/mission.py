@@ -23,7 +23,7 @@ from mavfi.config import (
     WindConfig,
     names,
 )
-from mavfi.hardening.plan import Plan
+from mavfi.extras.hardening.plan import Plan
 
 ARRIVAL_RADIUS = 2.0
 """Distance from the goal that counts as arrival (m)."""

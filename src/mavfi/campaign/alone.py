@@ -7,8 +7,8 @@ from functools import partial
 from mavfi.campaign.plan import Flown, RunSpec
 from mavfi.detectors.custom import CustomCallError, split_noting_calls
 from mavfi.errors import MachineError
-from mavfi.flight_record import End, FlightRecord
 from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
+from mavfi.record import End, FlightRecord
 
 ATTEMPTS_ALONE = 3
 """Attempts in separate child processes before an injected run that crashes its process counts as `due`."""

@@ -6,7 +6,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
 
-from mavfi.bridges.airsim.config import ProgramConfig
 from mavfi.campaign.sampling import (
     NULL_RUNS,
     Lifetime,
@@ -21,8 +20,9 @@ from mavfi.campaign.sampling import (
 )
 from mavfi.config import STORED, Config, Name, parse, shipped
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim.config import ProgramConfig
+from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
-from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from mavfi.flight_log import FlightLog
+from mavfi.record import FlightLog
 from mavfi.states import STATES, State
 
 LEFT = 0.1  # distance beyond which a flight has left the golden run's path (m)

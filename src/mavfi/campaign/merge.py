@@ -10,7 +10,7 @@ from mavfi.campaign.session import Status
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.flight_record import without_source
+from mavfi.record import without_source
 
 _ROWS = 1000  # per transaction
 

@@ -23,12 +23,12 @@ from mavfi.detectors.custom import is_custom
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
-from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
-from mavfi.hosts.loop.policy import Recovery
-from mavfi.hosts.watching import detector_for
+from mavfi.flight.host import ArmSetup, Host, MissionFlights, Recorded, find_host
+from mavfi.flight.policy import Recovery
+from mavfi.flight.watching import detector_for
 from mavfi.mission import Scenario
 from mavfi.plugins import plugin_failure, reason
+from mavfi.record import End, FlightRecord
 
 
 @dataclass(frozen=True, slots=True)

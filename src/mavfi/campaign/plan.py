@@ -20,8 +20,8 @@ from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
 from mavfi.detectors.registry import mission_keys
 from mavfi.faults.fault import Fault, fault_from_json
-from mavfi.flight_record import End, FlightRecord, canonical
 from mavfi.mission import MissionStatus
+from mavfi.record import End, FlightRecord, canonical
 
 GOLDEN, FI, RECOVERY = "golden", "fi", "dr"
 Kind = Literal["golden", "injected", "null"]

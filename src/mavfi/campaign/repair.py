@@ -21,7 +21,7 @@ from mavfi.campaign.integrity import (
 from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.errors import BadInputError, writing
 from mavfi.files import is_file
-from mavfi.flight_record import canonical
+from mavfi.record import canonical
 
 DAMAGED = "campaign.damaged.sqlite"
 """Backup of the damaged file."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.analysis.statistics import CONFIDENCE, exact_bounds
+from mavfi.analysis.statistics import CONFIDENCE, exact_bounds
 from mavfi.campaign.divergence import (
     Departure,
     Difference,
@@ -23,14 +23,14 @@ from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.extras.hardening.of_mission import check_plan
 from mavfi.faults.fault import Fault
-from mavfi.flight_record import End, FlightRecord, record_of
-from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
-from mavfi.hosts.local import recorded
-from mavfi.hosts.local.mission_flights import LocalHost
-from mavfi.hosts.loop.protection import check_plan
+from mavfi.flight import recorded
+from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
+from mavfi.flight.mission_flights import LocalHost
 from mavfi.mission import Scenario
 from mavfi.outcomes import Effect, effect_of
+from mavfi.record import End, FlightRecord, record_of
 
 
 @dataclass(frozen=True, slots=True)

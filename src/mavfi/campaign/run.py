@@ -21,7 +21,7 @@ from mavfi.campaign.warm_up import is_compiled, warm_up
 from mavfi.config import STORED, parse
 from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import BadInputError
-from mavfi.hosts.host import require_level
+from mavfi.flight.host import require_level
 from mavfi.mission import Scenario
 
 SHARD = "shard"

@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from mavfi.config import Config, names
 from mavfi.dropped import dropped_name
-from mavfi.faults.sensor.fault import FAILING, UNITS
+from mavfi.faults.levels.sensor.fault import FAILING, UNITS
 from mavfi.faults.strata import STRATA
 from mavfi.sim.environments import SCAN_ENDINGS
 from mavfi.states import STATES

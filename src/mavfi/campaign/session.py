@@ -22,7 +22,7 @@ from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_missions_anywhere
 from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
-from mavfi.flight_record import End, FlightRecord
+from mavfi.record import End, FlightRecord
 
 ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
 PAUSE_S = 1.0  # between retries after a machine failure

@@ -14,9 +14,9 @@ from mavfi.campaign.samplers.smaller import can_be_smaller, fewer, lower, narrow
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight_log import Injection
-from mavfi.hosts.host import Flight, MissionFlights
+from mavfi.flight.host import Flight, MissionFlights
 from mavfi.mission import MissionStatus
+from mavfi.record import Injection
 
 _BATCH = 8
 """Candidates per batch: instruction faults share a flight up to their calls."""

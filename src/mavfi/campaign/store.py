@@ -34,8 +34,8 @@ from mavfi.campaign.integrity import (
 from mavfi.campaign.plan import Flown, Row, RunSpec, reason_of
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.files import is_file
-from mavfi.flight_record import FlightRecord, canonical, without_source
 from mavfi.mission import MissionStatus
+from mavfi.record import FlightRecord, canonical, without_source
 
 SCHEMA = 3
 FILE = "campaign.sqlite"

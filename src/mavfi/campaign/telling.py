@@ -6,11 +6,11 @@ from pathlib import Path
 
 import polars as pl
 
-from mavfi.campaign.analysis.runs import Runs
+from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import FI
 from mavfi.campaign.replay import flight_again
 from mavfi.campaign.store import Store
-from mavfi.flight_record import End
+from mavfi.record import End
 
 _INTERESTING = 0.02  # relative increase in flight time from which a successful run is worth a picture
 

@@ -15,25 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
+from mavfi.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import code, versions
 from mavfi.detectors import features
-from mavfi.detectors.field_codes import CodeRecorder, Codes, codes_are_whole
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
 from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields, of_monitored_fields
 from mavfi.errors import BadInputError
+from mavfi.extras.bench.field_codes import CodeRecorder, Codes, codes_are_whole
 from mavfi.files import check_folder
-from mavfi.flight_log import read_arrays
-from mavfi.hosts.local.flight import fly
-from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.watching import detector_for
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
+from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
-from mavfi.qof import quality_of_flight
+from mavfi.outcomes import quality_of_flight
+from mavfi.record import read_arrays
 
 ENVIRONMENT = "training"  # randomised worlds; excludes the generators of the evaluation environments
 FAMILIES = (ENVIRONMENT, "factory")

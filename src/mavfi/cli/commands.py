@@ -10,34 +10,23 @@ from typing import Annotated, Any
 import typer
 from pydantic import ValidationError
 
-from mavfi.cli import (
-    airsim,
-    bench,
-    campaign,
-    explain,
-    export,
-    failures,
-    firmware,
-    fly,
-    harden,
-    inject,
-    mavlink,
-    redundancy,
-    replay,
-    report,
-    reproduce,
-    ros,
-    runs,
-    shrink,
-    states,
-    train,
-    vulnerability,
-    watch_logs,
-)
+from mavfi.cli import campaign, explain, export, fly, replay, report, runs, shrink, states, train
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
 from mavfi.errors import BadInputError, MavfiError, machine_failure
+from mavfi.extras.airsim import cli as airsim
+from mavfi.extras.bench import cli as bench
+from mavfi.extras.firmware import cli as firmware
+from mavfi.extras.hardening import cli as harden
+from mavfi.extras.hardening.vulnerability import cli as vulnerability
+from mavfi.extras.logs import cli as watch_logs
+from mavfi.extras.mavlink import cli as mavlink
+from mavfi.extras.paper import cli as reproduce
+from mavfi.extras.paper import cli_failures as failures
+from mavfi.extras.paper import cli_redundancy as redundancy
+from mavfi.extras.registers import cli as inject
+from mavfi.extras.ros import cli as ros
 from mavfi.plugins import allow_plugins, allow_typed, plugin_failure
 from mavfi.wording import allowed_by, shown
 

@@ -66,7 +66,7 @@ def say_written(*paths: Path | None) -> None:
 
 def write_json(data: Any) -> None:
     """Write plain data to stdout as JSON; infinities and NaN become text."""
-    from mavfi.flight_record import plain
+    from mavfi.record import plain
 
     typer.echo(json.dumps(plain(data), indent=2, allow_nan=False))
 

@@ -26,17 +26,17 @@ def explain(
     check_file("--html", html, PAGES)
     from mavfi.campaign.replay import explain as fly_both
     from mavfi.cli.flight_text import story_table
-    from mavfi.reports.explain import detector_name, lines, to_json
-    from mavfi.reports.picture import draw_flight
+    from mavfi.report.explain import detector_name, lines, to_json
+    from mavfi.report.picture import draw_flight
 
     found = fly_both(directory, run_id)
     if picture is not None:
         draw_flight(picture, found.flight, found.golden, detector=detector_name(found.spec))
     if html is not None:
-        from mavfi.campaign.analysis.runs import Runs
+        from mavfi.analysis.runs import Runs
         from mavfi.campaign.telling import partner
         from mavfi.cli.flight_pages import page_of_explanation
-        from mavfi.reports.html.flight_page import write_flight_page
+        from mavfi.report.html.flight_page import write_flight_page
 
         other = partner(Runs.read(directory).frame, found.spec.run_id)
         write_flight_page(html, page_of_explanation(directory, found, other, directory))

@@ -16,9 +16,9 @@ from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Publication
-    from mavfi.flight_log import FlightLog
-    from mavfi.hosts.host import ArmSetup
+    from mavfi.flight.host import ArmSetup
     from mavfi.mission import Scenario
+    from mavfi.record import FlightLog
 
     Recorded = tuple[FlightLog, list[Publication] | None, FlightLog | None]
     """A flight, its publications, and its golden run; None = unknown."""
@@ -91,7 +91,7 @@ def _stored(source: Path, run_id: str) -> Recorded:
 
         with Store.open(source) as store:
             return flight_again(store, store.run(run_id).spec).log, None, None
-    from mavfi.flight_log import FlightLog
+    from mavfi.record import FlightLog
 
     return FlightLog.load(source), None, None
 
@@ -126,10 +126,10 @@ def _recorded(source: Path, run_id: str) -> Recorded:
 def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
     from mavfi.cli.fly import load_watcher
-    from mavfi.hosts.host import ArmSetup
-    from mavfi.hosts.loop.compose import resolve
-    from mavfi.hosts.loop.policy import Recovery
-    from mavfi.hosts.watching import with_keys_of
+    from mavfi.flight.compose import resolve
+    from mavfi.flight.host import ArmSetup
+    from mavfi.flight.policy import Recovery
+    from mavfi.flight.watching import with_keys_of
 
     if request is None:
         return ArmSetup(scenario)
@@ -141,17 +141,17 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
 
 def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
-    from mavfi.reports.export.files import write_bag, write_csv, write_mcap
-    from mavfi.reports.export.tlog import write_tlog
-    from mavfi.reports.export.ulog import write_ulog
+    from mavfi.extras.logs.ulog_writer import write_ulog
+    from mavfi.extras.mavlink.tlog import write_tlog
+    from mavfi.report.export.files import write_bag, write_csv, write_mcap
 
     if to.suffix not in ROS_ENDINGS:
         return {".csv": write_csv, ".ulg": write_ulog, ".tlog": write_tlog}[to.suffix](log, to)
     import numpy as np
 
-    from mavfi.hosts.loop.compose import pipeline_config
+    from mavfi.flight.compose import pipeline_config
     from mavfi.pipeline.kernel import map_grid
-    from mavfi.reports.export.timeline import Publications, timeline
+    from mavfi.report.export.timeline import Publications, timeline
     from mavfi.sim.environments import build_world
 
     scenario = _scenario(log, source)

@@ -7,13 +7,13 @@ from mavfi.campaign.divergence import departure, first_difference, spread
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import Fault
-from mavfi.hosts.host import ArmSetup, Flight
-from mavfi.hosts.loop.policy import Recovery
+from mavfi.flight.host import ArmSetup, Flight
+from mavfi.flight.policy import Recovery
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.reports.explain import Lines, detector_name, end_of, lines, steps, verdict
-from mavfi.reports.flight_result import FlightResult
-from mavfi.reports.html.flight_data import GOLDEN, INJECTED, RECOVERED, Course
-from mavfi.reports.html.flight_page import FlightPage
+from mavfi.report.explain import Lines, detector_name, end_of, lines, steps, verdict
+from mavfi.report.flight_result import FlightResult
+from mavfi.report.html.flight_data import GOLDEN, INJECTED, RECOVERED, Course
+from mavfi.report.html.flight_page import FlightPage
 
 FAULT, NO_FAULT = "with the fault", "golden run"
 

@@ -10,14 +10,13 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.hosts.loop.decide import Response
+from mavfi.flight.decide import Response
 from mavfi.mission import MissionStatus
-from mavfi.outcomes import Effect
-from mavfi.qof import QoF, quality_of
-from mavfi.reports.explain import alarm_lines, injection_lines
+from mavfi.outcomes import Effect, QoF, quality_of
+from mavfi.report.explain import alarm_lines, injection_lines
 
 if TYPE_CHECKING:
-    from mavfi.reports.flight_result import FlightResult
+    from mavfi.report.flight_result import FlightResult
 
 _MEANING = {
     Effect.MASKED: "bit for bit the golden run",

@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavfi.cli import firmware, observing, options, ros_nodes
+from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
+from mavfi.extras.firmware import cli as firmware
+from mavfi.extras.ros import cli_nodes as ros_nodes
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.hosts.host import ArmSetup
-    from mavfi.hosts.local.mission_flights import LocalHost
+    from mavfi.flight.host import ArmSetup
+    from mavfi.flight.mission_flights import LocalHost
     from mavfi.mission import Scenario
-    from mavfi.reports.flight_result import FlightResult
+    from mavfi.report.flight_result import FlightResult
 
 DEFAULT_PROFILE = "paper"
 
@@ -66,10 +68,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     host = _host(world, fault, mission)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
-        from mavfi.hosts.host import ArmSetup
-        from mavfi.hosts.loop.compose import resolve
-        from mavfi.hosts.loop.policy import Recovery
-        from mavfi.hosts.watching import with_keys_of
+        from mavfi.flight.compose import resolve
+        from mavfi.flight.host import ArmSetup
+        from mavfi.flight.policy import Recovery
+        from mavfi.flight.watching import with_keys_of
 
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
@@ -134,9 +136,9 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
     """The host of a world behind an address; None = the simulator."""
     if world is None:
         return None
-    from mavfi.bridges.airsim.program import world_address
-    from mavfi.bridges.airsim.remote import Remote
-    from mavfi.hosts.local.mission_flights import LocalHost
+    from mavfi.extras.airsim.program import world_address
+    from mavfi.extras.airsim.remote import Remote
+    from mavfi.flight.mission_flights import LocalHost
 
     if (fault or "").startswith("instruction:"):
         raise BadInputError(
@@ -154,13 +156,13 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
 
 def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
     from mavfi.cli.flight_pages import fly_command, page_of_result
-    from mavfi.reports.html.flight_page import write_flight_page
+    from mavfi.report.html.flight_page import write_flight_page
 
     write_flight_page(html, page_of_result(result, setup, bare, fly_command(*options)))
 
 
 def _draw(picture: Path, result: FlightResult) -> None:
-    from mavfi.reports.picture import draw_flight
+    from mavfi.report.picture import draw_flight
 
     if result.unwatched is None:
         draw_flight(picture, result.flight, result.golden, detector=result.detector)
@@ -193,7 +195,7 @@ def load_watcher(
     """Load a detector; return it with its label (name, and profile if it has one)."""
     if name == "none":
         return None, ""
-    from mavfi.hosts.watching import detector_for
+    from mavfi.flight.watching import detector_for
 
     detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models, mission.trained_for)
     if mission.trained_for and not model:

@@ -12,8 +12,8 @@ from mavfi.cli.console import check_number, console
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.reports.export.live import LiveView
-    from mavfi.reports.export.telemetry import Telemetry
+    from mavfi.extras.logs.live import LiveView
+    from mavfi.extras.mavlink.running import Telemetry
 
 _LAST_PORT = 65_535
 REAL_TIME = 1.0
@@ -45,7 +45,7 @@ def observing(live: bool, mavlink: int | None, pace: float) -> Iterator[tuple[Ca
     if not live and mavlink is None:
         yield ()
         return
-    from mavfi.hosts.loop.observe import Attached
+    from mavfi.flight.observe import Attached
 
     views = list(_views(live, mavlink))
     try:
@@ -59,13 +59,13 @@ def observing(live: bool, mavlink: int | None, pace: float) -> Iterator[tuple[Ca
 def _views(live: bool, mavlink: int | None) -> Iterator[LiveView | Telemetry]:
     out = console(error=True)
     if live:
-        from mavfi.reports.export.live import PORT, LiveView
+        from mavfi.extras.logs.live import PORT, LiveView
 
         view = LiveView(PORT)
         out.print(f"serving the flight at {view.address}", markup=False, highlight=False)
         yield view
     if mavlink is not None:
-        from mavfi.reports.export.telemetry import HOST, Telemetry
+        from mavfi.extras.mavlink.running import HOST, Telemetry
 
         out.print(f"sending the flight to udp://{HOST}:{mavlink}", markup=False, highlight=False)
         yield Telemetry(mavlink)

@@ -153,8 +153,8 @@ def _allowed(name: str) -> str:
 
 def executor_of(name: str, scheduler: str, workers: int) -> "AnyExecutor":
     """The executor of a campaign; raises `BadInputError` for an unknown name or incompatible options."""
-    from mavfi.campaign.executors.dask import DaskExecutor
     from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.extras.dask.executor import DaskExecutor
 
     if name not in ("local", "dask"):
         raise BadInputError(f"--executor: {name!r}: allowed: local, dask")

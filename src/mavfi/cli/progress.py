@@ -19,7 +19,7 @@ from mavfi.cli.console import console
 
 if TYPE_CHECKING:
     from mavfi.campaign.session import Progress as CampaignProgress
-    from mavfi.campaign.steps import Steps
+    from mavfi.extras.paper.steps import Steps
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""
@@ -169,7 +169,7 @@ def compiling(*, instrumented: bool = False, flight: bool = False) -> Iterator[b
 
 def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
     """Flown, planned (where more are) and succeeded runs by setting; the share of successes with Wilson's interval."""
-    from mavfi.campaign.analysis.statistics import score_bounds
+    from mavfi.analysis.statistics import score_bounds
 
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     plans = ["planned so far"] if any(planned > done for planned, done, _ in settings.values()) else []

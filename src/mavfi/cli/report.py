@@ -18,9 +18,9 @@ from mavfi.files import check_folder
 MOST_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
-    from mavfi.reports.campaign_report import Report
-    from mavfi.reports.html.report_page import Drawn
-    from mavfi.reports.study_report import StudyReport
+    from mavfi.extras.paper.report import StudyReport
+    from mavfi.report.campaign_report import Report
+    from mavfi.report.html.report_page import Drawn
 
 
 def report(  # noqa: PLR0913 - one parameter per option
@@ -55,7 +55,7 @@ def report(  # noqa: PLR0913 - one parameter per option
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
     from mavfi.campaign.store import Store
-    from mavfi.reports.study_report import stored_study
+    from mavfi.extras.paper.report import stored_study
 
     study = stored_study(directory)
     for folder in (".",) if study is None else study[0].campaigns:
@@ -64,15 +64,15 @@ def report(  # noqa: PLR0913 - one parameter per option
     written: Report | StudyReport
     if study is None:
         from mavfi.cli.report_page import write_html
-        from mavfi.reports.campaign_report import write_report
-        from mavfi.reports.html.report_page import drawn
+        from mavfi.report.campaign_report import write_report
+        from mavfi.report.html.report_page import drawn
 
         written = write_report(directory)
         count = 0 if html is None else write_html(html, directory, written, flights, workers)
         pictures, show = partial(drawn, written.runs), partial(show_report, written, show_all)
     else:
-        from mavfi.cli.study_report import show_study_report, write_study_report
-        from mavfi.reports.html.report_page import drawn_of_study
+        from mavfi.extras.paper.cli_report import show_study_report, write_study_report
+        from mavfi.report.html.report_page import drawn_of_study
 
         written, count = write_study_report(*study, directory, html, flights, workers)
         pictures, show = partial(drawn_of_study, written), partial(show_study_report, written, show_all)
@@ -92,7 +92,7 @@ def report(  # noqa: PLR0913 - one parameter per option
 def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     """Write figures; return one line of text."""
     from mavfi.cli.progress import Bar
-    from mavfi.reports.column import write_figure
+    from mavfi.report.column import write_figure
 
     paths: list[Path] = []
     with Bar("figures", "figures") as bar:
@@ -117,9 +117,9 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
 
 def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> None:
     """Print a report: campaign, leading table (or the given views, or all tables), findings."""
-    from mavfi.campaign.analysis import table_asked_for
-    from mavfi.reports.terminal import show_header, show_table
-    from mavfi.reports.text import checks, header
+    from mavfi.analysis import table_asked_for
+    from mavfi.report.terminal import show_header, show_table
+    from mavfi.report.text import checks, header
 
     out = console()
     show_header(header(found.runs.campaign), out)
@@ -138,9 +138,9 @@ def _listed(files: Sequence[Path]) -> str:
 
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
-    from mavfi.campaign.analysis import Runs, table_asked_for
-    from mavfi.campaign.analysis.views import applicable
-    from mavfi.reports.terminal import show_table
+    from mavfi.analysis import Runs, table_asked_for
+    from mavfi.analysis.views import applicable
+    from mavfi.report.terminal import show_table
 
     runs = Runs.read(directory)
     if name == "list":

@@ -18,9 +18,10 @@ from mavfi.campaign.telling import ordered, partner
 from mavfi.cli.flight_pages import page_of_explanation
 from mavfi.cli.progress import Bar
 from mavfi.errors import BadInputError
-from mavfi.reports.campaign_report import Report
-from mavfi.reports.html.flight_page import FlightPage
-from mavfi.reports.html.report_page import (
+from mavfi.extras.paper.report import StudyReport
+from mavfi.report.campaign_report import Report
+from mavfi.report.html.flight_page import FlightPage
+from mavfi.report.html.report_page import (
     LARGEST,
     Headline,
     Part,
@@ -30,7 +31,6 @@ from mavfi.reports.html.report_page import (
     sections_of_study,
     write_report_page,
 )
-from mavfi.reports.study_report import StudyReport
 
 Case = tuple[Path, str, str | None]
 """Folder of a ledger, id of a run, and id of the run with the same fault in another setting (None = none)."""

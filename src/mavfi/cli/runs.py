@@ -18,9 +18,9 @@ def runs(
 
     Example: [bold]mavfi runs out/states --failed[/bold]
     """
-    from mavfi.campaign.analysis.listing import listing
-    from mavfi.campaign.analysis.runs import Runs
-    from mavfi.reports.terminal import show_table
+    from mavfi.analysis.listing import listing
+    from mavfi.analysis.runs import Runs
+    from mavfi.report.terminal import show_table
 
     table = listing(Runs.read(directory), failed=failed)
     if as_csv:

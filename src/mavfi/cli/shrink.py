@@ -21,7 +21,7 @@ def shrink(
     """
     from mavfi.campaign.shrink import shrink as make_smaller
     from mavfi.cli.flight_text import story_table
-    from mavfi.reports.shrink import lines
+    from mavfi.report.shrink import lines
 
     progress = console(error=True)
     with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:

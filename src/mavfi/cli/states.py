@@ -38,7 +38,7 @@ def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
     """Readers of each state, from a pipeline that is built but not flown."""
     import numpy as np
 
-    from mavfi.hosts.loop.compose import pipeline_config, resolve
+    from mavfi.flight.compose import pipeline_config, resolve
     from mavfi.mission import MissionSpec
     from mavfi.pipeline.ppc import build_pipeline
     from mavfi.sim.environments import build_world

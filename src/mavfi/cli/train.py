@@ -17,7 +17,7 @@ from mavfi.files import check_folder
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.campaign.analysis.statistics import EventRate
+    from mavfi.analysis.statistics import EventRate
     from mavfi.detectors.model import Model
 
 

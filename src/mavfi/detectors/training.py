@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.field_codes import MONITORED, Codes, FieldCodes, sample_of
 from mavfi.detectors.model import FITTED_TO, Model
 from mavfi.detectors.preprocess import PREDICTIONS, PROFILES, Preprocessor
 from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import ONLY_PROFILE, figures_of, of_all_fields, of_monitored_fields
 from mavfi.detectors.samples import check_finite, collect, join
 from mavfi.errors import BadInputError
+from mavfi.extras.bench.field_codes import MONITORED, Codes, FieldCodes, sample_of
 
 _VELOCITY = ("vx", "vy", "vz")
 

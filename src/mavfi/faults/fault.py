@@ -11,10 +11,10 @@ from typing import Any, ClassVar, Literal, Self, get_args
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.levels.transit import is_length
 from mavfi.faults.planned import NO_SITE as NO_SITE
 from mavfi.faults.planned import Planned
-from mavfi.faults.sensor.fault import SensorFault
-from mavfi.faults.transit import is_length
 from mavfi.states import KERNELS, STATES, WATCHING, find_state
 
 Model = Literal["one_bit", "bits", "random", "zero"]

@@ -15,7 +15,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.strata import WORD_BITS, bits_of, word_share
-from mavfi.flight_log import Profile
+from mavfi.record import Profile
 from mavfi.states import AUTOPILOTS, MONITORED_SETS, PPC_STAGES, STATES, StateSpec, find_state, states_with
 
 FAULT_PURPOSE = 3

@@ -11,11 +11,11 @@ import numpy as np
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, InstructionFault, Model, StateFault
+from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
-from mavfi.faults.sensor.fault import SensorFault
 from mavfi.faults.spec_form import wrong_part
 from mavfi.faults.strata import WORD_BITS
-from mavfi.flight_log import Profile
+from mavfi.record import Profile
 from mavfi.states import KERNELS, STATES, WATCHING, Field, StateSpec, states_with
 
 _PATTERN = re.compile(
@@ -119,7 +119,7 @@ class InstructionRequest:
 
     Attributes:
         kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.DETECTORS`.
-        which: Class of instructions, see `mavfi.faults.instruction.selection`.
+        which: Class of instructions, see `mavfi.faults.levels.instruction.selection`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
     """
@@ -278,7 +278,7 @@ def _parse_sensor(text: str, rest: str, localization: str) -> SensorRequest:
 
 
 def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest | InstructionSite:
-    from mavfi.faults.instruction.selection import parse_selection
+    from mavfi.faults.levels.instruction.selection import parse_selection
 
     one = _ONE_INSTRUCTION.fullmatch(rest)
     if one is not None:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from mavfi.errors import hint
-from mavfi.faults.sensor.fault import FAILING
+from mavfi.faults.levels.sensor.fault import FAILING
 
 _FORMS = {
     "null": "null",

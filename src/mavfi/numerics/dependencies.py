@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numba.core import types
 
-_PACKAGES = ("numerics", "kernels", "sim", "detectors")
+_PACKAGES = ("numerics", "kernels", "sim", "detectors", "extras")
 """Packages of mavfi with compiled functions."""
 _VERSIONED = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator"})
 """Packages whose content follows from the versions, which every key of compiled code contains."""

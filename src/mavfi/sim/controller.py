@@ -15,7 +15,7 @@ from mavfi.plugins import load_object
 GROUP = "mavfi.flight_controllers"
 _SHIPPED = {
     "cascade": "mavfi.sim.cascade:Cascade",
-    "betaflight": "mavfi.bridges.firmware.controller:BetaflightController",
+    "betaflight": "mavfi.extras.firmware.controller:BetaflightController",
 }
 
 

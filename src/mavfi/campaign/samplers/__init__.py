@@ -24,7 +24,7 @@ def sampler_for(campaign: "Campaign") -> Sampler:
 
         return MemorySampler(campaign)
     if level == "register":
-        from mavfi.campaign.samplers.register import RegisterSampler
+        from mavfi.extras.registers.sampler import RegisterSampler
 
         return RegisterSampler(campaign)
     if level == "message":

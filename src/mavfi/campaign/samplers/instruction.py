@@ -21,17 +21,17 @@ from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, watched_in
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
+from mavfi.extras.hardening.protected import rewriting_of
 from mavfi.faults.fault import NO_SITE, Fault, InstructionFault
-from mavfi.faults.instruction import Profiling, Resolving, Site, budget_for, choose
-from mavfi.faults.instruction.plan import plan
-from mavfi.faults.instruction.selection import parse_selection
+from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_for, choose
+from mavfi.faults.levels.instruction.plan import plan
+from mavfi.faults.levels.instruction.selection import parse_selection
 from mavfi.faults.sampling import share_out, stream
 from mavfi.faults.spec import InstructionRequest, InstructionSite
-from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
-from mavfi.hosts.local.case import check_kernel
-from mavfi.hosts.local.mission_flights import LocalFlights, LocalHost
-from mavfi.hosts.local.protected import rewriting_of
-from mavfi.hosts.loop.policy import INLINE, Recovery
+from mavfi.flight.case import check_kernel
+from mavfi.flight.host import ArmSetup, Flight, MissionFlights
+from mavfi.flight.mission_flights import LocalFlights, LocalHost
+from mavfi.flight.policy import INLINE, Recovery
 from mavfi.ir.digest import DIGEST_VERSION
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN

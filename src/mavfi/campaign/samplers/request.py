@@ -5,12 +5,12 @@ from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, RegisterFault, StateFault
-from mavfi.faults.sensor.fault import RANDOM, SensorFault
+from mavfi.faults.levels.sensor.fault import RANDOM, SensorFault
 from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, SensorRequest, StateRequest
-from mavfi.hosts.host import Flight
-from mavfi.hosts.local import fly
-from mavfi.hosts.loop.policy import INLINE, Recovery
-from mavfi.hosts.loop.sensor_faults import check_read
+from mavfi.flight.fly import fly
+from mavfi.flight.host import Flight
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.sensor_faults import check_read
 from mavfi.mission import Scenario
 from mavfi.states import DETECTORS, WATCHING
 

@@ -10,7 +10,7 @@ from mavfi.detectors.registry import contains
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
-from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
+from mavfi.flight.host import ArmSetup, MissionFlights, Recorded
 
 NULL = "null"  # target of null runs: the complete path through the injector, with an empty mask
 

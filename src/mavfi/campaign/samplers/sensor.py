@@ -11,10 +11,10 @@ from mavfi.campaign.samplers.sampler import Block, Draw, OwnMissions, Sampled, T
 from mavfi.campaign.sampling import SensorSampling
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault
+from mavfi.faults.levels.sensor.fault import NULL, UNITS, SensorFault
 from mavfi.faults.sampling import stream
-from mavfi.faults.sensor.fault import NULL, UNITS, SensorFault
 from mavfi.faults.spec import SensorRequest
-from mavfi.hosts.loop.sensor_faults import check_read
+from mavfi.flight.sensor_faults import check_read
 from mavfi.mission import MissionSpec
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.strata import WORD_BITS
-from mavfi.flight_log import Injection
+from mavfi.record import Injection
 from mavfi.states import STATES
 
 _SHORTER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)

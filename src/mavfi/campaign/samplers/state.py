@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, StateFault
 from mavfi.faults.sampling import Target, draw, draw_in_message, group_target, message_target, stage_target
 from mavfi.faults.strata import HEADLINE, WORD_BITS, bits_of
-from mavfi.flight_log import Profile
+from mavfi.record import Profile
 from mavfi.states import PPC_STAGES, STATES
 
 

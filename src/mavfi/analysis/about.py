@@ -1,0 +1,118 @@
+"""Description of a campaign as plain data, for the headers and notes of tables."""
+
+from typing import Any
+
+from mavfi.analysis.measures import POPULATIONS
+from mavfi.analysis.statistics import CONFIDENCE
+from mavfi.campaign.config import (
+    ArmConfig,
+    Campaign,
+    InstructionSampling,
+    MemorySampling,
+    RegisterSampling,
+    Sampling,
+)
+from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.sampling import MessageSampling, SensorSampling, StateSampling, label_of
+from mavfi.campaign.store import Store
+from mavfi.extras.paper import overheads
+from mavfi.mission import MissionSpec
+
+_NAMED = (
+    "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node",
+    "alarm", "epoch_liveness", "protection",
+)  # fmt: skip
+"""Keys of a mission that are listed when they differ from their defaults."""
+
+
+def describe(store: Store) -> dict[str, Any]:
+    """Describe the campaign of a ledger, and its progress.
+
+    Returns:
+        `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
+        the number of faults applies), `kernels` and `which`, `parts`, and measured `overheads`.
+    """
+    campaign, progress = stored_campaign(store), status(store.directory)
+    return {
+        "name": campaign.name, "environments": [label_of(name) for name in campaign.environments],
+        "seeds": [campaign.seeds.start, campaign.seeds.stop - 1], "on_design_seeds": campaign.on_design_seeds,
+        "missions": campaign.missions, "faults": campaign.faults, "monitored_set": campaign.monitored_set,
+        "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
+        "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
+        "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
+        "overheads": overheads.load(store.directory), "digest": store.digest(), "done": progress.done,
+        "total": progress.total, **drawn(campaign.sampling, campaign),
+    }  # fmt: skip
+
+
+def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
+    """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
+    match sampling:
+        case StateSampling():
+            each = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
+            shares = sorted(sampling.strata.items(), reverse=True)
+            strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
+            return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}
+        case MemorySampling():
+            each = "group" if sampling.groups else {"kernel": "kernel", "exposure": "environment"}[sampling.share]
+            return {"each": each, **_flights(campaign, each, "uniform over remembered bits and instants")}
+        case InstructionSampling():
+            how = f"instructions: {sampling.which}, model {sampling.model}"
+            own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
+            return own | _flights(campaign, sampling.share, how)
+        case MessageSampling():
+            what = "" if campaign.program is None else campaign.program.script
+            calls = f" of {', '.join(sampling.calls)}" if sampling.calls else ""
+            line = f"{what} · one bit per run, in a number of a call{calls}, uniform over calls"
+            title = f"campaign {campaign.name} · AirSim program in {', '.join(map(label_of, campaign.environments))}"
+            return {"each": "side of the calls", "profile": "", "title": title, "lines": [line]}
+        case SensorSampling():
+            lasts = "to the end" if sampling.lasts_s == "inf" else f"for {sampling.lasts_s:g} s"
+            how = f"types {', '.join(sampling.types)}, from a uniform instant {lasts}"
+            return {"each": "unit", **_flights(campaign, "unit", how)}
+        case RegisterSampling():
+            return {"each": "kind of registers", **_registers(campaign, sampling)}
+
+
+def _registers(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
+    if campaign.node is None:
+        return _flights(campaign, "kind of registers", "uniform over the firmware's instructions")
+    return _trials(campaign, sampling, campaign.node.command[0])
+
+
+def _trials(campaign: Campaign, sampling: RegisterSampling, command: str) -> dict[str, Any]:
+    where = f"from the next call of {sampling.symbol!r} on" if sampling.symbol else "from a random instant on"
+    line = f"{command} · one bit per trial, {where}, after up to {sampling.walk} instructions"
+    title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
+    return {"profile": "", "title": title, "lines": [line]}
+
+
+def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
+    mission = campaign.spec(campaign.environments[0], campaign.first_seed)
+    speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
+    every = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
+    seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
+    missions = f"{campaign.missions} mission{'s' * (campaign.missions != 1)} per environment ({seeds})"
+    lines = [f"{missions}, {campaign.faults} fault{'s' * (campaign.faults != 1)} per {each}, {how}"]
+    if campaign.arms:
+        arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
+        lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")
+    if campaign.parts:
+        parts = (f"{name} = {part.environment}" for name, part in campaign.parts.items())
+        lines.append(f"parts: {', '.join(parts)}")
+    own = [
+        f"{key} {value}" for key in _NAMED if (value := getattr(mission, key)) != MissionSpec.model_fields[key].default
+    ]
+    lines += [f"mission: {', '.join(own)}"] * bool(own)
+    title = (
+        f"campaign {campaign.name} · autopilot profile {mission.autopilot} · "
+        f"{', '.join(dict.fromkeys(spec.platform for spec in every))} · "
+        f"{mission.planner}{speed}"
+    )
+    return {"profile": mission.autopilot, "title": title, "lines": lines}
+
+
+def _arm(name: str, arm: ArmConfig) -> str:
+    own = f"{name} ({arm.profile})" if name == arm.detector else f"{name} = {arm.detector} ({arm.profile})"
+    changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())
+    return " with ".join(part for part in (own if arm.detector else name, changed) if part)

@@ -1,0 +1,293 @@
+"""Views of campaigns with flights: success, recovery, success by fault property, effects, endings, golden flights."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import polars as pl
+
+from mavfi.analysis import measures as m
+from mavfi.analysis.measures import Measure
+from mavfi.analysis.pairs import Recovery
+from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
+from mavfi.analysis.runs import ALL, Runs
+from mavfi.analysis.statistics import Rate
+from mavfi.analysis.table import NUMBER, PERCENT, POINTS, RATE
+from mavfi.analysis.views import View, has, register
+from mavfi.extras.paper import published as paper
+
+ONE_FAULT = "rates are conditional on one fault per mission"
+_WILSON = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds"
+INTERVALS = f"{_WILSON}], n"
+_STRATA_INTERVALS = f"{_WILSON}; whole word: MOVER over bit strata], n"
+_SETTINGS = (
+    "golden = no fault; fi = one fault; dr_X = the same faults with detector X on; golden_X = no fault, detector X on"
+)
+HEALS = "a one-shot state fault heals on any recompute: recovery equals detection by construction"
+_HEALS_WITH_MEMORY = (
+    "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
+    "a map or a path that an earlier one did, nor a kernel that died"
+)
+_SHIFTED = (
+    "a fault names its call by number: after a false alarm, which repeats calls, it is in another value with the "
+    "detector than without; such pairs are in brought back and in newly lost alike"
+)
+STATE, MEMORY, INSTRUCTION, SENSOR = "state", "memory", "instruction", "sensor"
+TOTAL = ("environment", ALL)
+SETTING = ("environment", "setting")
+
+
+# ---- applicability -----------------------------------------------------------------------------------------------
+def of_states(runs: Runs) -> bool:
+    """Whether faults in inter-kernel states were injected."""
+    return has(runs.injected, level=STATE)
+
+
+def of_sensors(runs: Runs) -> bool:
+    """Whether sensors or motors failed."""
+    return has(runs.injected, level=SENSOR)
+
+
+def of_values(runs: Runs) -> bool:
+    """Whether faults were injected into inter-kernel states or kernel memory."""
+    return of_states(runs) or has(runs.injected, level=MEMORY)
+
+
+def _by_stages(runs: Runs) -> bool:
+    return len(runs.injected.where(pl.col("target") == pl.col("stage"), level=STATE)) > 0
+
+
+def _by_groups(runs: Runs) -> bool:
+    return len(runs.injected.where(pl.col("target") != pl.col("stage"), pl.col("level").is_in((STATE, MEMORY)))) > 0
+
+
+def _compared(runs: Runs) -> bool:
+    return len(runs.settings()) > 1
+
+
+def watched(runs: Runs) -> bool:
+    """Whether any run has a detector."""
+    return len(runs.where(pl.col("detector") != "")) > 0
+
+
+# ---- success -----------------------------------------------------------------------------------------------------
+def unknown_note(own: Runs) -> list[str]:
+    """Note with the number of flights that could not be judged; none if all were."""
+    unknown = len(own.where(~pl.col("judged")))
+    return [f"{unknown} flights could not be judged (unknown) and are left out"] if unknown else []
+
+
+def separable_note(runs: Runs) -> list[str]:
+    """Note with the smallest differences that a success table can resolve."""
+    parts = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
+    start = "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): "
+    return [start + "; ".join(parts)] if parts else []
+
+
+def _points(share: float | None) -> str:
+    return "—" if share is None else f"{100 * share:.0f}"
+
+
+def of_missions(runs: Runs) -> Runs:
+    """All runs except null runs."""
+    return runs.where(pl.col("kind") != "null")
+
+
+def faulty_and_bare(runs: Runs) -> Runs:
+    """Golden runs without a detector and all injected runs, labelled with the row names of the paper's table."""
+    own = of_missions(runs).where((pl.col("kind") == "injected") | (pl.col("arm") == ""))
+    names = {"golden": "Golden run", "fi": "Injection run", "dr_gaussian": "Gaussian-based",
+             "dr_autoencoder": "Autoencoder-based"}  # fmt: skip
+    return own.adding(row=pl.col("setting").replace(names))
+
+
+register(
+    View(
+        "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
+        (
+            Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success"),
+                    counted=lambda own: m.in_leading(own, m.population_names(own, ()))),
+            paper.column(paper.success),
+        ),
+        where=faulty_and_bare, across="environment", headings=("",),
+        notes=lambda runs: (
+            paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
+            "worlds], successes / n; faults in sign and exponent bits", *separable_note(runs),
+        ), leads=True, applies=_by_stages,
+    ),
+    View(
+        "success", "Success of missions", SETTING, (m.leading_success, paper.column(paper.success), m.other_success),
+        where=of_missions,
+        notes=lambda runs: (
+            paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, _STRATA_INTERVALS,
+            "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
+        ), leads=True, applies=of_states,
+    ),
+    View(
+        "memory_success", "Success of missions, faults in memory", SETTING, (m.leading_success, m.other_success),
+        where=of_missions,
+        notes=lambda runs: (ONE_FAULT, _SETTINGS, _STRATA_INTERVALS, *unknown_note(of_missions(runs))), leads=True,
+        applies=lambda runs: has(runs.injected, level=MEMORY),
+    ),
+)  # fmt: skip
+
+
+# ---- recovery ----------------------------------------------------------------------------------------------------
+def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
+    def cell(own: Runs) -> Any:
+        found = m.recovery_of(own)
+        return None if found is None else of(own, found)
+
+    return cell
+
+
+NO_ESTIMATE = "no estimate"
+"""Recovery rate whose denominator may be 0."""
+
+
+def _recovery_rate(_: Runs, found: Recovery) -> Any:
+    return NO_ESTIMATE if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
+
+
+def _papers_recovery(own: Runs) -> float | None:
+    leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
+    leads = leads and own.first("level") != MEMORY
+    return paper.recovery(own.first("environment"), own.first("setting")) if leads else None
+
+
+def named_populations(runs: Runs) -> Runs:
+    """Sort runs by population, and add the column `bits` with its display name."""
+    order = {name: place for place, name in enumerate(m.POPULATIONS)}
+    place = pl.col("population").replace_strict(order, default=len(order), return_dtype=pl.Int64)
+    named = runs.frame.with_columns(bits=pl.col("population").replace(m.POPULATIONS))
+    return replace(runs, frame=named.sort(place, maintain_order=True))
+
+
+register(
+    View(
+        "recovery", "Recovery", ("environment", "bits", "setting"),
+        (
+            m.count("pairs", "pairs"),
+            Measure("lost", "lost", NUMBER, _recovery(lambda _, found: found.lost)),
+            Measure("brought_back", "brought back", NUMBER, _recovery(lambda _, found: found.regained)),
+            Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
+            Measure("only_dr", "saved", NUMBER, lambda own: m.discordant(own).second_only),
+            Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
+            Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
+            Measure("paper", "paper", PERCENT, _papers_recovery),
+            Measure("loss", "golden – fault (points)", POINTS, _recovery(
+                lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high))),
+        ),
+        where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
+        notes=lambda runs: (
+            "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
+            "succeed with the detector on; newly lost / saved: missions that fail / succeed only with the detector on",
+            f"p: {m.PAIRED_TEST}; newly lost against saved by the detector",
+            f"recovery = (dr – fi) / (golden – fi), [exact binomial interval]; {NO_ESTIMATE} while the interval of "
+            "golden – fi contains 0; below 0 where more missions are newly lost than brought back",
+            *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
+            *((_SHIFTED,) if has(runs.injected, level=INSTRUCTION) else ()),
+            "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
+        ), applies=_compared,
+    ),
+)  # fmt: skip
+
+
+# ---- success by properties of the fault --------------------------------------------------------------------------
+FEWEST = 10  # minimum number of flights for a field to have a row in the report
+
+
+def _slow_note(runs: Runs) -> tuple[str, ...]:
+    return (
+        f"success, hurt: {_STRATA_INTERVALS}",
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes; both for the first "
+        "column's bits", ONE_FAULT,
+    )  # fmt: skip
+
+
+def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> View:
+    """A table of success by properties of the fault and by setting."""
+    options = {"applies": of_states, "measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
+    levels = pl.col("level").is_in((STATE, MEMORY, SENSOR))
+    return View(
+        name, title, (*by, "setting"), where=lambda runs: runs.injected.where("judged", levels), **{**options, **more}
+    )
+
+
+def _of_sensors_in_several(runs: Runs) -> bool:
+    return of_sensors(runs) and len(runs.values("environment")) > 1
+
+
+_OF_FAILURES: dict[str, Any] = {
+    "applies": of_sensors,
+    "measures": (Measure("success", "success %", RATE, lambda own: m.rate_of(own, "success")), m.hurt),
+    "notes": lambda _: (
+        f"success, hurt: {INTERVALS}",
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes", ONE_FAULT,
+    ),
+}  # fmt: skip
+_UNIT = "Success by failing sensor or motor"
+register(
+    _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages),
+    _by("by_target", "Success by group of fields", ("target",), applies=_by_groups),
+    _by("by_state", "Success by inter-kernel state", ("state",)),
+    _by("by_unit", _UNIT, ("state",), **_OF_FAILURES, headings=("unit", "setting")),
+    _by("by_unit_and_environment", f"{_UNIT}, each environment", ("environment", "state"),
+        **{**_OF_FAILURES, "applies": _of_sensors_in_several}, headings=("environment", "unit", "setting")),
+    _by("by_failure", "Success by type of failure", ("field",), **_OF_FAILURES, headings=("type", "setting")),
+    _by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values),
+    _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST),
+)  # fmt: skip
+
+
+# ---- effects and endings -----------------------------------------------------------------------------------------
+_EFFECTS = (
+    m.count("n", "n"),
+    m.count("masked", "masked", effect="masked"),
+    m.count("sdc", "sdc", effect="sdc"),
+    m.count("sdc_alarmed", "(alarm)", "detected_at_site", effect="sdc"),
+    m.count("due", "due", pl.col("effect").is_in(KERNEL_DUE)),
+    m.count("unknown", "unknown", effect="unknown"),
+    m.count("activated", "activated", site_outcome=ACTIVATED),
+    m.count("no_site", "no site", site_outcome=NO_SITE),
+    m.count("not_activated", "not activated", site_outcome=NOT_ACTIVATED),
+)
+
+
+def _effect_notes(_: Runs) -> tuple[str, ...]:
+    return (
+        "masked = bit for bit the golden run; sdc = the flight differs from the golden run, silent for the mission "
+        "computer unless a detector is on; of these, alarm = raised on the corrupted publication; due = died or hung",
+        "no site: the golden flight never published the state; not activated: the injected flight did not; both are "
+        "kept in every rate (intention to treat)",
+    )
+
+
+def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
+    for status in runs.values("status"):
+        yield m.count(status, status.replace("_", " "), status=status)
+
+
+register(
+    View(
+        "outcomes", "Effects of faults", SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
+        applies=of_values,
+    ),
+    View(
+        "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,
+        applies=of_values,
+    ),
+)  # fmt: skip
+
+
+# ---- flight time -------------------------------------------------------------------------------------------------
+def paired(runs: Runs) -> Runs:
+    """Judged injected runs, with column `paired`: the mission succeeds with this fault in every setting."""
+    own = runs.injected.where("judged")
+    pair, complete = ("environment", "target", "index"), pl.col("inflation").is_not_null().all()
+    settings = pl.col("setting").n_unique().over("environment")
+    return own.adding(paired=(pl.len().over(pair) == settings) & complete.over(pair))
+
+
+register(
+)  # fmt: skip

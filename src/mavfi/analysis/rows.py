@@ -1,0 +1,222 @@
+"""One row per run: the plan, the recorded events, and the evaluation against the golden run."""
+
+from collections.abc import Collection, Iterable
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.plan import RunSpec, reason_of
+from mavfi.campaign.sampling import label_of
+from mavfi.campaign.store import Run
+from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.mission import MissionStatus
+from mavfi.outcomes import DUE, ControlErrors, control_of, effect_of, energy
+from mavfi.record import AFTERMATH, INSTANT, AlarmRecord, End, FlightRecord, Injection
+from mavfi.states import DETECTORS, KERNEL_STAGES, KERNELS, STATES
+
+ALL_BITS = "all_bits"  # population of faults with uniformly drawn bits, i.e. without strata
+GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
+ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
+"""Outcome of a planned site; `NO_SITE` = missing in the golden run, `NOT_ACTIVATED` = not reached when injected."""
+KERNEL_DUE = tuple(effect.label for effect in DUE)
+"""Effects on a kernel that kill its node: the node restarts, or the mission ends."""
+
+_TEXT, _INT, _REAL, _FLAG = pl.String, pl.Int64, pl.Float64, pl.Boolean
+SCHEMA: dict[str, Any] = {
+    "run_id": _TEXT, "kind": _TEXT, "setting": _TEXT, "arm": _TEXT, "detector": _TEXT, "detector_profile": _TEXT,
+    "environment": _TEXT, "seed": _INT, "world": _TEXT, "target": _TEXT, "index": _INT,
+    "level": _TEXT, "stage": _TEXT, "kernel": _TEXT, "state": _TEXT, "field": _TEXT, "element": _INT, "site": _TEXT,
+    "bit": _INT, "bit_class": _TEXT, "stratum": _TEXT, "population": _TEXT, "weight": _REAL, "has_site": _FLAG,
+    "monitored": _FLAG,
+    "function": _TEXT, "file": _TEXT, "line": _INT, "opcode": _TEXT, "value_class": _TEXT, "value_type": _TEXT,
+    "variable": _TEXT, "replayable": _FLAG, "register": _TEXT, "symbol": _TEXT, "library": _TEXT,
+    "end": _TEXT, "status": _TEXT, "success": _FLAG, "success_if_ended": _FLAG, "golden_success": _FLAG,
+    "judged": _FLAG, "effect": _TEXT, "control": _TEXT, "kernel_effect": _TEXT, "kernel_effect_detail": _TEXT,
+    "activated": _FLAG, "site_outcome": _TEXT, "time_s": _REAL, "before": _REAL, "after": _REAL,
+    "tilt": _REAL, "attitude_error": _REAL, "velocity_error": _REAL, "yaw_rate_error": _REAL,
+    "flight_time_s": _REAL, "energy_j": _REAL, "distance_m": _REAL, "replans": _INT, "time_limit_s": _REAL,
+    "course_m": _REAL, "golden_flight_time_s": _REAL, "inflation": _REAL, "energy_inflation": _REAL,
+    "detected_at_site": _FLAG, "detected_downstream": _FLAG, "alarm_after_s": _REAL, "alarms_total": _INT,
+    "digest": _TEXT, "wall_s": _REAL, "note": _TEXT, "reason": _TEXT,
+}  # fmt: skip
+"""Columns of the frame and their types."""
+
+
+def row_of(
+    run: Run, record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None,
+    monitored: Collection[tuple[str, str]],
+) -> dict[str, Any]:  # fmt: skip
+    """Compute the columns of a completed run.
+
+    Digests are compared with the golden run of the same arm, `own`; success and flight times with the golden run of the
+    same mission without a detector, `reference`, but with `own` if the fault is in a detector, whose false alarms
+    are no effect of the fault.  `monitored` contains the monitored states and fields.
+    """
+    spec, fault = run.spec, run.spec.fault
+    if getattr(fault, "kernel", "") in DETECTORS:
+        reference = own
+    environment = label_of(spec.environment)
+    planned = {} if fault is None else {
+        "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
+        "bit_class": fault.bit_class, "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
+    }  # fmt: skip
+    planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
+    return {
+        "run_id": spec.run_id, "kind": spec.kind, "setting": spec.setting, "arm": spec.arm,
+        "detector": spec.detector, "detector_profile": spec.detector_profile, "environment": environment,
+        "seed": spec.seed, "world": f"{environment} {spec.seed}", "target": spec.target, "index": spec.index,
+        "weight": 1.0, "has_site": False, "population": "all", **planned,
+        **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
+        **_judged(record, own, reference, spec), **_controlled(record, own, spec),
+        **_detected(record, own, planned.get("state", "")),
+        "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
+        "reason": reason_of(run.note) if record.end is End.UNKNOWN else "",
+    }  # fmt: skip
+
+
+def _site_columns(fault: Fault) -> dict[str, Any]:
+    """Columns for the site of a planned fault."""
+    match fault:
+        case StateFault(where=where):
+            spec = STATES[where.state]
+            return {
+                "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
+                "element": where.element, "population": fault.stratum,
+            }  # fmt: skip
+        case MemoryFault():
+            row = KERNELS.get(fault.kernel)  # None: a detector, or recovery
+            return {
+                "stage": "" if row is None else str(row.stage), "kernel": fault.kernel, "field": fault.field,
+                "element": fault.index, "population": fault.stratum or ALL_BITS,
+            }  # fmt: skip
+        case InstructionFault():
+            return {
+                "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
+                "value_class": fault.value_class,
+            }  # fmt: skip
+        case MessageFault():
+            return {"state": fault.topic, "field": fault.field}
+        case SensorFault():
+            return {"state": fault.unit, "field": fault.kind}
+        case RegisterFault():
+            return {"register": fault.registers, "symbol": fault.symbol, "kernel": fault.node}
+
+
+_DETAILS = {
+    "opcode": "opcode", "value_class": "value_class", "type": "value_type", "variable": "variable",
+    "function": "function", "register": "register", "symbol": "symbol", "library": "library",
+}  # fmt: skip
+"""Columns by key in `Injection.details`."""
+
+
+def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, Any]:
+    """Columns for the injection; if there are several, for the first activated one."""
+    activated = any(injection.activated for injection in record.injections)
+    columns: dict[str, Any] = {"activated": activated}
+    if faulty:
+        reached = activated or not record.flown
+        columns["site_outcome"] = (ACTIVATED if reached else NOT_ACTIVATED) if has_site else NO_SITE
+    first = next((one for one in record.injections if one.activated), next(iter(record.injections), None))
+    return columns if first is None else columns | _injection(first)
+
+
+def _injection(injection: Injection) -> dict[str, Any]:
+    details = injection.details
+    known: dict[str, Any] = {
+        column: str(details[key]) for key, column in _DETAILS.items() if details.get(key) is not None
+    }
+    if "path" in details:  # of a number in a call, by name
+        known["site"] = f"{details['call']}.{details['path']}"
+    if injection.bit is not None:
+        known["bit"] = injection.bit
+    return {
+        "time_s": injection.time_s, "before": _number(injection.before), "after": _number(injection.after),
+        "file": injection.file, "line": injection.line, "replayable": details.get("replayable"), **known,
+    }  # fmt: skip
+
+
+def _number(value: object) -> float | None:
+    try:
+        return None if value is None else float(value)  # type: ignore[arg-type]
+    except (OverflowError, ValueError):
+        return None
+
+
+def _kernel(record: FlightRecord) -> dict[str, Any]:
+    """Columns for the effect of the injected call on its kernel."""
+    if record.kernel is None:
+        return {}
+    return {"kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail}
+
+
+def _succeeded(record: FlightRecord) -> bool:
+    return record.status == MissionStatus.SUCCESS.label
+
+
+def _judged(
+    record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, spec: RunSpec
+) -> dict[str, Any]:
+    success = _succeeded(record)
+    died = record.kernel is not None and record.kernel.effect in KERNEL_DUE
+    columns: dict[str, Any] = {
+        "end": str(record.end), "status": record.status or str(record.end), "success": success,
+        "success_if_ended": success and not died, "judged": record.end is not End.UNKNOWN,
+        "golden_success": None if reference is None or reference.end is End.UNKNOWN else _succeeded(reference),
+        "effect": "" if spec.kind == GOLDEN else _effect(own, record),
+    }  # fmt: skip
+    if record.flown:
+        columns |= {
+            "flight_time_s": record.flight_time_s, "energy_j": energy(record.energy), "replans": record.replans,
+            "distance_m": record.distance_m, "time_limit_s": record.time_limit_s, "course_m": record.course_m,
+            "alarms_total": record.alarms_total,
+        }  # fmt: skip
+    if reference is not None and reference.flown:
+        columns["golden_flight_time_s"] = reference.flight_time_s
+        if success and _succeeded(reference):
+            columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
+            spent = energy(reference.energy)
+            columns["energy_inflation"] = energy(record.energy) / spent - 1 if spent > 0 else None
+    return columns
+
+
+def _controlled(record: FlightRecord, own: FlightRecord | None, spec: RunSpec) -> dict[str, Any]:
+    """Class of a firmware's mission, and how well it was controlled from the fault on (golden run: from the start)."""
+    errors = ControlErrors.of(record)
+    if errors is None:
+        return {}
+    found = None if spec.kind == GOLDEN else control_of(own, record)
+    return {
+        "control": None if found is None else found.value, "tilt": errors.tilt, "attitude_error": errors.attitude,
+        "velocity_error": errors.velocity, "yaw_rate_error": errors.yaw_rate,
+    }  # fmt: skip
+
+
+def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
+    """Effect on the computation; for a dead process, the recorded effect on the kernel."""
+    if record.end is End.DUE and record.kernel is not None:
+        return record.kernel.effect
+    return effect_of(own, record).label
+
+
+def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
+    """Whether an alarm is on the corrupted publication, and when an alarm absent in the golden run follows it."""
+    instants = [injection.time_s for injection in record.injections if injection.activated]
+    known = set() if own is None else _instants_of(own.alarms)
+    at_site = any(
+        alarm.state == state and abs(alarm.time_s - time_s) < INSTANT for alarm in record.alarms for time_s in instants
+    )
+    after = [
+        max(0.0, alarm.time_s - time_s) for alarm in record.alarms for time_s in instants
+        if alarm.time_s - time_s > -INSTANT and not _instants_of([alarm]) <= known
+    ]  # fmt: skip
+    first = min(after, default=None)
+    return {
+        "detected_at_site": at_site, "detected_downstream": first is not None and first <= AFTERMATH,
+        "alarm_after_s": first,
+    }  # fmt: skip
+
+
+def _instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
+    """States and instants (us) of alarms."""
+    return {(alarm.state, round(1e6 * alarm.time_s)) for alarm in alarms}

@@ -1,0 +1,178 @@
+"""`View`: selection of rows, grouping and measures -> `Table`.  Every table is a view, registered by name."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from mavfi.analysis.measures import Measure, Spread
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
+from mavfi.dropped import dropped_name
+from mavfi.errors import BadInputError, allowed
+
+DEVIATIONS = (
+    "deviates from the published code: grace 1 s not 0, slow-down of the clock capped at 10, flight-controller limits, "
+    "leg to the first point checked"
+)
+_PROFILES = {"published": DEVIATIONS, "hardened": "not the paper's: what a careful team would fly"}
+
+
+class _Row(NamedTuple):
+    """Cells of a row, with the ids of the runs behind each cell."""
+
+    cells: tuple[Cell, ...]
+    behind: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class View:
+    """Definition of a table over the runs of a campaign."""
+
+    name: str  # for `mavfi report --view`
+    title: str  # of its table
+    by: tuple[str, ...]  # columns of the frame to group by: one row per group
+    measures: tuple[Measure | Spread, ...]  # the other columns
+    where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
+    across: str = ""
+    """"" = measures are columns.  Otherwise the values of this column of the frame become columns, and each measure
+    becomes a row with its heading in the cell after those of `by`."""
+    total: tuple[str, str] | None = None  # column for which a total row is added, and the label of that row
+    headings: tuple[str, ...] = ()  # headings of the columns in `by`; () = their names
+    notes: Callable[[Runs], Iterable[str]] = field(default=lambda _: ())  # lines below the table
+    largest: str = ""  # measure that sorts all rows, in descending order; ties by the first cell
+    limit: int | None = None  # maximum number of rows
+    least: int = 1  # minimum number of runs per row
+    leads: bool = False  # placed first in reports, as the headline
+    applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether these runs have what it shows
+    by_name: bool = False  # not in reports on a campaign: only in studies, benches, and by its name
+
+    def table(self, runs: Runs) -> Table:
+        """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""
+        chosen = self.where(runs)
+        if self.total is not None and len(chosen):
+            chosen = chosen.with_total(*self.total)
+        raised: dict[str, str] = {}
+        columns, rows = (self._across if self.across else self._down)(chosen, raised)
+        notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
+        ordered = self._ordered(columns, rows)
+        return Table(
+            self.name, self.title, tuple(columns), [row.cells for row in ordered], max(1, len(self.by)),
+            (*notes, *_flown_with(chosen)), [row.behind for row in ordered],
+        )  # fmt: skip
+
+    def _measures(self, chosen: Runs) -> list[Measure]:
+        found: list[Measure] = []
+        for measure in self.measures if len(chosen) else ():
+            found += [measure] if isinstance(measure, Measure) else measure(chosen, self.by)
+        return found
+
+    def _keys(self) -> list[Column]:
+        headings = self.headings or tuple(name.replace("_", " ") for name in self.by)
+        return [Column(name, heading) for name, heading in zip(self.by, headings, strict=True)]
+
+    def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
+        """One row per group, one column per measure."""
+        measures = self._measures(chosen)
+        groups = {key: own for key, own in chosen.groups(*self.by).items() if len(own) >= self.least}
+        rows = [
+            _Row(
+                (*key, *(_cell(measure, own, raised) for measure in measures)),
+                (*[own.ids] * len(key), *(_behind(measure, own) for measure in measures)),
+            )
+            for key, own in groups.items()
+        ]
+        return [*self._keys(), *(measure.column for measure in measures)], rows
+
+    def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
+        """One row per group and measure, one column per value of `across`; empty rows are omitted."""
+        values = chosen.values(self.across) if len(chosen) else []
+        measures = self._measures(chosen)
+        rows = []
+        for key, own in chosen.groups(*self.by).items():
+            parts = own.groups(self.across)
+            for measure in measures:
+                cells = [_cell(measure, parts[(value,)], raised) if (value,) in parts else None for value in values]
+                if any(cell is not None for cell in cells):
+                    behind = (_behind(measure, parts[(value,)]) if (value,) in parts else () for value in values)
+                    rows.append(_Row((*key, measure.heading, *cells), (*[own.ids] * len(key), (), *behind)))
+        return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
+
+    def _ordered(self, columns: list[Column], rows: list[_Row]) -> list[_Row]:
+        """Sort rows by `largest`, or group rows with equal first cells; apply `limit`."""
+        if self.largest and rows:
+            largest = [column.key for column in columns].index(self.largest)
+            return sorted(rows, key=lambda row: (-row.cells[largest], row.cells[0]))[: self.limit]
+        first = list(dict.fromkeys(row.cells[0] for row in rows))
+        return sorted(rows, key=lambda row: first.index(row.cells[0]))[: self.limit]
+
+
+def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
+    try:
+        return measure.of(own)
+    except Exception as error:  # a failing measure must not abort the report
+        raised.setdefault(measure.heading or measure.key, f"{type(error).__name__}: {error}"[:100])
+        return UNKNOWN
+
+
+def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
+    """Ids of the runs counted in a cell; none for the paper's values, whose keys begin with "paper"."""
+    return () if measure.key.startswith("paper") else measure.counted(own).ids
+
+
+def _flown_with(runs: Runs) -> tuple[str, ...]:
+    """Note on the autopilot profile and its deviations from the published code."""
+    profile = runs.campaign.get("profile", "")
+    more = f"; {_PROFILES[profile]}" if profile in _PROFILES else ""
+    return (f"autopilot profile {profile}{more}",) if profile else ()
+
+
+VIEWS: dict[str, View] = {}  # by name, in the order of reports
+
+
+def register(*views: View) -> None:
+    """Register views; a view replaces an earlier one with the same name."""
+    VIEWS.update({view.name: view for view in views})
+
+
+def table(runs: Runs, name: str) -> Table:
+    """Compute the table of a view.
+
+    Raises:
+        BadInputError: The view does not exist.
+    """
+    if name not in VIEWS:
+        raise BadInputError(dropped_name("views", name) or f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
+    return VIEWS[name].table(runs)
+
+
+def table_asked_for(runs: Runs, name: str) -> Table:
+    """Compute the table of a view for a user.
+
+    Raises:
+        BadInputError: The view does not exist, or these runs do not have what it shows.
+    """
+    if dropped_name("views", name):
+        raise BadInputError(dropped_name("views", name))
+    found = table(runs, name) if name in VIEWS and VIEWS[name].applies(runs) else None
+    if found is None or not found.rows:
+        wrong = "these runs have nothing to show in it" if name in VIEWS else "not known"
+        names = [view.name for view in applicable(runs)]
+        raise BadInputError(f"view {name!r}: {wrong}; allowed: {allowed(names, name)}")
+    return found
+
+
+def applicable(runs: Runs) -> list[View]:
+    """Views of which these runs have something to show."""
+    return [view for view in VIEWS.values() if view.applies(runs)]
+
+
+def views_for(runs: Runs) -> list[Table]:
+    """Tables of a campaign's report: non-empty tables of all applicable views, the headline first."""
+    ordered = sorted(applicable(runs), key=lambda view: not view.leads)
+    found = [view.table(runs) for view in ordered if not view.by_name]
+    return [table for table in found if table.rows]
+
+
+def has(runs: Runs, **values: Any) -> bool:
+    """Whether any run has these values."""
+    return len(runs.where(**values)) > 0

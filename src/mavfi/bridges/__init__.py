@@ -1,1 +1,0 @@
-"""Bridges to other people's software: one folder each, every one an optional extra; nothing else depends on them."""

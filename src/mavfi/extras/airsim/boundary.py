@@ -1,0 +1,265 @@
+"""Faults and a detector at the RPC boundary: in the arguments that the server receives, and in its return values.
+
+A fault is text, `CALL.PATH[:bit=B][@SECONDS]` or `CALL.PATH:bit=B#N`: a bit of one number in the first call of this
+name at or after an instant, or in its N-th.  PATH leads through the arguments by name (`moveByVelocity.vx`,
+`moveOnPath.path.0.x_val`) or, after `return`, through the returned value (`simGetVehiclePose.return.position.z_val`);
+`arguments#K` and `return#K` are the K-th number of all.  A bit is one of the type in AirSim's signature: an argument
+that the program gives as 2 is flipped as the double 2.0.
+
+A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, changes what calls measure and do.
+"""
+
+import random
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, TextIO
+
+from mavfi.detectors.detector import Detector
+from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim.table import CALLS
+from mavfi.extras.airsim.values import Path, count, flip, keys_of, leaves, make_double, path_of
+from mavfi.extras.logs.calls import Call
+from mavfi.faults.fault import MessageFault
+from mavfi.faults.levels.sensor.failures import Failure
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.spec import parse_sensor
+from mavfi.record import AlarmRecord, Injection
+
+ARGUMENTS, RETURN = "arguments", "return"
+_PATH = rf"(?:{ARGUMENTS}|{RETURN})#\d+|\w+(?:\.\w+)*"
+_TEXT = re.compile(
+    rf"(?P<call>\w+)\.(?P<path>{_PATH})(?::bit=(?P<bit>\d+))?(?:@(?P<at>[\d.eE+-]+)|#(?P<nth>[1-9]\d*))?"
+)
+_BITS = 64
+_FORM = "CALL.PATH[:bit=B][@SECONDS], e.g. moveByVelocity.vx:bit=62@10 or simGetVehiclePose.return.position.z_val"
+_LONGEST = 16
+"""Values with more numbers (images, point clouds) are not observed."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoundaryFault:
+    """A fault and the instant (us) from which it may act."""
+
+    fault: MessageFault
+    since_us: int = 0
+
+    @property
+    def in_return(self) -> bool:
+        """Whether it is in a returned value, not in an argument."""
+        return re.match(rf"{RETURN}\b", self.fault.field) is not None
+
+    def path_in(self, value: Any) -> Path | None:
+        """Path of its number in the arguments or in the returned value; None if there is none."""
+        head, _, rest = self.fault.field.partition(".")
+        side, _, number = head.partition("#")
+        if number:
+            return path_of(value, int(number))
+        return keys_of(rest) if side == RETURN else (CALLS[self.fault.topic].arguments.index(side), *keys_of(rest))
+
+
+def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
+    """Read a fault; a bit that is not given is drawn from the seed.
+
+    Raises:
+        BadInputError: It has another form, or names a call, argument or bit that does not exist.
+    """
+    if text.startswith(f"{SensorFault.level}:"):
+        return parse_sensor(text, seed)
+    found = _TEXT.fullmatch(text)
+    if found is None:
+        raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
+    name, path, bit, at = found["call"], found["path"], found["bit"], found["at"]
+    if name not in CALLS:
+        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
+    try:
+        since_s = float(at or 0.0)
+    except ValueError:
+        since_s = -1.0
+    if not 0.0 <= since_s < 1e6:
+        raise BadInputError(f"--fault: {text!r}: @{at}: allowed: 0 to 1e6 s")
+    head, arguments = path.partition(".")[0], CALLS[name].arguments
+    if "#" not in head and head not in (*arguments, RETURN):
+        raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
+    if bit is not None and int(bit) >= _BITS:
+        raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
+    chosen = int(bit) if bit is not None else random.Random(seed).randrange(_BITS)
+    nth = int(found["nth"]) if found["nth"] else 1
+    return BoundaryFault(MessageFault(name, path, chosen, nth, seed=seed), round(1e6 * since_s))
+
+
+@dataclass(frozen=True, slots=True)
+class Passed:
+    """A call that passed the boundary: its name, and the numbers in its arguments and its return value."""
+
+    name: str
+    arguments: int
+    returned: int
+
+
+@dataclass
+class Boundary:
+    """The RPC boundary, which every call passes.
+
+    Attributes:
+        planned: The fault; None = none.
+        keeps: Whether calls are recorded.
+        watch: A detector; None = none.
+        recording: Keeps the numbers that pass, e.g. to train a detector; None = none.
+        failure: The failure of a sensor or motor of the vehicle; None = none.
+        injection: The injection into a call that happened; None = none so far.
+        passed: Every call so far, if `keeps`.
+    """
+
+    planned: BoundaryFault | None = None
+    keeps: bool = False
+    watch: "BoundaryWatch | None" = None
+    recording: "Recording | None" = None
+    failure: Failure | None = None
+    injection: Injection | None = None
+    passed: list[Passed] = field(default_factory=list)
+    _count: int = 0
+
+    @classmethod
+    def of(
+        cls, fault: BoundaryFault | MessageFault | SensorFault | None, watch: "BoundaryWatch | None" = None,
+        recording: "Recording | None" = None,
+    ) -> "Boundary":  # fmt: skip
+        """The boundary with a fault, in a call or in the vehicle behind it."""
+        if isinstance(fault, SensorFault):
+            return cls(watch=watch, recording=recording, failure=Failure(fault))
+        planned = BoundaryFault(fault) if isinstance(fault, MessageFault) else fault
+        return cls(planned, watch=watch, recording=recording)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether there is a fault."""
+        return self.planned is not None or self.failure is not None
+
+    @property
+    def injected(self) -> Injection | None:
+        """The injection that happened, into a call or the vehicle."""
+        return self.injection if self.failure is None else self.failure.injection
+
+    def arguments(self, name: str, given: list[Any], now_us: int) -> list[Any]:
+        """Arguments of a call, perhaps changed; `given` is changed in place."""
+        self._inject(name, given, now_us, in_return=False)
+        self._observe(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, given, strict=False)), now_us)
+        return given
+
+    def returned(self, name: str, given: Sequence[Any], value: Any, now_us: int) -> Any:
+        """Return value of a call, perhaps changed."""
+        if self.keeps:
+            self.passed.append(Passed(name, sum(map(count, given)), count(value)))
+        value = self._inject(name, value, now_us, in_return=True)
+        self._observe(f"{name}({RETURN})", value, now_us)
+        return value
+
+    def _observe(self, source: str, value: Any, now_us: int) -> None:
+        for observer in (self.recording, self.watch):
+            if observer is not None:
+                observer.check(source, value, now_us)
+
+    def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
+        """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
+        planned = self.planned
+        if planned is None or self.injection is not None or in_return != planned.in_return:
+            return value
+        fault = planned.fault
+        if name != fault.topic or now_us < planned.since_us:
+            return value
+        self._count += 1
+        path = planned.path_in(value) if self._count >= fault.at else None
+        if path is None:
+            return value
+        if not in_return and CALLS[name].is_double(path):
+            make_double(value, path)
+        try:
+            value, before, after, bit = flip(value, path, fault.bit or 0)
+            if fault.bit is None:
+                value, _, after, _ = flip(value, path, bit)
+        except BadInputError:
+            return value
+        names = (RETURN, *path) if in_return else (CALLS[name].arguments[int(path[0])], *path[1:])
+        self.injection = Injection(
+            "message", fault.site, 1e-6 * now_us, None if fault.bit is None else bit, before, after, True,
+            details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, names))},
+        )  # fmt: skip
+        return value
+
+
+class BoundaryWatch:
+    """A detector that observes the numbers at the boundary, without effect on them.
+
+    Args:
+        detector: Trained on error-free calls, see `train`.
+        specs: The watched states, by call and side.
+
+    Attributes:
+        alarms: So far.
+    """
+
+    def __init__(self, name: str, detector: Detector, specs: dict[str, Any]) -> None:
+        self._name, self._detector, self._specs = name, detector, specs
+        self.alarms: list[AlarmRecord] = []
+        detector.start()
+
+    def check(self, source: str, value: Any, now_us: int) -> None:
+        """Check one value."""
+        spec = self._specs.get(source)
+        if spec is None:
+            return
+        numbers = dict(leaves(value))
+        if list(numbers) != [one.name for one in spec.header]:
+            return
+        state = foreign_state(spec, list(numbers.values()))
+        alarm = self._detector.check(state, now_us)
+        if alarm is not None:
+            self.alarms.append(
+                AlarmRecord(1e-6 * now_us, self._name, source, "", alarm.score, alarm.fields, "none", "observed")
+            )
+        self._detector.accept(state, now_us)
+
+
+class Recording:
+    """Values at the boundary, e.g. error-free ones to train a detector.
+
+    Args:
+        file: Each call is written to it as it comes; None = to none.
+    """
+
+    def __init__(self, file: TextIO | None = None) -> None:
+        self._calls: list[Call] = []
+        self._file = file
+
+    def check(self, source: str, value: Any, now_us: int) -> None:
+        """Record one value."""
+        numbers = dict(leaves(value))
+        if 0 < len(numbers) <= _LONGEST:
+            call = Call.of(now_us, source, numbers)
+            self._calls.append(call)
+            if self._file is not None:
+                self._file.write(call.line())
+
+    def train(self, kind: str, profile: str) -> BoundaryWatch:
+        """A detector trained on the calls that were made often enough, always with the same fields.
+
+        Raises:
+            BadInputError: There is no such call, or a number is not finite.
+        """
+        values = [(call.topic, call.values) for call in self._calls]
+        shapes: dict[str, list[tuple[str, ...]]] = {}
+        for source, numbers in values:
+            shapes.setdefault(source, []).append(tuple(numbers))
+        specs = {
+            source: foreign_spec(source, every[0])
+            for source, every in shapes.items()
+            if len(every) >= SMALLEST_SAMPLE and len(set(every)) == 1
+        }
+        if not specs:
+            raise BadInputError(
+                f"--detector: no call happened {SMALLEST_SAMPLE} times; allowed: programs that fly longer"
+            )
+        states = [foreign_state(specs[name], list(numbers.values())) for name, numbers in values if name in specs]
+        return BoundaryWatch(kind, learn(kind, profile, [states], specs), specs)

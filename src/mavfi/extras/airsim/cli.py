@@ -1,0 +1,298 @@
+"""`mavfi airsim`: programs for AirSim fly our vehicle, with faults in their calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import check_file, check_name, check_number, check_seed, console, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError, writing
+from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from mavfi.extras.airsim.boundary import Boundary, BoundaryFault, Recording
+    from mavfi.extras.airsim.program import Ended
+    from mavfi.extras.airsim.server import Server
+    from mavfi.faults.levels.sensor.fault import SensorFault
+
+OF_THE_PIPELINE = (
+    "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
+    "epoch_liveness", "protection", *OF_A_DETECTOR,
+)  # fmt: skip
+_CLOCKS = ("real", "steps")
+
+Fault = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SPEC", help=r"CALL.PATH[:bit=B]\[@SECONDS], e.g. moveByVelocity.vx:bit=62@10; or sensor:gyro:off@9."
+    ),
+]
+FaultSeed = Annotated[int | None, typer.Option(help="Draws the bit that the fault does not name; 0 by default.")]
+Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
+VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
+Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and their answers: gaussian or autoencoder.")]
+Profile = Annotated[str, typer.Option(help="Profile of the detector: paper or tuned.")]
+Save = Annotated[
+    Path | None, typer.Option(metavar="FILE.jsonl", help="Write the numbers in calls and their answers, as they come.")
+]
+Port = Annotated[int, typer.Option(help="TCP port on 127.0.0.1; 0 = any free one.")]
+Clock = Annotated[str, typer.Option(help="real (wall-clock time), or steps (time passes in calls only).")]
+Seconds = Annotated[float, typer.Option(help="Simulated time after which the program is stopped.")]
+Python = Annotated[
+    str, typer.Option(metavar="PYTHON", help="Interpreter with an AirSim client; mavfi's own by default.")
+]
+Script = Annotated[Path, typer.Argument(metavar="SCRIPT", help="Client program of AirSim; [ARGS] are its own.")]
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _airsim() -> None:
+    r"""Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi\[airsim]').
+
+    Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
+    """
+
+
+@app.command("serve")
+@partial(options.with_mission_options, without=OF_THE_PIPELINE)
+def serve(  # noqa: PLR0913 - one parameter per option
+    mission: MissionSpec,
+    port: Port = 41451,
+    clock: Clock = "real",
+    speed: Annotated[float, typer.Option(help="Simulated seconds per wall-clock second, with --clock real.")] = 1.0,
+    image: Annotated[
+        str, typer.Option(metavar="WxH", help=f"Size of images; {IMAGE} by default, with --in-flight that of missions.")
+    ] = "",
+    vehicle_name: VehicleName = VEHICLE,
+    in_flight: Annotated[
+        bool,
+        typer.Option(
+            "--in-flight",
+            help="Start paused, hovering at the mission's start, with --clock steps, for mavfi fly --world.",
+        ),
+    ] = False,
+    version: Annotated[
+        int, typer.Option(help="Version of the API to report: 1 for AirSim 1.8.1, 4 for Cosys-AirSim 3.")
+    ] = 1,
+    single: Annotated[bool, typer.Option("--single", help="Send numbers as float32, as AirSim does.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
+    fault: Fault = None,
+    fault_seed: FaultSeed = None,
+    save: Save = None,
+) -> None:
+    """Serve AirSim's API on loopback, until Ctrl-C; then print time, collision, digest, fault, refused calls.
+
+    Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
+    """
+    check_name("--clock", clock, _CLOCKS)
+    check_number("--speed", speed, 0.01, 1000.0)
+    check_number("--port", port, 0, 65535)
+    check_number("--version", version, 1, 100)
+    steps = in_flight or clock == "steps"
+    if speed != 1.0 and steps:
+        raise BadInputError(f"--speed: {speed:g}: allowed: with --clock real, without --in-flight")
+    check_file("--save", save, (".jsonl",))
+    from mavfi.cli.progress import compiling
+    from mavfi.extras.airsim.boundary import Boundary
+    from mavfi.extras.airsim.server import msgpack
+
+    msgpack()
+    planned = _planned(fault, fault_seed)
+    with compiling():
+        from mavfi.extras.airsim.clock import Real, Steps
+        from mavfi.extras.airsim.program import make_api
+        from mavfi.extras.airsim.server import Server
+
+        api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
+    with _recording(save) as recording:
+        boundary = Boundary.of(planned, recording=recording)
+        time: Steps | Real = Steps() if steps else Real(speed)
+        _serve(Server(api, time, boundary, single=single), port, once)
+
+
+def _check_detector(detector: str, profile: str) -> None:
+    """Refuse detectors that do not learn from the numbers of any program."""
+    from mavfi.detectors.preprocess import PROFILES
+    from mavfi.detectors.registry import of_monitored_fields
+
+    check_name("--detector", detector, ("none", *of_monitored_fields()))
+    check_name("--profile", profile, PROFILES)
+
+
+@contextmanager
+def _recording(path: Path | None) -> Iterator[Recording | None]:
+    """A recording that writes to a file; None without one."""
+    from mavfi.extras.airsim.boundary import Recording
+
+    if path is None:
+        yield None
+        return
+    with writing(path):
+        file = path.open("w", encoding="utf-8", buffering=1)  # line by line: none is lost
+    with file:
+        yield Recording(file=file)
+
+
+def _serve(server: Server, port: int, once: bool) -> None:
+    import asyncio
+
+    out = console()
+    spec, name, ports = server.api.vehicle.spec, server.api.name, list[int]()
+
+    def ready(at: int) -> None:
+        ports.append(at)
+        out.print(f"AirSim API on 127.0.0.1:{at}: {name} in {spec.environment}, seed {spec.seed}", markup=False)
+
+    with stoppable("Stopped."):
+        try:
+            asyncio.run(server.run(port, ready, once=once))
+        finally:
+            server.api.vehicle.sim.close()
+            if ports:
+                _summarize(server)
+
+
+def _summarize(server: Server) -> None:
+    """Print what the clients did: time, collision, digest, fault, refused calls."""
+    out, vehicle = console(), server.api.vehicle
+    hit = "collision" if vehicle.has_ever_collided else "no collision"
+    out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
+    if server.boundary.faulty:
+        out.print(_line(server.boundary), markup=False)
+    for text, count in server.errors.items():
+        out.print(f"refused {count} x: {text}", markup=False)
+
+
+def _planned(fault: str | None, seed: int | None) -> BoundaryFault | SensorFault | None:
+    """Read the fault; None without one."""
+    if seed is not None:
+        check_seed("--fault-seed", seed)
+        if fault is None:
+            raise BadInputError(f"--fault-seed: {seed}: no fault to draw; allowed: together with --fault")
+    if fault is None:
+        return None
+    from mavfi.extras.airsim.boundary import parse_fault
+
+    return parse_fault(fault, seed or 0)
+
+
+@app.command("run", context_settings={"allow_interspersed_args": False})
+@partial(options.with_mission_options, without=OF_THE_PIPELINE)
+def run(  # noqa: PLR0913 - one parameter per option
+    mission: MissionSpec,
+    context: typer.Context,
+    script: Script,
+    arguments: Annotated[list[str] | None, typer.Argument(metavar="[ARGS]", help="Of the program.")] = None,
+    python: Python = "",
+    seconds: Seconds = 120.0,
+    image: Image = IMAGE,
+    vehicle_name: VehicleName = VEHICLE,
+    fault: Fault = None,
+    fault_seed: FaultSeed = None,
+    detector: Detector = "none",
+    profile: Profile = "paper",
+    as_json: options.AsJson = False,
+) -> None:
+    """Run a client program in simulated time, unmodified; with a fault, first without it.
+
+    Options come before the script: what follows it is the program's own.
+
+    Example: [bold]mavfi airsim run --fault moveToPosition.x:bit=54@0 examples/airsim/box.py[/bold]
+    """
+    check_number("--seconds", seconds, 0.1, 1e5)
+    _hint_at_order(context, arguments or ())
+    _check_detector(detector, profile)
+    pixels(image)
+    planned = _planned(fault, fault_seed)
+    program = ProgramConfig(
+        script=str(script), arguments=tuple(arguments or ()), python=python, seconds=seconds, image=image,
+        vehicle=vehicle_name,
+    )  # fmt: skip
+    program.check()
+    from mavfi.cli.progress import compiling
+    from mavfi.extras.airsim.server import msgpack
+
+    msgpack()
+    with compiling():
+        from mavfi.extras.airsim.boundary import Boundary, Recording
+        from mavfi.extras.airsim.program import run_program
+
+        recording = Recording() if detector != "none" else None
+        golden = run_program(program, mission, Boundary(recording=recording))
+        watch = None if recording is None else recording.train(detector, profile)
+        if planned is None and watch is None:
+            _report(program, golden, None, as_json)
+            return
+        injected = run_program(program, mission, Boundary.of(planned, watch=watch))
+    _report(program, golden, injected, as_json)
+
+
+def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
+    """Say on stderr which arguments of the program are named like options of this command."""
+    own = {name for parameter in context.command.params for name in parameter.opts}
+    named = [given for given in arguments if given.startswith("--") and given.split("=")[0] in own]
+    if named:
+        text = f"mavfi: {', '.join(named)}: passed to the program; options of mavfi come before the script"
+        typer.echo(text, err=True)
+
+
+def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_json: bool) -> None:
+    """Print how a program ended, the effect of a fault first."""
+    from mavfi.extras.airsim.program import effect_on, shown
+
+    faulty = injected is not None and injected.boundary.faulty
+    effect = effect_on(golden, injected) if faulty and injected is not None else None
+    if as_json:
+        found = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
+        write_json({"script": program.script, **found})
+        return
+    out = console()
+    if effect is not None and injected is not None:
+        out.print(f"effect: {effect}", markup=False)
+        out.print(_line(injected.boundary), markup=False)
+    for label, one in (("golden", golden), ("injected" if faulty else "watched", injected)):
+        if one is None:
+            continue
+        hit = ", collision" if one.collided else ""
+        reason = f" ({one.reason})" if one.reason else ""
+        calls = sum(one.calls.values())
+        text = f"{one.how}{hit}{reason}, {one.seconds:.3f} s simulated, {calls} calls, digest {one.digest[:16]}"
+        out.print(f"{label}: {text}", markup=False)
+        for error, count in one.errors.items():
+            out.print(f"  refused {count} x: {error}", markup=False)
+    if injected is not None:
+        _print_alarms(out, injected.boundary)
+    last = (injected or golden).output.strip().splitlines()[-3:]
+    for line in last:
+        out.print(f"  | {line}", style="dim", markup=False)
+
+
+def _print_alarms(out: Console, boundary: Boundary) -> None:
+    """Print the number of alarms and the first one, if a detector observed."""
+    if boundary.watch is not None:
+        alarms = boundary.watch.alarms
+        first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}" if alarms else ""
+        out.print(f"alarms: {len(alarms)}{first}", markup=False)
+
+
+def _line(boundary: Boundary) -> str:
+    """The injection in one line, or that there was none."""
+    found = boundary.injected
+    if found is None:
+        reason = "no such number passed the boundary" if boundary.failure is None else "nothing changed for its readers"
+        return f"fault: not activated: {reason}"
+    if boundary.failure is not None:
+        return f"{found.time_s:8.3f} s  fault: {found.site}: {found.before} → {found.after}"
+    where = f"{found.details['call']}.{found.details['path']}"
+    return f"{found.time_s:8.3f} s  fault in {where} bit {found.bit}: {found.before} → {found.after}"

@@ -1,0 +1,119 @@
+"""Frames and objects of AirSim's API.
+
+AirSim's world is NED with its origin where the vehicle started, its body FRD; ours are ENU-like (x forward, y left,
+z up) and FLU.  Half a turn about x converts one to the other: (x, -y, -z), quaternion (w, x, -y, -z), exactly.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.numerics.elementary import cos, sin
+from mavfi.numerics.frames import Triple as Triple
+from mavfi.numerics.frames import geodetic, local
+
+HOME = (47.641468, -122.140165, 122.0)
+"""AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
+_GEO_POINT = ("latitude", "longitude", "altitude")
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+Numbers = Sequence[float] | np.ndarray
+Data = dict[str, Any]
+"""An object of the API, as plain data."""
+
+
+def flipped(values: Numbers) -> Triple:
+    """A vector in the other frame; its own inverse."""
+    x, y, z = values
+    return float(x), -float(y), -float(z)
+
+
+def vector(values: Numbers) -> dict[str, float]:
+    """Three numbers as plain data of AirSim's type Vector3r."""
+    x, y, z = values
+    return {"x_val": float(x), "y_val": float(y), "z_val": float(z)}
+
+
+def _numbers_of(data: Any, kind: str, names: Sequence[str]) -> list[float]:  # noqa: ANN401 - a client's
+    """Numbers of an object of the API by name, or a `BadInputError`; `kind`: the type that it must have."""
+    try:
+        return [float(data[name]) for name in names]
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{data!r}: allowed: a {kind} ({', '.join(names)})") from None
+
+
+def triple(data: Any) -> Triple:  # noqa: ANN401 - a client's
+    """Numbers of a Vector3r.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    x, y, z = _numbers_of(data, "Vector3r", ("x_val", "y_val", "z_val"))
+    return x, y, z
+
+
+def turned(quaternion: Numbers) -> tuple[float, float, float, float]:
+    """An orientation in the other frames; its own inverse. Shape (4,), w x y z."""
+    w, x, y, z = quaternion
+    return float(w), float(x), -float(y), -float(z)
+
+
+def rotation(quaternion: Numbers) -> dict[str, float]:
+    """Quaternionr."""
+    w, x, y, z = quaternion
+    return {"w_val": float(w), "x_val": float(x), "y_val": float(y), "z_val": float(z)}
+
+
+def quaternion(data: Any) -> tuple[float, float, float, float]:  # noqa: ANN401 - a client's
+    """Numbers w x y z of a Quaternionr.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    w, x, y, z = _numbers_of(data, "Quaternionr", ("w_val", "x_val", "y_val", "z_val"))
+    return w, x, y, z
+
+
+def pose(position: Numbers, orientation: Numbers) -> Data:
+    """Pose, from NED numbers."""
+    return {"position": vector(position), "orientation": rotation(orientation)}
+
+
+def pose_numbers(data: Any) -> tuple[Triple, tuple[float, float, float, float]]:  # noqa: ANN401 - a client's
+    """Position and quaternion of a Pose.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    if not isinstance(data, Mapping) or not {"position", "orientation"} <= set(data):
+        raise BadInputError(f"{data!r}: allowed: a Pose (position, orientation)")
+    return triple(data["position"]), quaternion(data["orientation"])
+
+
+def geo_point(ned: Numbers) -> dict[str, float]:
+    """GeoPoint of a place in NED (m), on the tangential plane at `HOME`."""
+    return dict(zip(_GEO_POINT, geodetic(ned, HOME), strict=True))
+
+
+def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
+    """Inverse of `geo_point`.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    latitude, longitude, altitude = _numbers_of(data, "GeoPoint", _GEO_POINT)
+    return local(latitude, longitude, altitude, HOME)
+
+
+def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
+    """Pose of a sensor in our body frame, from its pose in AirSim's. Shape (7,)."""
+    return (*flipped(position), *turned(orientation))
+
+
+def looking(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float, float]:
+    """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
+    y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
+    return cos(y) * cos(p), -sin(y) * sin(p), cos(y) * sin(p), sin(y) * cos(p)

@@ -1,0 +1,290 @@
+"""Calls about the program's connection, time, the scene, drawing and weather."""
+
+import json
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mavfi.config import names
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim.frames import (
+    LEVEL,
+    Data,
+    Triple,
+    flipped,
+    from_geo_point,
+    geo_point,
+    pose,
+    pose_numbers,
+    triple,
+    vector,
+)
+from mavfi.extras.airsim.identity import KEY, identity
+from mavfi.extras.airsim.pictures import DUST, FOG
+from mavfi.extras.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
+from mavfi.extras.airsim.vehicle import TICK_US
+from mavfi.sim.scene import STEP_US
+
+_DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}
+_KNOWN_WEATHER = {0: "Rain", 1: "Roadwetness", 2: "Snow", 3: "RoadSnow", 4: "MapleLeaf", 5: "RoadLeaf", **_DRAWN}
+_NOTHING = (
+    "simFlushPersistentMarkers", "simPlotPoints", "simPlotLineStrip", "simPlotLineList", "simPlotArrows",
+    "simPlotStrings", "simPlotTransforms", "simPlotTransformsWithNames", "simSetTraceLine", "simSetTimeOfDay",
+)  # fmt: skip
+"""Calls that draw into AirSim's window, which does not exist here, or move its sun, which lights no picture here."""
+
+
+add_readings(
+    call,
+    {
+        "ping": lambda _: True,
+        "getServerVersion": lambda api: api.version,
+        "getMinRequiredClientVersion": lambda api: api.version,
+        "listVehicles": lambda api: [api.name],
+        "simIsPaused": lambda api: api.paused,
+        "simListAssets": lambda _: ["Cube"],
+        "isRecording": lambda api: api.recording,
+    },
+)
+
+
+# ---- connection ------------------------------------------------------------------------------------------------------
+@call("getSettingsString")
+def _(api: Api) -> str:
+    """AirSim's settings, and under a key of its own what the server flies."""
+    vehicles: Data = {api.name: {}}
+    own = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
+    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: own}
+    return json.dumps(settings)
+
+
+@call("simPrintLogMessage")
+def _(api: Api, message: Any, message_param: Any = "", severity: int = 0) -> bool:
+    return True
+
+
+# ---- time ------------------------------------------------------------------------------------------------------------
+@call("simPause")
+def _(api: Api, is_paused: bool) -> None:
+    api.paused, api.resume_until_us = bool(is_paused), None
+
+
+def continue_for(api: Api, seconds: float) -> None:
+    """Plan a pause after this time; the clock lets the time pass.
+
+    Raises:
+        BadInputError: Not a time.
+    """
+    if not 0.0 <= seconds <= 1e6:
+        raise BadInputError(f"simContinueForTime: {seconds}: allowed: 0 to 1e6 s")
+    api.paused = False
+    api.resume_until_us = api.vehicle.now_us + round(seconds * 1e6 / STEP_US) * STEP_US
+
+
+@call("simContinueForTime")
+def _(api: Api, seconds: float) -> None:
+    continue_for(api, seconds)
+
+
+@call("simContinueForFrames")
+def _(api: Api, frames: int) -> None:
+    continue_for(api, 1e-6 * TICK_US * frames)
+
+
+# ---- objects ---------------------------------------------------------------------------------------------------------
+def _place(api: Api, name: str) -> int:
+    if name not in api.objects:
+        raise BadInputError(f"object {name!r}: not known; allowed: names of simListSceneObjects")
+    return api.objects.index(name)
+
+
+def _box(api: Api, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and size of an object (m), in the world. Shapes (3,)."""
+    world, place = api.vehicle.sim.world, _place(api, name)
+    return 0.5 * (world.lower[place] + world.upper[place]), world.upper[place] - world.lower[place]
+
+
+def _put(api: Api, place: int | None, centre: np.ndarray, size: np.ndarray) -> None:
+    """Set one box; None = add it."""
+    world = api.vehicle.sim.world
+    if world.is_voxels:
+        raise BadInputError("objects: the environment is a scan, whose voxels are fixed; allowed: in worlds of boxes")
+    if not (np.isfinite(centre).all() and np.isfinite(size).all() and (size > 0.0).all()):
+        raise BadInputError(f"object of size {size.tolist()}: allowed: finite numbers, a size above 0")
+    lower, upper = world.lower.copy(), world.upper.copy()
+    if place is None:
+        lower, upper = np.vstack([lower, centre - 0.5 * size]), np.vstack([upper, centre + 0.5 * size])
+    else:
+        lower[place], upper[place] = centre - 0.5 * size, centre + 0.5 * size
+    api.vehicle.sim.set_boxes(lower, upper)
+
+
+def _box_position(pose: Any) -> Triple:  # noqa: ANN401 - a client's
+    """Position of an object's pose; boxes are aligned with the axes."""
+    position, (_, *axis) = pose_numbers(pose)
+    if any(axis):
+        raise BadInputError(f"{pose!r}: boxes stay aligned with the axes; allowed: the orientation (1, 0, 0, 0)")
+    return position
+
+
+def _matching(names: Iterable[str], pattern: str) -> list[str]:
+    try:
+        return [name for name in names if re.fullmatch(pattern, name)]
+    except re.error as error:
+        raise BadInputError(f"{pattern!r}: {error}; allowed: a regular expression") from None
+
+
+@call("simListSceneObjects")
+def _(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
+    return _matching((api.name, *api.objects), name_regex)
+
+
+@call("simGetObjectPose")
+def _(api: Api, object_name: str, ned: bool = True) -> Data:
+    """NaN for an object that does not exist, as in AirSim."""
+    if object_name == api.name:
+        return pose(api.vehicle.position, api.vehicle.orientation)
+    if object_name not in api.objects:
+        return pose((math.nan,) * 3, (math.nan,) * 4)
+    return pose(api.vehicle.to_ned(_box(api, object_name)[0]), LEVEL)
+
+
+@call("simSetObjectPose")
+def _(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
+    centre = api.vehicle.to_world(_box_position(pose))
+    _put(api, _place(api, object_name), centre, _box(api, object_name)[1])
+    return True
+
+
+@call("simGetObjectScale")
+def _(api: Api, object_name: str) -> dict[str, float]:
+    return vector(_box(api, object_name)[1])
+
+
+@call("simSetObjectScale")
+def _(api: Api, object_name: str, scale_vector: Any) -> bool:
+    centre, _ = _box(api, object_name)
+    _put(api, _place(api, object_name), centre, np.array(triple(scale_vector)))
+    return True
+
+
+@call("simSpawnObject")
+def _(
+    api: Api,
+    object_name: str,
+    asset_name: str,
+    pose: Any,
+    scale: Any,
+    physics_enabled: bool = False,
+    is_blueprint: bool = False,
+) -> str:
+    """A box, as large as AirSim's cube (1 m) times the scale; returns its name, made unique."""
+    if physics_enabled:
+        raise BadInputError("simSpawnObject: obstacles do not move; allowed: physics_enabled=False")
+    name, tries = str(object_name), 0
+    while name in api.objects:
+        tries += 1
+        name = f"{object_name}_{tries}"
+    _put(api, None, api.vehicle.to_world(_box_position(pose)), np.array(triple(scale)))
+    api.objects.append(name)
+    return name
+
+
+@call("simDestroyObject")
+def _(api: Api, object_name: str) -> bool:
+    if object_name not in api.objects:
+        return False
+    place, world = _place(api, object_name), api.vehicle.sim.world
+    api.vehicle.sim.set_boxes(np.delete(world.lower, place, axis=0), np.delete(world.upper, place, axis=0))
+    del api.objects[place]
+    contact = api.vehicle.sim.touched
+    if contact is not None and contact.obstacle >= place:  # obstacles are counted
+        number = DESTROYED if contact.obstacle == place else contact.obstacle - 1
+        api.vehicle.sim.touched = replace(contact, obstacle=number)
+    return True
+
+
+@call("simSetSegmentationObjectID")
+def _(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
+    found = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
+    api.segments.update(dict.fromkeys(found, int(object_id)))
+    return bool(found)
+
+
+@call("simGetSegmentationObjectID")
+def _(api: Api, mesh_name: str) -> int:
+    return api.segment(mesh_name) if mesh_name in (*api.objects, GROUND) else -1
+
+
+@call("simLoadLevel")
+def _(api: Api, level_name: str) -> bool:
+    """Fly in another shipped environment, with the same seed."""
+    if level_name not in names("environments"):
+        raise BadInputError(f"level {level_name!r}: not known; allowed: {', '.join(names('environments'))}")
+    api.vehicle.load(api.vehicle.spec.model_copy(update={"environment": level_name}))
+    api.name_objects()
+    return True
+
+
+@call("simGetWorldExtents")
+def _(api: Api) -> list[dict[str, float]]:
+    world = api.vehicle.sim.world
+    return [geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
+
+
+@vehicle_call("simTestLineOfSightToPoint")
+def _(api: Api, point: Any) -> bool:
+    return api.vehicle.sim.is_free(api.vehicle.sim.odometry[:3].copy(), _geo(api, point))
+
+
+@call("simTestLineOfSightBetweenPoints")
+def _(api: Api, point1: Any, point2: Any) -> bool:
+    return api.vehicle.sim.is_free(_geo(api, point1), _geo(api, point2))
+
+
+def _geo(api: Api, point: Any) -> np.ndarray:
+    return api.vehicle.to_world(from_geo_point(point))
+
+
+# ---- weather, drawing, recording -------------------------------------------------------------------------------------
+@call("simSetWind")
+def _(api: Api, wind: Any) -> None:
+    api.vehicle.sim.set_wind(flipped(triple(wind)))
+
+
+@call("simEnableWeather")
+def _(api: Api, enable: bool) -> None:
+    api.weather_on = bool(enable)
+
+
+@call("simSetWeatherParameter")
+def _(api: Api, param: int, val: float) -> None:
+    """A value of 0 is accepted for all weather: there is none."""
+    if param not in _DRAWN and not (param in _KNOWN_WEATHER and val == 0.0):
+        known = _KNOWN_WEATHER.get(param, "unknown")
+        allowed = ", ".join(f"{number} ({name})" for number, name in _DRAWN.items())
+        raise BadInputError(f"simSetWeatherParameter: {param} ({known}): not drawn; allowed: {allowed}")
+    api.weather[param] = min(1.0, max(0.0, float(val)))
+
+
+@call("startRecording")
+def _(api: Api) -> None:
+    """Nothing is written; the program flies as if it were."""
+    api.recording = True
+
+
+@call("stopRecording")
+def _(api: Api) -> None:
+    api.recording = False
+
+
+def _nothing(api: Api, *arguments: Any) -> None:
+    """Draw nothing."""
+
+
+for _name in _NOTHING:
+    call(_name)(_nothing)

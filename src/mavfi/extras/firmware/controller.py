@@ -1,0 +1,131 @@
+"""A Betaflight firmware as the flight controller of a mission (`--flight-controller betaflight`).
+
+Our velocity loop turns the velocity command into stick positions at 250 Hz, as a companion computer does; the
+firmware's own loops (attitude, body rates, filters, mixer at 8 kHz) turn these into motor commands.
+"""
+
+import math
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.extras.firmware import betaflight
+from mavfi.extras.firmware.betaflight import PERIOD_NS
+from mavfi.extras.firmware.build import installed
+from mavfi.extras.firmware.injector import FirmwareInjector
+from mavfi.extras.firmware.process import NEVER, Firmware, FirmwareLostError
+from mavfi.extras.firmware.tracking import Tracking
+from mavfi.numerics.elementary import atan2, cos, sin
+from mavfi.numerics.rotations import rotation_matrix, yaw_of
+from mavfi.sim.cascade import MEMORY_SIZE, wanted_thrust
+from mavfi.sim.controller import Start
+from mavfi.sim.engine import GRAVITY
+from mavfi.sim.scene import STEP_US
+from mavfi.sim.vehicle import airframe_of
+
+GYRO_NOISE = 0.01
+"""White noise of each gyro sample at 1 kHz (rad/s), as of a vibrating airframe; without it, a hover is too still."""
+_PURPOSE_GYRO_NOISE = 40
+_BLOCK = 4_096
+
+
+class BetaflightController:
+    """A firmware process that controls one vehicle; see `mavfi.sim.controller.Controller`.
+
+    Attributes:
+        injector: Injects a register fault; None = no fault.
+        lost: How the firmware ended or hung; None = it runs.  Without it, all rotor commands are 0.
+        most_calls: Most calls of the shim in a period.
+        tracking: Notes how well it follows its set-points; None = not noted.
+    """
+
+    period_us = PERIOD_NS // 1000
+    rewindable = False
+
+    def __init__(self, start: Start) -> None:
+        self._airframe = airframe_of(start.vehicle)
+        self._memory = np.zeros(MEMORY_SIZE)
+        self._matrix = np.empty((3, 3))
+        self.draw_noise(start.seed)
+        self.injector: FirmwareInjector | None = None
+        self.lost: FirmwareLostError | None = None
+        self.most_calls = 0
+        self.tracking: Tracking | None = None
+        needed = installed()
+        self.firmware = Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})
+        try:
+            betaflight.arm(self.firmware, _state(start.odometry, np.zeros(3), np.array([0.0, 0.0, GRAVITY])))
+        except BaseException:
+            self.close()
+            raise
+
+    def draw_noise(self, seed: int) -> None:
+        """Draw the gyro's noise from a seed, from now on; as a rule, that of the mission."""
+        sequence = np.random.SeedSequence(seed, spawn_key=(_PURPOSE_GYRO_NOISE,))
+        self._random = np.random.default_rng(sequence)
+        self._noise, self._used = np.empty((0, 3)), 0
+
+    def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """See `Controller.rotors`; zero after the firmware has ended."""
+        if self.lost is not None:
+            return np.zeros(4)
+        state = _state(odometry, self._gyro_noise(), force)
+        rc = None if time_us % STEP_US else self._channels(time_us, setpoint, odometry)
+        try:
+            self._run(time_us, betaflight.packets(self.firmware.now_ns, state, rc))
+        except FirmwareLostError as error:
+            self.lost = error
+            return np.zeros(4)
+        self.most_calls = max(self.most_calls, self.firmware.calls)
+        return np.array([self._airframe.max_thrust * min(1.0, max(0.0, motor)) ** 2 for motor in self.firmware.motors])
+
+    def _run(self, time_us: int, packets: bytes) -> None:
+        """Let the firmware run for a period, and inject if it stops at the place of the fault."""
+        stop_at = NEVER if self.injector is None else self.injector.stop_at(time_us)
+        if self.firmware.run(packets, PERIOD_NS, stop_at):
+            assert self.injector is not None  # only then it stops
+            self.injector.inject(self.firmware, time_us)
+
+    def _channels(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray) -> list[int]:
+        """Sticks for a velocity command: angles and throttle of the force that our own velocity loop wants."""
+        airframe = self._airframe
+        wanted = wanted_thrust(airframe, self._memory, setpoint, odometry[3:6])
+        rotation_matrix(odometry[6:10], self._matrix)
+        if self.tracking is not None:
+            self.tracking.sample(time_us, setpoint, odometry, wanted, self._matrix[:, 2])
+        forward, left, up = wanted.tolist()
+        along = self._matrix[0, 2] * forward + self._matrix[1, 2] * left + self._matrix[2, 2] * up
+        yaw = yaw_of(odometry[6:10])
+        ahead, aside = cos(yaw), sin(yaw)
+        forward, left = ahead * forward + aside * left, ahead * left - aside * forward
+        pitch, roll = atan2(forward, up), atan2(-left, math.sqrt(forward * forward + up * up))
+        throttle = math.sqrt(min(max(0.0, along) * airframe.mass / (4.0 * airframe.max_thrust), 1.0))
+        return betaflight.channels(roll, pitch, throttle, float(setpoint[3]))
+
+    def _gyro_noise(self) -> np.ndarray:
+        """Noise of the next gyro sample (rad/s). Shape (3,)."""
+        if self._used == len(self._noise):
+            self._noise, self._used = self._random.normal(0.0, GYRO_NOISE, (_BLOCK, 3)), 0
+        self._used += 1
+        sample: np.ndarray = self._noise[self._used - 1]
+        return sample
+
+    def save(self) -> bytes:
+        """Not possible: the state of another program.
+
+        Raises:
+            BadInputError: Always.
+        """
+        raise BadInputError("flight controller betaflight: its flights cannot be saved and continued")
+
+    def restore(self, saved: bytes) -> None:
+        """See `save`."""
+        self.save()
+
+    def close(self) -> None:
+        """End the firmware."""
+        self.firmware.close()
+
+
+def _state(odometry: np.ndarray, noise: np.ndarray, force: np.ndarray) -> tuple[float, ...]:
+    return betaflight.state_of(odometry[:3], odometry[6:10], odometry[3:6], odometry[10:] + noise, force)

@@ -1,0 +1,142 @@
+"""The host `firmware`: missions flown by a real firmware, with faults in its registers, or in sensors and motors.
+
+Flights are bit-reproducible.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from typing import Any, cast
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
+from mavfi.extras.firmware.build import installed
+from mavfi.extras.firmware.controller import BetaflightController
+from mavfi.extras.firmware.injector import NODE, WALK, FirmwareInjector
+from mavfi.extras.firmware.tracking import Tracking
+from mavfi.extras.hardening.of_mission import check_flown
+from mavfi.faults.fault import RegisterFault
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import resolve
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.loop import Loop
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.recording import Record
+from mavfi.flight.sensor_faults import inject_sensor_fault
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.outcomes import ControlErrors
+from mavfi.record import CONTROLLER_LOST, KernelEffect
+
+CONTROLLERS = ("betaflight",)
+"""Flight controllers that are firmware."""
+
+
+class FirmwareHost:
+    """Flies each mission in this process, in lock-step with the firmware's process."""
+
+    name = "firmware"
+    levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
+    deterministic = True
+    flies = True
+    in_process = True
+
+    def resolve(self, spec: MissionSpec) -> Scenario:
+        """See `Host.resolve`.
+
+        Raises:
+            BadInputError: The flight controller is no firmware.
+        """
+        if spec.flight_controller not in CONTROLLERS:
+            allowed = ", ".join(CONTROLLERS)
+            raise BadInputError(f"host firmware: flight_controller: {spec.flight_controller!r}: allowed: {allowed}")
+        return resolve(spec)
+
+    def check(self) -> None:
+        """See `Host.check`.
+
+        Raises:
+            BadInputError: The firmware, or the compiler for our part of it, is missing.
+        """
+        installed()
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "FirmwareFlights":
+        """See `Host.mission`; every flight is flown in full."""
+        return FirmwareFlights(self, arms)
+
+
+class FirmwareFlights(ArmFlights):
+    """The flights of one mission; see `MissionFlights`."""
+
+    def _fly(self, arm: str, fault: RegisterFault | SensorFault | None, *, profile: bool = False) -> Flight:
+        setup = self._arms[arm]
+        return fly(
+            setup.scenario, fault, self._detector(arm), recovery=setup.recovery, profile=profile,
+            observers=setup.observers,
+        )  # fmt: skip
+
+
+# ---- one flight ----------------------------------------------------------------------------------------------------
+def register_fault(time_us: int, seed: int, registers: str = "all", access: str = "either") -> RegisterFault:
+    """A fault in a register of the firmware's main thread, from an instant of the flight on (us).
+
+    By default as those of campaigns: a register that an instruction reads or writes.
+    """
+    return RegisterFault(registers, access, node=NODE, time_us=time_us, seed=seed, walk=WALK)
+
+
+def fly(
+    scenario: Scenario, fault: RegisterFault | SensorFault | None = None, detector: Detector | None = None, *,
+    recovery: Recovery = INLINE, profile: bool = False, observers: Sequence[Callable[[Loop], None]] = (),
+) -> Flight:  # fmt: skip
+    """Fly one mission; equal arguments yield bit-identical results.
+
+    If the firmware ends or hangs, the rotors receive no commands: the vehicle falls, the pipeline continues.
+
+    Args:
+        scenario: The mission; its flight controller is a firmware.
+        fault: The fault; None = golden flight.
+        detector: The detector; None = none.
+        recovery: The recovery policy for its alarms.
+        profile: Whether to record the publication times of each state.
+        observers: Called with the loop before the flight, see `hosts.loop.observe`.
+
+    Raises:
+        BadInputError: Another flight controller, or the scenario cannot be flown.
+    """
+    loop = new_loop(scenario, profile=profile)
+    try:
+        controller = getattr(loop.plant, "controller", None)
+        if not isinstance(controller, BetaflightController):
+            text = "has no registers of its own; allowed: betaflight"
+            raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
+        if fault is None or not inject_sensor_fault(loop, fault):
+            controller.tracking = Tracking()
+            if fault is not None:
+                loop.taps.injector = controller.injector = FirmwareInjector(cast(RegisterFault, fault))
+        loop.before_tick.append(partial(_note_loss, loop.record, controller))
+        watch(loop, detector, recovery)
+        for attach in observers:
+            attach(loop)
+        flight = loop.fly()
+        check_flown(scenario.protection)
+    finally:
+        loop.plant.close()
+    lost, extra = controller.lost, {"node": NODE, "most_calls": controller.most_calls, **_errors(controller, flight)}
+    log = flight.log if lost is None else replace(flight.log, kernel=KernelEffect(lost.effect, lost.detail))
+    return replace(flight, log=log, extra=extra)
+
+
+def _errors(controller: BetaflightController, flight: Flight) -> dict[str, Any]:
+    """Entry of the record: how well the firmware followed its set-points from the fault on, or from the start."""
+    if controller.tracking is None:
+        return {}
+    since = max((one.time_s for one in flight.log.injections if one.activated), default=0.0)
+    return {ControlErrors.KEY: asdict(controller.tracking.since(since))}
+
+
+def _note_loss(record: Record, controller: BetaflightController, now: int) -> None:
+    """Record the end of the firmware, once."""
+    lost = controller.lost
+    if lost is not None and all(event.kind != CONTROLLER_LOST for event in record.events):
+        record.note(now, CONTROLLER_LOST, {"effect": lost.effect, "why": lost.detail})

@@ -1,0 +1,124 @@
+"""Views of register faults in a flight controller's firmware: outcomes of the missions, and classes of control."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from mavfi.analysis import measures as m
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.table import SIGNED, Cell
+from mavfi.analysis.views import View, has, register
+from mavfi.extras.registers.classes import class_of, function_of
+from mavfi.outcomes import COSTLIER, HEALTHY, LASTING_S, LONGER, LOST, Control
+
+FIRMWARE = "firmware"
+"""Value of the column `kernel` for faults in a firmware."""
+_MOST = 12
+_OUTCOMES = {
+    "identical": ("bit-identical", pl.col("effect") == "masked"),
+    "arrives": ("other flight, arrives", (pl.col("effect") == "sdc") & pl.col("success")),
+    "lost": ("mission lost", (pl.col("effect") == "sdc") & ~pl.col("success")),
+    "ends": ("process ends", pl.col("effect") == "crash"),
+    "hangs": ("hang", pl.col("effect") == "hang"),
+}
+_MEASURES = (m.count("n", "runs"), *(m.rate(key, heading, test) for key, (heading, test) in _OUTCOMES.items()))
+_CLASSES = (
+    m.count("n", "runs"),
+    *(m.rate(one.name.lower(), one.value, pl.col("control") == one.value) for one in Control),
+)
+_INTERVALS = "per cent, [95 % interval, Wilson, adjusted for runs that share a mission], count"
+
+
+def _in_firmware(runs: Runs) -> bool:
+    return has(runs.injected, kernel=FIRMWARE)
+
+
+def _faults(runs: Runs) -> Runs:
+    """Activated faults with the columns `registers` (class of the register), `function` and `third` (of the flight)."""
+    kind = pl.col("register").map_elements(class_of, return_dtype=pl.String)
+    function = pl.col("symbol").map_elements(function_of, return_dtype=pl.String)
+    part = (3.0 * pl.col("time_s") / pl.col("golden_flight_time_s")).floor().clip(0, 2).cast(pl.Int64)
+    third = part.replace_strict({0: "first", 1: "second", 2: "last"}, return_dtype=pl.String)
+    return runs.injected.where("activated", kernel=FIRMWARE).adding(registers=kind, function=function, third=third)
+
+
+def _has_classes(runs: Runs) -> bool:
+    """Whether every mission with a fault in the firmware has its class; ledgers of older versions lack the errors."""
+    return _in_firmware(runs) and not has(runs.injected.where("activated", "judged", kernel=FIRMWARE), control="")
+
+
+def _by_third(runs: Runs) -> Runs:
+    """Activated faults, from take-off to the goal."""
+    own = _faults(runs)
+    return replace(own, frame=own.frame.sort(pl.col("time_s") / pl.col("golden_flight_time_s"), maintain_order=True))
+
+
+def _by_class(runs: Runs) -> Runs:
+    """Activated faults, the classes from harmless to worst."""
+    own = _faults(runs)
+    place = pl.col("control").replace_strict({one.value: rank for rank, one in enumerate(Control)}, default=None)
+    return replace(own, frame=own.frame.sort(place, maintain_order=True))
+
+
+def _largest(column: str, scale: float = 1.0) -> Callable[[Runs], Cell]:
+    """Largest value of a column; None if there is none."""
+
+    def of(own: Runs) -> Cell:
+        known = own.frame[column].drop_nulls()
+        return None if known.is_empty() else scale * float(known.max())  # type: ignore[arg-type]
+
+    return of
+
+
+def _definitions(_: Runs) -> tuple[str, ...]:
+    """Lines below the table of classes."""
+    return (
+        f"slight: another flight that follows its commands (tilt to {np.degrees(HEALTHY.tilt):.0f} degrees; for "
+        f"{LASTING_S:g} s never beyond {np.degrees(HEALTHY.attitude):.0f} degrees off the commanded attitude, "
+        f"{HEALTHY.velocity:g} m/s off the velocity, {HEALTHY.yaw_rate:g} rad/s off the yaw rate) and succeeds if "
+        f"its golden run does, with at most {100 * LONGER:.0f} % more time and {100 * COSTLIER:.0f} % more energy",
+        f"loss of control: tilt above {np.degrees(LOST.tilt):.0f} degrees, for {LASTING_S:g} s beyond "
+        f"{np.degrees(LOST.attitude):.0f} degrees, {LOST.velocity:g} m/s or {LOST.yaw_rate:g} rad/s, or a contact "
+        "while not following; degraded: all others whose process runs",
+        _INTERVALS,
+    )
+
+
+register(
+    View(
+        "firmware_control", "How a mission is controlled after one bit in a register of the firmware", ("registers",),
+        _CLASSES, where=_faults, total=("registers", "in all"), notes=_definitions, largest="n", applies=_has_classes,
+    ),
+    View(
+        "firmware_control_phases", "Classes of control by third of the golden flight in which the fault comes",
+        ("third",), _CLASSES, where=_by_third, applies=_has_classes,
+    ),
+    View(
+        "firmware_classes", "What the flights of each class have in common", ("control",),
+        (
+            m.count("n", "runs"), m.rate("success", "mission succeeds", "success"),
+            m.Measure("time", "longest against golden", SIGNED, _largest("inflation")),
+            m.Measure("tilt", "largest tilt", "number .0f deg", _largest("tilt", np.degrees(1.0))),
+            m.Measure("attitude", "attitude error", "number .1f deg", _largest("attitude_error", np.degrees(1.0))),
+            m.Measure("velocity", "velocity error", "number .2f m/s", _largest("velocity_error")),
+            m.Measure("yaw_rate", "yaw rate error", "number .2f rad/s", _largest("yaw_rate_error")),
+        ),
+        where=_by_class, headings=("class",), applies=_has_classes,
+        notes=lambda _: (f"errors: what lasted for {LASTING_S:g} s, from the fault on; largest of all runs",),
+    ),
+    View(
+        "firmware_faults", "What one bit in a register of the firmware does to the mission", ("registers",), _MEASURES,
+        where=_faults, total=("registers", "in all"), notes=lambda _: (_INTERVALS,), largest="n",
+        applies=_in_firmware,
+    ),
+    View(
+        "firmware_phases", "By third of the golden flight in which the fault comes", ("third",), _MEASURES,
+        where=_by_third, applies=_in_firmware,
+    ),
+    View(
+        "firmware_functions", "By function of the firmware", ("function",), _MEASURES, where=_faults, largest="n",
+        limit=_MOST, applies=_in_firmware,
+    ),
+)  # fmt: skip

@@ -1,0 +1,344 @@
+"""Advice: how much of the silent corruption each share of time removes, and a plan within a budget.
+
+A golden flight gives executions and calls; faults in these calls give rates by instruction.  For each function a series
+of choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
+Coverage is predicted by cross-validation: each part of the faults judges choices that were made from the other parts.
+"""
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from time import monotonic
+
+import numpy as np
+
+from mavfi.analysis.statistics import Rate, clustered_rate, weighted_rate
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.extras.hardening.choose import NOTHING, Choice, Chooser
+from mavfi.extras.hardening.duplicate import protect
+from mavfi.extras.hardening.learned import Injected, Learn, injections_in
+from mavfi.extras.hardening.measure import Timed, compare
+from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.target import Judged, Target
+from mavfi.ir.build import environment_of
+
+FRACTIONS = tuple(place / 20 for place in range(1, 21))
+"""Steps of a curve: shares of the cost of duplicating everything."""
+_UNITS = 10_000
+"""Number of units into which a budget is divided."""
+TIMED_S = 1.0
+"""For how long a function and its variants are timed at most (s): `mavfi harden` has a minute."""
+_MUCH = 0.02
+"""Share of a flight's kernel time from which on the error of a time matters to a budget."""
+_ATTEMPTS = 4
+"""How often a choice is made of which some steps are timed again, at most."""
+_ROUNDS = 400
+"""Number of rounds per second of that time that are enough: short functions have thousands."""
+
+
+Ladder = list[tuple[float, Choice, Judged]]
+"""Fraction, choice and prediction of each step of a function, from nothing to everything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A choice for one function.
+
+    Attributes:
+        fraction: Of the instructions that duplicating everything adds; 0 = unprotected.
+        choice: What is duplicated.
+        time: Measured time / that of plain code.
+        judged: Prediction, by injection.
+    """
+
+    fraction: float
+    choice: Choice
+    time: float
+    judged: Judged
+
+    @property
+    def coverage(self) -> Rate:
+        """Predicted share of silent corruptions that it removes."""
+        return coverage_of(self.judged)
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Choices for one function, from nothing to everything.
+
+    Attributes:
+        target: The function.
+        ticks: Ticks of the time stamp counter in all calls of a golden flight.
+        share: Share of the flight's kernel time.
+        steps: By cost.
+    """
+
+    target: Target
+    ticks: float
+    share: float
+    steps: tuple[Step, ...]
+
+    def extra(self, step: Step) -> float:
+        """Time that a step adds, as a share of the flight's kernel time."""
+        return self.share * (step.time - 1)
+
+    def removed(self, step: Step) -> float:
+        """Silent corruptions that a step removes, per flight in which every dynamic instruction is injected once."""
+        return self.target.sdc_mass * (step.coverage.rate or 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to protect within a budget.
+
+    Attributes:
+        budget: Share of a flight's kernel time.
+        curves: All functions.
+        chosen: Index of the step for each of them.
+        shared: Time that functions chosen for another planner add to the same flight, as a share of its kernel time.
+    """
+
+    budget: float
+    curves: tuple[Curve, ...]
+    chosen: tuple[int, ...]
+    shared: float = 0.0
+
+    @property
+    def steps(self) -> list[tuple[Curve, Step]]:
+        """The chosen step of each function."""
+        return [(curve, curve.steps[place]) for curve, place in zip(self.curves, self.chosen, strict=True)]
+
+    @property
+    def spent(self) -> float:
+        """Time that the plan adds, as a share of the flight's kernel time."""
+        return self.shared + sum(curve.extra(step) for curve, step in self.steps)
+
+    @property
+    def coverage(self) -> Rate:
+        """Predicted share of all silent corruptions that is removed."""
+        return coverage_of_steps(self.steps)
+
+
+def coverage_of(judged: Judged) -> Rate:
+    """Share of silent corruptions that are removed, with an interval clustered by call."""
+    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged])
+
+
+def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
+    """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions."""
+    rows = [
+        (hit, curve.target.sdc_mass, curve.target.name, f"{curve.target.name} {one.world}")
+        for curve, step in steps
+        if curve.target.sdc_mass > 0
+        for one, hit in step.judged
+    ]
+    return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
+
+
+def every_choice(target: Target, fractions: Sequence[float] = FRACTIONS) -> Ladder:
+    """Nothing, and the best choices that add at most these fractions of the instructions of full duplication."""
+    steps = [(fraction, partial(_share_of, fraction)) for fraction in (0.0, *fractions)]
+    return [(fraction, choose(target.chooser), target.judged(choose)) for fraction, choose in steps]
+
+
+def choices_of(target: Target) -> Ladder:
+    """Those of all choices that are predicted to remove more than each cheaper one, and full duplication.
+
+    The others would be built and timed in vain.
+    """
+    found: Ladder = []
+    most = -1
+    for fraction, choice, judged in every_choice(target):
+        removed = sum(hit for _, hit in judged)
+        if removed > most or fraction == FRACTIONS[-1]:
+            found.append((fraction, choice, judged))
+        most = max(most, removed)
+    return found
+
+
+def _share_of(fraction: float, chooser: Chooser) -> Choice:
+    """The choice that adds at most a fraction of the instructions of full duplication."""
+    if fraction in (0.0, 1.0):
+        return chooser.full if fraction else NOTHING
+    return chooser.within(fraction * chooser.full.cost)
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """What can be said of a function before its time is measured.
+
+    Attributes:
+        injections: In its recorded calls.
+        choices: Its steps.
+        codes: As of `codes_of`, for all of them.
+    """
+
+    injections: list[Injected]
+    choices: Ladder
+    codes: list[bytes]
+
+
+Choices = Callable[[Target], Ladder]
+"""Makes the steps of a function, as `choices_of`."""
+
+
+def prepare(target: Target, choices: Choices = choices_of, learn: Learn = injections_in) -> Prepared:
+    """Inject faults in a function that has none, predict and build its steps."""
+    if not target.injections:
+        target.injections = learn(target.seen)
+    made = choices(target)
+    codes = codes_of(target, [target.sites(choice) for _, choice, _ in made[1:]])
+    return Prepared(target.injections, made, codes)
+
+
+def unprotected(target: Target) -> Prepared:
+    """The same for a function of which only the time of its plain code is of interest."""
+    return Prepared([], [(0.0, NOTHING, [])], codes_of(target, []))
+
+
+def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
+    """Machine code of a function to be timed: plain, then with each set of sites duplicated."""
+    source, plain = target.source, target.module
+    variants = (protect(plain, sites, addresses=target.addresses) for sites in duplicated)
+    return [Timed.code_of(source, module) for module in (plain, *variants)]
+
+
+def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -> tuple[float, list[float]]:
+    """Ticks of a plain call, and the time of a call of each further code, as a multiple of it; at most `seconds`."""
+    environment = environment_of(target.seen.function, target.seen.signature)
+    base, *others = (Timed(target.source, code, environment).ticks for code in codes)
+    clocks = {str(place): clock for place, clock in enumerate(others)}
+    timing = compare(base, clocks, target.seen.calls, enough_for(seconds))
+    return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
+
+
+def enough_for(seconds: float) -> Callable[[int], bool]:
+    """Whether a number of rounds of timing is enough; from now on, any is after so many seconds."""
+    end = monotonic() + seconds
+    return lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end
+
+
+def timed_steps(target: Target, own: Prepared, seconds: float = TIMED_S) -> tuple[float, tuple[Step, ...]]:
+    """Time the steps of a function for up to `seconds`; also returns the ticks of a plain call."""
+    ticks, times = times_of(target, own.codes, seconds)
+    return ticks, tuple(
+        Step(fraction, choice, time, judged)
+        for (fraction, choice, judged), time in zip(own.choices, (1.0, *times), strict=True)
+    )
+
+
+def prepare_all(
+    targets: Sequence[Target],
+    wanted: Collection[str],
+    tell: Callable[[str], None] = lambda _: None,
+    learn: Learn = injections_in,
+    workers: int = 1,
+    choices: Choices = choices_of,
+) -> list[Prepared]:
+    """Inject, choose and build for the functions of some flights; the functions keep their injections.
+
+    Args:
+        targets: The functions; those of kernels that are not `wanted` are built as they are.
+        wanted: Kernels to protect.
+        tell: Called with the name of each function.
+        learn: Injects faults in a function without injections.
+        workers: Number of processes.
+        choices: Makes the steps of a function.
+    """
+
+    def at(place: int) -> Prepared:
+        target = targets[place]
+        if set(wanted).isdisjoint(target.kernels):
+            return unprotected(target)
+        return prepare(target, choices, learn)
+
+    longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
+    ready: dict[int, Prepared] = {}
+    for place, own in map_each(LocalExecutor(workers), at, longest):
+        ready[place], targets[place].injections = own, own.injections
+        tell(f"injected faults in {targets[place].name} and made its choices ({len(ready)} of {len(targets)})")
+    return [ready[place] for place in range(len(targets))]
+
+
+def curves_of(
+    targets: Sequence[Target],
+    ready: Sequence[Prepared],
+    other_ticks: float = 0.0,
+    tell: Callable[[str], None] = lambda _: None,
+    seconds: float = TIMED_S,
+) -> tuple[Curve, ...]:
+    """Time the steps of the functions of a flight.
+
+    Args:
+        targets: The functions.
+        ready: As of `prepare_all`.
+        other_ticks: Ticks of all other functions in the flight.
+        tell: Called with the name of each function.
+        seconds: For how long each is timed at most (s).
+    """
+    rows = []
+    for target, own in zip(targets, ready, strict=True):
+        tell(f"timing {target.name}")
+        ticks, steps = timed_steps(target, own, seconds)
+        rows.append((target, ticks * target.seen.total, steps))
+    whole = other_ticks + sum(ticks for _, ticks, _ in rows)
+    return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
+
+
+def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
+    """Steps of all functions that together remove most within a share of the flight's kernel time.
+
+    A multiple-choice knapsack problem, solved by dynamic programming over units of the budget (Kellerer, Pferschy
+    and Pisinger, Knapsack Problems, 2004, chapter 11); the time of a step is rounded up to whole units.
+    """
+    best = np.zeros(_UNITS + 1)  # most that is removed within so many units
+    taken: list[np.ndarray] = []
+    for curve in curves:
+        gains = np.full((len(curve.steps), _UNITS + 1), -np.inf)
+        for number, step in enumerate(curve.steps):
+            units = _units(curve.extra(step), budget)
+            if units <= _UNITS:
+                gains[number, units:] = best[: _UNITS + 1 - units] + curve.removed(step)
+        taken.append(gains.argmax(axis=0))  # of equal ones the first, which adds fewest instructions
+        best = gains.max(axis=0)
+    left, chosen = _UNITS, []
+    for curve, steps in zip(reversed(curves), reversed(taken), strict=True):
+        chosen.append(int(steps[left]))
+        left -= _units(curve.extra(curve.steps[chosen[-1]]), budget)
+    return tuple(reversed(chosen))
+
+
+def settle(
+    curves: Sequence[Curve], ready: Sequence[Prepared], budget: float, seconds: float = TIMED_S
+) -> tuple[tuple[Curve, ...], tuple[int, ...]]:  # fmt: skip
+    """Steps as of `allocate`; those of functions that take much of the flight's time are timed again once chosen.
+
+    Of steps whose times are measured with an error, those are chosen whose error is favourable: together they would
+    exceed the budget.  The second measurement does not depend on the choice.
+
+    Returns:
+        The curves, with the new times, and the index of the chosen step for each of them.
+    """
+    own, known = list(curves), set[tuple[int, int]]()
+    for _ in range(_ATTEMPTS):
+        chosen = set(enumerate(allocate(own, budget)))
+        again = {(n, place) for n, place in chosen - known if place and own[n].share >= _MUCH}
+        if not again:
+            break
+        known |= again
+        for n, place in again:
+            codes = ready[n].codes
+            _, (time,) = times_of(own[n].target, [codes[0], codes[place]], seconds)
+            steps = list(own[n].steps)
+            steps[place] = replace(steps[place], time=time)
+            own[n] = replace(own[n], steps=tuple(steps))
+    return tuple(own), allocate(own, budget)
+
+
+def _units(time: float, budget: float) -> int:
+    """Units of the budget that a time takes; more than there are if it takes too many."""
+    if time <= 0.0:
+        return 0
+    return math.ceil(min(time / budget, 2.0) * _UNITS - 1e-9) if budget > 0.0 else _UNITS + 1

@@ -1,0 +1,295 @@
+"""Certificate of a plan: fresh faults in recorded calls of missions that the choice has not seen.
+
+Faults are drawn over the dynamic instructions of the protected program, so shadows, copies and comparisons can be hit.
+The same calls are injected without protection, and these faults once more, instruction by instruction, with it.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from math import hypot
+from typing import Any
+
+from mavfi.analysis.pairs import Paired, mcnemar
+from mavfi.analysis.statistics import Rate, wilson
+from mavfi.extras.hardening.advise import times_of
+from mavfi.extras.hardening.battery import SDC, Battery, Place, counts_of
+from mavfi.extras.hardening.learned import affordable
+from mavfi.extras.hardening.measure import Timed
+from mavfi.extras.hardening.observed import Seen
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.ratio import bounds_of, coverage, difference, ratio_bounds
+from mavfi.extras.hardening.target import Target
+from mavfi.faults.levels.instruction.build import cached_build
+from mavfi.faults.levels.instruction.variant import variant_of
+from mavfi.faults.sampling import stream
+from mavfi.ir.build import name_of
+from mavfi.ir.module import Module
+from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
+
+CONFIRMED, REFUTED, BETTER, UNDECIDED, UNKNOWN = "confirmed", "refuted", "better", "undecided", "unknown"
+_TIMED_S = 4.0
+"""For how long a function is timed (s): within 1 s the time of `insert_scan`, most of a flight's, varies by 2 %."""
+RESOLVED = 0.2
+"""Largest half-width of the interval of measured - predicted coverage with which a prediction is confirmed: a wider one
+would contain 0 for almost any prediction."""
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionResult:
+    """Result of fresh faults in one function.
+
+    Attributes:
+        kernel: That calls it, as in a campaign's sampling.
+        function: Module and name.
+        signature: Numba types of its arguments.
+        instructions: Dynamic instructions of plain code in the observed flights.
+    """
+
+    kernel: str
+    function: str
+    signature: str
+    instructions: int
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate(FunctionResult):
+    """What fresh faults show of the protection of one function.
+
+    Attributes:
+        before: Effects of injections in plain code, by number.
+        after: The same in protected code.
+        growth: Dynamic instructions of protected code / plain code.
+        predicted: Coverage, from the plan; None = the plan has no prediction.
+        paired: Silent corruption in plain (first) and protected code (second), same instruction, execution and bit.
+        time: Protected / plain execution time, measured in the observed calls; None = not measured.
+        planned_time: The same, from the plan.
+    """
+
+    before: dict[str, int]
+    after: dict[str, int]
+    growth: float
+    predicted: Coverage | None
+    paired: Paired
+    time: float | None = None
+    planned_time: float = 1.0
+
+    @property
+    def sdc_before(self) -> Rate:
+        """Silent corruptions per injection in plain code."""
+        return wilson(self.before.get(SDC, 0), sum(self.before.values()))
+
+    @property
+    def sdc_after(self) -> Rate:
+        """Silent corruptions per injection in protected code."""
+        return wilson(self.after.get(SDC, 0), sum(self.after.values()))
+
+    @property
+    def coverage(self) -> Rate:
+        """Share of the silent corruptions per call that is removed."""
+        return coverage(self.sdc_before, self.sdc_after, self.growth)
+
+    @property
+    def predicted_rate(self) -> Rate:
+        """The prediction; all None without one."""
+        return rate_of(self.predicted)
+
+    @property
+    def verdict(self) -> str:
+        """See `verdict_of`."""
+        return verdict_of(self.coverage, self.predicted_rate)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "kernel": self.kernel, "function": self.function, "signature": self.signature,
+            "instructions": self.instructions, "verdict": self.verdict, "growth": self.growth,
+            "time": self.time, "planned_time": self.planned_time,
+            "before": self.before, "after": self.after, "coverage": asdict(self.coverage),
+            "sdc_before": asdict(self.sdc_before), "sdc_after": asdict(self.sdc_after),
+            "predicted": None if self.predicted is None else self.predicted.model_dump(),
+            "paired": {
+                "n": self.paired.n, "plain_only": self.paired.first_only, "protected_only": self.paired.second_only,
+                "p": self.paired.p_value,
+            },
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Unprotected(FunctionResult):
+    """What fresh faults show of a function that the plan leaves as it is.
+
+    Attributes:
+        effects: Effects of injections, by number.
+    """
+
+    effects: dict[str, int]
+
+    @property
+    def sdc(self) -> Rate:
+        """Silent corruptions per injection."""
+        return wilson(self.effects.get(SDC, 0), sum(self.effects.values()))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self) | {"sdc": asdict(self.sdc)}
+
+
+def rate_of(predicted: Coverage | None) -> Rate:
+    """A prediction as a rate; all None without one."""
+    return (
+        Rate(0, None, None, None) if predicted is None else Rate(0, predicted.estimate, predicted.low, predicted.high)
+    )
+
+
+def verdict_of(measured: Rate, predicted: Rate) -> str:
+    """Whether a measured coverage agrees with its prediction, is lower, or higher, at 95 %; or too few SDCs to tell."""
+    if measured.rate is None or predicted.rate is None:
+        return UNKNOWN
+    low, high = difference(measured, predicted)
+    if low <= 0 <= high:
+        return CONFIRMED if (high - low) / 2 <= RESOLVED else UNDECIDED
+    return REFUTED if high < 0 else BETTER
+
+
+@dataclass
+class Pair:
+    """A function with and without protection, with the same calls.
+
+    Attributes:
+        seen: The plain function.
+        planned: Its protection.
+        plain: Injections without it.
+        guarded: Injections with it.
+    """
+
+    seen: Seen
+    planned: FunctionPlan
+    plain: Battery
+    guarded: Battery
+
+    @staticmethod
+    def of(seen: Seen, planned: FunctionPlan) -> "Pair":
+        """Build the protected variant; `BadInputError` if the plan is of other code."""
+        guarded = variant_of(seen.function, seen.signature, Protection(planned))
+        batteries = (Battery(seen.entry, seen.function, variant, seen.calls) for variant in (seen.variant, guarded))
+        return Pair(seen, planned, *batteries)
+
+    @property
+    def growth(self) -> float:
+        """Dynamic instructions of protected code / plain code, over the recorded calls."""
+        return float(self.guarded.counts.sum() / self.plain.counts.sum())
+
+    def time(self) -> float:
+        """Protected / plain execution time, measured on the recorded calls."""
+        target = Target((self.planned.kernel,), self.seen)
+        modules = target.module, Protection(self.planned)(target.module)
+        _, (time,) = times_of(target, [Timed.code_of(target.source, module) for module in modules], _TIMED_S)
+        return time
+
+    def counterparts(self, places: Sequence[Place]) -> list[Place]:
+        """The same instructions, executions and bits in protected code: original instructions keep their names."""
+        source = cached_source(self.seen.function, self.seen.signature)
+        module = parse_module(source.text, source.kernel)
+        names, own = _names(module), _names(Protection(self.planned)(module))
+        there = {name: place for place, name in own.items()}
+        found = []
+        for place in places:
+            block, offset = there[names[place.block, place.offset]]
+            found.append(Place(place.call, block, place.number, offset, place.bit))
+        return found
+
+
+def _names(module: Module) -> dict[tuple[int, int], tuple[str, str]]:
+    """Function and result of each site, by block and offset of the table of sites."""
+    blocks = [(function.name, block) for function in module.functions for block in function.blocks if block.sites]
+    return {
+        (number, offset): (name, str(site.result))
+        for number, (name, block) in enumerate(blocks)
+        for offset, site in enumerate(block.sites)
+    }
+
+
+def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
+    """Inject `faults` faults in plain and as many in protected code, and those of plain code in protected code, too."""
+    random = stream(0, "certificate", pair.planned.function, pair.planned.signature, *map(str, address))
+    places = pair.plain.draw(random, faults)
+    before = pair.plain.run(places)
+    again = pair.guarded.run(pair.counterparts(places))
+    after = pair.guarded.run(pair.guarded.draw(random, faults))
+    planned, seen = pair.planned, pair.seen
+    return Certificate(
+        planned.kernel, planned.function, planned.signature, seen.instructions, counts_of(before), counts_of(after),
+        pair.growth, planned.predicted, mcnemar([one == SDC for one in before], [one == SDC for one in again]),
+        pair.time(), planned.time,
+    )  # fmt: skip
+
+
+def observe_plain(kernel: str, seen: Seen, faults: int, *address: Any) -> Unprotected:
+    """Inject at most `faults` faults in a function that is not protected, fewer in long calls."""
+    battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
+    function = name_of(seen.function)
+    random = stream(0, "certificate", function, seen.signature_text, *map(str, address))
+    effects = battery.run(battery.draw(random, min(faults, affordable(battery))))
+    return Unprotected(kernel, function, seen.signature_text, seen.instructions, counts_of(effects))
+
+
+def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
+    """Share of the silent corruptions of several functions that is removed: none of those in `others`.
+
+    Each function is weighted by its silent corruptions per flight.  With `others` the bounds are the products of those
+    of the coverage of protected functions and of their share of all silent corruptions.
+    """
+    known = [one for one in certificates if one.sdc_before.rate is not None]
+    rest = [one for one in others if one.sdc.rate is not None]
+    if not known:
+        return Rate(0, None, None, None)
+    whole = sum(one.instructions for one in known) + sum(one.instructions for one in rest)
+    before = _sum([(one.instructions / whole, one.sdc_before) for one in known])
+    after = _sum([(one.instructions * one.growth / whole, one.sdc_after) for one in known])
+    found = coverage(before, after, 1.0)
+    if not rest or found.rate is None:
+        return found
+    left = _sum([(one.instructions / whole, one.sdc) for one in rest])
+    assert left.rate is not None and before.rate is not None  # as with any injection
+    shares = [1 / (1 + ratio) for ratio in ratio_bounds(left, before)]  # of the protected functions: highest, lowest
+    _, low, high = bounds_of(found)
+    products = [bound * share for bound in (low, high) for share in shares]
+    return Rate(found.n, found.rate * before.rate / (before.rate + left.rate), min(products), max(products))
+
+
+def foreseen(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
+    """What `together` finds if each function is as predicted, with the same weights; all None without a prediction."""
+    masses = [one.instructions * (one.sdc_before.rate or 0.0) for one in certificates]
+    whole = sum(masses) + sum(one.instructions * (one.sdc.rate or 0.0) for one in others)
+    predicted = [one.predicted_rate for one in certificates]
+    if not whole or any(one.rate is None for one in predicted):
+        return Rate(0, None, None, None)
+    return _sum([(mass / whole, one) for mass, one in zip(masses, predicted, strict=True)])
+
+
+def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
+    """Weighted sum of independent rates, with MOVER's interval."""
+    bounds = [(weight, *bounds_of(rate)) for weight, rate in parts]
+    value = sum(weight * rate for weight, rate, _, _ in bounds)
+    below = hypot(*(weight * (rate - low) for weight, rate, low, _ in bounds))
+    above = hypot(*(weight * (high - rate) for weight, rate, _, high in bounds))
+    return Rate(sum(rate.n for _, rate in parts), value, value - below, value + above)
+
+
+def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
+    """The observed functions that the plan protects; `BadInputError` if it is of other code."""
+    named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
+    found = [(one, planned) for one, planned in named if planned is not None and planned.sites]
+    with ThreadPoolExecutor(2) as ahead:  # each build waits for a process of its own
+        for one, planned in found:
+            ahead.submit(cached_build, one.function, one.signature, Protection(planned))
+    return [Pair.of(one, planned) for one, planned in found]
+
+
+def unprotected(seen: Sequence[Seen], plan: Plan) -> list[Seen]:
+    """The observed functions that are not among `pairs_of`."""
+    named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
+    return [one for one, planned in named if planned is None or not planned.sites]

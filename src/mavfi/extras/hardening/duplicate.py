@@ -1,0 +1,380 @@
+"""Duplication of instructions in the IR of a kernel, after all optimisation.
+
+Each chosen value gets a *shadow*, computed by the same instruction from the shadows of its operands.  A shadow whose
+operands are all shared with the original takes one of them through an empty assembly (a *copy*), or loads again by a
+volatile load: code generation can merge neither.  Where a value leaves the chosen set (a store, a call, a return, a
+value that is not chosen), its bits are compared with those of its shadow, in the block of the definition or in those
+of the uses, whichever are in fewer loops.  Both edges of a branch check the shadow of its condition.
+
+On a difference the function returns `DETECTED`, which every caller in the module propagates.  Numba's wrapper then
+raises a SystemError, which no kernel does otherwise.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Collection
+from copy import copy
+from dataclasses import replace
+
+from mavfi.extras.hardening.candidates import (
+    callees,
+    can_copy,
+    candidates,
+    constraint_of,
+    kinds_of,
+    reads_memory,
+    reporting,
+)
+from mavfi.extras.hardening.plan import Site
+from mavfi.extras.hardening.wrapper import GLOBALS, raising
+from mavfi.ir.flow import back_edges, loop_depths, successors
+from mavfi.ir.grammar import VOLATILE_LOAD
+from mavfi.ir.module import Block, Function, Instruction, Module, width
+
+DETECTED = -4
+"""Status of a protected function in which a value and its shadow differ.
+
+Numba uses 0 to -3 (-1, an exception set by Python, would crash without one); positive ones are the kernel's exceptions.
+"""
+SHADOW, COPY, CHECK = "shadow", "copy", "check"
+"""Roles of added instructions."""
+_STOP = "%detected"
+_ARBITRARY = re.compile(r"\b(?:undef|poison)\b")
+_WEIGHTS = ['!1 = !{!"branch_weights", i32 1, i32 100000}', '!2 = !{!"branch_weights", i32 100000, i32 1}']
+
+
+def protect(module: Module, sites: Collection[Site], *, addresses: bool) -> Module:
+    """A module in which the values at the given sites are duplicated and compared.
+
+    Fault-free results are bit-identical.  Results of the original instructions keep their names, so that the sites of
+    both modules can be paired; added instructions have a `role`.
+
+    Args:
+        module: The parsed module; it is not modified.
+        sites: What to duplicate; sites that `candidates` does not name are ignored.
+        addresses: Whether the addresses of loads are compared before the loads, too.
+
+    Returns:
+        The protected module; an equal one for no sites.
+    """
+    allowed = set(candidates(module)) & set(sites)
+    if not allowed:
+        return module
+    chosen: dict[int, set[str]] = defaultdict(set)
+    for number, block, offset in allowed:
+        chosen[number].add(str(module.functions[number].blocks[block].sites[offset].result))
+    able = reporting(module)
+    detecting = {module.functions[number].name for number in chosen}
+    while True:  # callers of detecting functions propagate their status
+        callers = {one.name for one in module.functions if one.name in able and callees(one) & detecting} - detecting
+        if not callers:
+            break
+        detecting |= callers
+    functions = [
+        _Duplicator(_settled(function), chosen[number], addresses, detecting).run()
+        if function.name in detecting
+        else function
+        for number, function in enumerate(module.functions)
+    ]
+    known = {line.split(" ")[0] for line in module.preamble}
+    added = [line for line in GLOBALS if line.split(" ")[0] not in known]
+    others = [raising(text, detecting, DETECTED) for text in module.others]
+    return replace(module, preamble=[*module.preamble, *added, *_WEIGHTS], functions=functions, others=others)
+
+
+class _Duplicator:
+    """Writes one function with shadows of its chosen values."""
+
+    def __init__(self, function: Function, chosen: set[str], addresses: bool, detecting: set[str]) -> None:
+        self.function, self.addresses, self.detecting = function, addresses, detecting
+        self.kinds = kinds_of(function)
+        self.home = {str(one.result): (block, one) for block in function.blocks for one in block.sites}
+        self.headers: dict[str, set[str]] = defaultdict(set)
+        for latch, header in back_edges(function):
+            self.headers[header].add(latch)
+        self.chosen = self._separable(chosen)
+        self.uses = self._uses()
+        self.checked_in = self._places()
+        self.checked_last = self._last()
+        self.numbers = 0
+        self.tails: dict[str, list[Instruction]] = defaultdict(list)  # copies at the end of a block
+        self.starts: dict[tuple[str, str, str], str] = {}  # of a phi's shadow: by result, label and value
+        self.ends: dict[tuple[str, str], str] = {}  # last part of a block that leads to another one
+        self.made: list[Block] = []
+
+    # ---- what is duplicated and compared ----------------------------------------------------------------------------
+    def _separable(self, chosen: set[str]) -> set[str]:
+        """The chosen values without those whose shadow code generation could merge with them."""
+        while True:
+            kept = {name for name in chosen if self._differs(self.home[name][1], chosen)}
+            if kept == chosen:
+                return kept
+            chosen = kept
+
+    def _differs(self, one: Instruction, chosen: set[str]) -> bool:
+        return one.opcode in ("load", "phi") or any(
+            name in chosen or can_copy(self.kinds.get(name, "")) for name in one.uses()
+        )
+
+    def _uses(self) -> dict[str, list[tuple[Instruction, str]]]:
+        """Users of each chosen value, with the label of the block in which it must be available."""
+        found: dict[str, list[tuple[Instruction, str]]] = defaultdict(list)
+        for block in self.function.blocks:
+            for one in block.all():
+                if one.opcode == "phi":
+                    for value, label in one.incoming:
+                        found[value].append((one, label))
+                else:
+                    for name in dict.fromkeys(one.uses()):
+                        found[name].append((one, block.label))
+        return {name: found[name] for name in self.chosen}
+
+    def _leaves(self, name: str, user: Instruction) -> bool:
+        """Whether a value must be compared before this use of it."""
+        if user.result in self.chosen:
+            return self.addresses and reads_memory(user) and name in user.addresses
+        return not (is_fork(user) and name == user.tokens[2])
+
+    def _places(self) -> dict[str, set[str]]:
+        """Labels of the blocks in which each value is compared; {its own} = where it is computed."""
+        depth, found = loop_depths(self.function), {}
+        for name, users in self.uses.items():
+            exits = {label for user, label in users if self._leaves(name, user)}
+            if exits:
+                own = self.home[name][0].label
+                there = sum(10.0 ** depth[label] for label in exits)
+                found[name] = exits if there < 10.0 ** depth[own] else {own}
+        return found
+
+    def _last(self) -> dict[str, list[str]]:
+        """Values to be compared at the end of each block, since a phi takes them."""
+        found: dict[str, list[str]] = defaultdict(list)
+        for name, labels in self.checked_in.items():
+            for user, label in self.uses[name]:
+                if user.opcode == "phi" and label in labels and self._leaves(name, user):
+                    found[label].append(name)
+        return found
+
+    def _only_decides(self, name: str) -> bool:
+        """Whether a value is a comparison for branches only: its shadow is computed on their edges."""
+        return self.home[name][1].opcode in ("icmp", "fcmp") and all(is_fork(user) for user, _ in self.uses[name])
+
+    # ---- writing ----------------------------------------------------------------------------------------------------
+    def run(self) -> Function:
+        for block in self.function.blocks:
+            for phi in block.phis:
+                if phi.result in self.chosen:
+                    self._start(phi, block.label)
+        for block in self.function.blocks:
+            self._write(block)
+        for block in self.made:
+            block.phis = [self._relabelled(phi, block.label) for phi in block.phis]
+        if any(_STOP in successors(block.terminator) for block in self.made):
+            end = Instruction("ret", ["ret", "i32", str(DETECTED)])
+            self.made.append(Block(_STOP, terminator=end, unreached=True))
+        return replace(self.function, blocks=self.made)
+
+    def _start(self, phi: Instruction, label: str) -> None:
+        """Copies of the values with which a shadow begins that no shadow of its own sets apart."""
+        latches = self.headers[label]
+        plain = [(value, before) for value, before in phi.incoming if value not in self.chosen]
+        if latches:  # or the original and the shadow would be one recurrence
+            plain = [(value, before) for value, before in plain if before not in latches] or plain
+        elif len(plain) < len(phi.incoming):
+            return
+        for value, before in plain if latches else plain[:1]:
+            name = self._copy(value, phi, self.tails[before])
+            self.starts[str(phi.result), before, value] = name
+
+    def _write(self, block: Block) -> None:
+        self.block = Block(block.label, list(block.phis), block.allocations)
+        self.made.append(self.block)
+        self.copies: dict[str, str] = {}
+        self.checked: set[str] = set()
+        for phi in block.phis:
+            if phi.result in self.chosen:
+                self.block.phis.append(self._shadow_of_phi(phi))
+        for phi in block.phis:
+            self._check_where_computed(phi, block.label)
+        for one in block.body:
+            self._check_uses(one, block.label)
+            self.block.body.append(one)
+            if one.result in self.chosen and not self._only_decides(one.result):
+                self._shadow(one, shadow(one.result))
+            self._check_where_computed(one, block.label)
+            if one.callee in self.detecting:
+                self._propagate(one)
+        for name in self.checked_last[block.label]:
+            self._check(name, block.terminator)
+        self.block.body += self.tails[block.label]
+        self._finish(block)
+
+    def _finish(self, block: Block) -> None:
+        end = block.terminator
+        assert end is not None  # of parsed blocks
+        if is_fork(end) and end.tokens[2] in self.chosen:
+            self._check_edges(block.label, end)
+            return
+        self._check_uses(end, block.label)
+        self.block.terminator = end
+        self.ends.update({(block.label, label): self.block.label for label in successors(end)})
+
+    def _shadow_of_phi(self, phi: Instruction) -> Instruction:
+        result = str(phi.result)
+        incoming = [
+            (shadow(value) if value in self.chosen else self.starts.get((result, label, value), value), label)
+            for value, label in phi.incoming
+        ]
+        return replace(phi, result=shadow(result), incoming=incoming, role=SHADOW)
+
+    def _shadow(self, one: Instruction, result: str) -> None:
+        """Append the shadow of an instruction, named `result`."""
+        names = {name: shadow(name) for name in one.uses() if name in self.chosen}
+        first = one.tokens[0]
+        if not names and one.opcode == "load":
+            first = VOLATILE_LOAD
+        elif not names:
+            able = [name for name in one.uses() if can_copy(self.kinds.get(name, ""))]
+            name = min(able, key=lambda name: (name not in self.copies, constraint_of(self.kinds[name]) is None))
+            if name not in self.copies:
+                self.copies[name] = self._copy(name, one, self.block.body)
+            names = {name: self.copies[name]}
+        self.block.body.append(
+            replace(
+                one, result=result, role=SHADOW, tokens=[first, *(names.get(token, token) for token in one.tokens[1:])],
+                addresses=[names.get(name, name) for name in one.addresses],
+                conditions=[names.get(name, name) for name in one.conditions],
+                arguments=[(kind, names.get(value, value)) for kind, value in one.arguments],
+            )
+        )  # fmt: skip
+
+    def _copy(self, value: str, like: Instruction, body: list[Instruction]) -> str:
+        """Append a copy of a value that code generation takes for another one; returns its name."""
+        kind = like.kind if like.opcode == "phi" else self.kinds[value]
+        constraint = constraint_of(kind)
+        if constraint is None:  # a few bits: through a byte
+            wide = self._new("zext", [kind, value, "to", "i8"], "i8", like, body, COPY)
+            wide = self._assembly(wide, "i8", '"=r,0"', like, body)
+            return self._new("trunc", ["i8", wide, "to", kind], kind, like, body, COPY)
+        return self._assembly(value, kind, constraint, like, body)
+
+    def _assembly(
+        self, value: str, kind: str, constraint: str, like: Instruction, body: list[Instruction]
+    ) -> str:  # fmt: skip
+        name = self._new("call", [kind, "asm", '""', ",", constraint, "(", kind, value, ")"], kind, like, body, COPY)
+        body[-1].arguments = [(kind, value)]
+        return name
+
+    def _new(
+        self, opcode: str, rest: list[str], kind: str, like: Instruction, body: list[Instruction], role: str
+    ) -> str:  # fmt: skip
+        """Append an instruction at the source line of another one; returns its new name."""
+        self.numbers += 1
+        name = f"%x{self.numbers}"
+        body.append(Instruction(opcode, [opcode, *rest], name, kind, location=like.location, role=role))
+        return name
+
+    # ---- comparisons ------------------------------------------------------------------------------------------------
+    def _check_where_computed(self, one: Instruction, label: str) -> None:
+        name = str(one.result)
+        if self.checked_in.get(name) == {label} and self.home[name][0].label == label:
+            self._check(name, one)
+
+    def _check_uses(self, user: Instruction, label: str) -> None:
+        """Compare the values that leave the set here."""
+        for name in dict.fromkeys(user.uses()):
+            if label in self.checked_in.get(name, ()) and self._leaves(name, user):
+                self._check(name, user)
+
+    def _check(self, name: str, like: Instruction | None) -> None:
+        """Compare a value with its shadow, once per block."""
+        if name in self.checked or like is None:
+            return
+        self.checked.add(name)
+        kind, pair, body = self.kinds[name], [name, shadow(name)], self.block.body
+        if kind.startswith("<") and "ptr" in kind:
+            numbers = kind.replace("ptr", "i64")
+            pair = [self._new("ptrtoint", [kind, one, "to", numbers], numbers, like, body, CHECK) for one in pair]
+            kind = numbers
+        if kind != "ptr" and kind[0] != "i":
+            word = f"i{width(kind)}"
+            pair = [self._new("bitcast", [kind, one, "to", word], word, like, body, CHECK) for one in pair]
+            kind = word
+        self._stop_if("ne", kind, pair, like)
+
+    def _propagate(self, call: Instruction) -> None:
+        """Return if the called function has detected a difference: its caller need not look at the status."""
+        self._stop_if("eq", "i32", [str(call.result), str(DETECTED)], call)
+
+    def _stop_if(self, predicate: str, kind: str, pair: list[str], like: Instruction) -> None:
+        differs = self._new("icmp", [predicate, kind, pair[0], ",", pair[1]], "i1", like, self.block.body, CHECK)
+        first = self.block.label.split("c")[0]
+        following = f"{first}c{self.numbers}"
+        self.block.terminator = _branch(differs, _STOP, following, "!1", like)
+        self.block = Block(following, runs_as=(first,))
+        self.made.append(self.block)
+
+    def _check_edges(self, label: str, end: Instruction) -> None:
+        """Branch on the condition, then on its shadow: both must lead to the same block."""
+        condition, first = end.tokens[2], self.block
+        maker, targets = self.home[condition][1], successors(end)
+        edges = [f"{label}e{number}" for number in range(len(targets))]
+        first.terminator = _branch(condition, edges[0], edges[1], "", end)
+        for number, (edge, target) in enumerate(zip(edges, targets, strict=True)):
+            self.block = Block(edge, runs_as=(label, edges[0]) if number else ())
+            self.made.append(self.block)
+            other = shadow(condition)
+            if self._only_decides(condition):
+                other, kept = f"{edge}s", self.copies
+                self.copies = dict(kept)  # a copy made on one edge is not known on the other one
+                self._shadow(maker, other)
+                self.copies = kept
+            pair = (target, _STOP) if number == 0 else (_STOP, target)
+            self.block.terminator = _branch(other, *pair, "!2" if number == 0 else "!1", end)
+            self.ends[label, target] = edge
+
+    def _relabelled(self, phi: Instruction, label: str) -> Instruction:
+        """A phi that names the parts of blocks which lead to it."""
+        new = copy(phi)
+        new.incoming = [(value, self.ends.get((before, label), before)) for value, before in phi.incoming]
+        return new
+
+
+def _settled(function: Function) -> Function:
+    """A function with zeros for arbitrary values, which may differ between a value and its shadow."""
+    blocks = [
+        Block(
+            block.label, [_without_arbitrary(one) for one in block.phis], block.allocations,
+            [_without_arbitrary(one) for one in block.body],
+            None if block.terminator is None else _without_arbitrary(block.terminator),
+        )
+        for block in function.blocks
+    ]  # fmt: skip
+    return replace(function, blocks=blocks)
+
+
+def _without_arbitrary(one: Instruction) -> Instruction:
+    def settled(text: str) -> str:
+        return text if text[0] in '@%"' else _ARBITRARY.sub("zeroinitializer", text)
+
+    return replace(
+        one, tokens=[settled(token) for token in one.tokens],
+        incoming=[(settled(value), label) for value, label in one.incoming],
+        arguments=[(kind, settled(value)) for kind, value in one.arguments],
+    )  # fmt: skip
+
+
+def is_fork(one: Instruction) -> bool:
+    """Whether it is a branch to one of two blocks."""
+    return one.opcode == "br" and len(set(successors(one))) == 2
+
+
+def shadow(name: str) -> str:
+    """Name of the shadow of a value."""
+    return f"{name}s"
+
+
+def _branch(condition: str, first: str, second: str, weights: str, like: Instruction) -> Instruction:
+    tokens = ["br", "i1", condition, ",", "label", first, ",", "label", second]
+    tokens += [",", "!prof", weights] if weights else []
+    return Instruction("br", tokens, conditions=[condition], location=like.location)

@@ -1,0 +1,257 @@
+"""An advice in numbers, for the terminal, JSON and the page."""
+
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from mavfi.analysis.statistics import Rate
+from mavfi.extras.hardening.advise import Advice, Curve, Step, coverage_of, coverage_of_steps
+from mavfi.extras.hardening.candidates import candidates
+from mavfi.extras.hardening.certify import rate_of
+from mavfi.extras.hardening.flow import added
+from mavfi.extras.hardening.ledger import Harm
+from mavfi.extras.hardening.plan import Plan, Site
+from mavfi.extras.hardening.study import Study
+from mavfi.extras.hardening.target import Target
+
+PROTECTED = "protected"
+"""Key of the removed share among the `escapes` of a function."""
+
+
+@dataclass(frozen=True, slots=True)
+class KernelSummary:
+    """What the advice says of a kernel.
+
+    Attributes:
+        kernel: Its name.
+        share: Share of a flight's kernel time.
+        added: Time that the plan adds, as a share of a flight's kernel time.
+        time: Protected / plain time.
+        coverage: Predicted share of its silent corruptions that is removed.
+    """
+
+    kernel: str
+    share: float
+    added: float
+    time: float
+    coverage: Rate
+
+
+@dataclass(frozen=True, slots=True)
+class StepSummary:
+    """A step of a function's curve.
+
+    Attributes:
+        fraction: Of the instructions that duplicating everything adds.
+        instructions: Dynamic instructions / those of the plain function.
+        time: Measured time / that of plain code.
+        coverage: Predicted share of silent corruptions that it removes.
+        chosen: Whether the advice takes this step.
+    """
+
+    fraction: float
+    instructions: float
+    time: float
+    coverage: Rate
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LineSummary:
+    """An executed source line of a function.
+
+    Attributes:
+        file: Source file; "" = not known.
+        line: Number in the file.
+        instructions: Share of the function's dynamic instructions.
+        sdc: Share of its expected silent corruptions.
+        protected: Share of the latter that the plan removes.
+    """
+
+    file: str
+    line: int
+    instructions: float
+    sdc: float
+    protected: float
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionSummary:
+    """What the advice says of a function.
+
+    Attributes:
+        kernel: The first kernel that calls it.
+        function: Module and name.
+        entry: Its name.
+        signature: Numba types of its arguments.
+        calls: Number of calls in a golden flight.
+        instructions: Dynamic instructions of these.
+        injections: Number of injections in recorded calls.
+        sdc: Silent corruptions per injection.
+        share: Share of the flight's kernel time.
+        time: Protected / plain time of the chosen step.
+        added: Time that this adds, as a share of the flight's kernel time.
+        coverage: Predicted share of silent corruptions that it removes.
+        certified: The same, measured with fresh faults in the same protected code; None = not certified.
+        sites: Number of duplicated instructions.
+        all_sites: Number of those that can be duplicated.
+        steps: Its curve.
+        escapes: Shares of the expected silent corruptions: `PROTECTED`, and those that escape, by reason.
+        lines: Its executed source lines.
+    """
+
+    kernel: str
+    function: str
+    entry: str
+    signature: str
+    calls: int
+    instructions: int
+    injections: int
+    sdc: Rate
+    share: float
+    time: float
+    added: float
+    coverage: Rate
+    certified: Rate | None
+    sites: int
+    all_sites: int
+    steps: tuple[StepSummary, ...]
+    escapes: dict[str, float]
+    lines: tuple[LineSummary, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AdviceSummary:
+    """What to protect, what it costs, which share of the silent corruptions goes, and what remains.
+
+    Attributes:
+        campaign: Name of the campaign.
+        ledger: Digest of its ledger.
+        budget: Share of a flight's kernel time that may be added.
+        spent: What the plan adds, in the campaign's missions; other planners fly in missions of their own.
+        coverage: Predicted share of the silent corruptions that is removed, in the same missions.
+        injections: Number of injections from which the choice was made.
+        complete: Whether the studied kernels are all of the missions.
+        selected: The studied kernels, if they are not all of the ledger's.
+        addresses: Whether addresses are compared before loads, too.
+        kernels: By kernel.
+        functions: By function.
+        harm: What faults did to missions.
+    """
+
+    campaign: str
+    ledger: str
+    budget: float
+    spent: float
+    coverage: Rate
+    injections: int
+    complete: bool
+    selected: tuple[str, ...]
+    addresses: bool
+    kernels: tuple[KernelSummary, ...]
+    functions: tuple[FunctionSummary, ...]
+    harm: Harm
+
+
+def summary(study: Study, advices: Sequence[Advice], harm: Harm, plan: Plan | None = None) -> AdviceSummary:
+    """Sum up an advice; `plan` is the plan made from it, which states the certified coverage of functions."""
+    first = advices[0]
+    certified = {}
+    for planned in () if plan is None else plan.functions:
+        if planned.certified is not None:
+            certified[planned.function, planned.signature] = rate_of(planned.certified)
+    studied = [(curve, step) for advice in advices for curve, step in advice.steps if curve.target.injections]
+    return AdviceSummary(
+        campaign=study.campaign.name,
+        ledger=study.digest,
+        budget=first.budget,
+        spent=first.spent,
+        coverage=first.coverage,
+        injections=sum(len(curve.target.injections) for curve, _ in studied),
+        complete=study.complete,
+        selected=study.selected,
+        addresses=any(curve.target.addresses for curve, _ in studied),
+        kernels=tuple(_kernel(kernel, studied) for kernel in study.kernels),
+        functions=tuple(_function(curve, step, certified.get(curve.target.key)) for curve, step in studied),
+        harm=harm,
+    )
+
+
+def growth_of(curve: Curve, step: Step) -> float:
+    """Dynamic instructions of a step / those of the plain function."""
+    return 1 + added(curve.target.values, step.choice.chosen) / max(curve.target.seen.instructions, 1)
+
+
+def _kernel(kernel: str, studied: Sequence[tuple[Curve, Step]]) -> KernelSummary:
+    steps = [(curve, step) for curve, step in studied if kernel in curve.target.kernels]
+    share = sum(curve.share for curve, _ in steps)
+    extra = sum(curve.extra(step) for curve, step in steps)
+    time = 1 + extra / share if share else 1.0
+    return KernelSummary(kernel, share, extra, time, coverage_of_steps(steps))
+
+
+def _function(curve: Curve, chosen: Step, certified: Rate | None) -> FunctionSummary:
+    target = curve.target
+    sites = target.sites(chosen.choice)
+    steps = tuple(
+        StepSummary(step.fraction, growth_of(curve, step), step.time, step.coverage, step is chosen)
+        for step in curve.steps
+    )
+    return FunctionSummary(
+        kernel=target.kernels[0],
+        function=target.name,
+        entry=target.seen.entry,
+        signature=target.seen.signature_text,
+        calls=target.seen.total,
+        instructions=target.seen.instructions,
+        injections=len(target.injections),
+        sdc=coverage_of([(injected, injected.sdc) for injected in target.injections]),
+        share=curve.share,
+        time=chosen.time,
+        added=curve.extra(chosen),
+        coverage=chosen.coverage,
+        certified=certified,
+        sites=len(sites),
+        all_sites=len(target.values),
+        steps=steps,
+        escapes=_escapes(target, sites),
+        lines=_lines(target, sites),
+    )
+
+
+def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
+    """Shares of the expected silent corruptions: removed, not affordable, and not duplicable, the latter by opcode."""
+    repeatable = set(candidates(target.module))
+    masses: dict[str, float] = defaultdict(float)
+    for site, row, _, mass in target.masses:
+        if site in sites:
+            reason = PROTECTED
+        elif site in repeatable:
+            reason = "beyond the budget"
+        else:
+            reason = f"cannot repeat: {row.opcode}"
+        masses[reason] += mass
+    whole = max(sum(masses.values()), 1e-300)
+    return {name: mass / whole for name, mass in sorted(masses.items(), key=lambda item: -item[1]) if mass}
+
+
+def _lines(target: Target, sites: Collection[Site]) -> tuple[LineSummary, ...]:
+    """Executed source lines, by file and number."""
+    executions: dict[tuple[str, int], float] = defaultdict(float)
+    masses: dict[tuple[str, int], float] = defaultdict(float)
+    removed: dict[tuple[str, int], float] = defaultdict(float)
+    for site, row, times, mass in target.masses:
+        line = row.file, row.line
+        executions[line] += times
+        masses[line] += mass
+        if site in sites:
+            removed[line] += mass
+    all_executions = max(sum(executions.values()), 1e-300)
+    all_masses = max(sum(masses.values()), 1e-300)
+    lines = []
+    for file, number in sorted(executions):
+        mass = masses[file, number]
+        protected = removed[file, number] / mass if mass else 0.0
+        share = executions[file, number] / all_executions
+        lines.append(LineSummary(file, number, share, mass / all_masses, protected))
+    return tuple(lines)

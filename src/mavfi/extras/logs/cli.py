@@ -1,0 +1,155 @@
+"""`mavfi watch`: a detector on recorded flights of any vehicle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.extras.logs.report import Rates
+    from mavfi.extras.logs.watch import Judged, LogWatch
+
+_MOST_FLIPS = 100_000
+_MOST_LISTED = 10
+
+
+def watch(  # noqa: PLR0913 - one parameter per option
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded flights: .ulg .tlog .bag .mcap .csv")],
+    train: Annotated[
+        list[Path] | None, typer.Option(metavar="LOG", help="A recorded flight that is normal; may be repeated.")
+    ] = None,
+    split: Annotated[
+        float | None, typer.Option(help="Instead of --train: train on this first share of each LOG, judge the rest.")
+    ] = None,
+    detector: Annotated[str, typer.Option(help="gaussian or autoencoder.")] = "gaussian",
+    profile: options.WatchProfile = "tuned",
+    fields: Annotated[
+        str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. ATTITUDE:roll; recommended ones or all by default.")
+    ] = "",
+    fault: Annotated[
+        str, typer.Option(metavar="TOPIC:FIELD", help="A number in LOG that is 0 until a known fault begins.")
+    ] = "",
+    inject: Annotated[int, typer.Option(help="Bits to flip in each LOG, one at a time.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of these flips.")] = 0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Judge recorded flights with one of the paper's detectors, trained on others.
+
+    Reports false alarms per hour, the share of injected flips that are detected, and the delay of known faults.
+    A LOG must not be among those of --train.
+
+    Example: [bold]mavfi watch flight.ulg --train normal1.ulg --train normal2.ulg --inject 300[/bold]
+    """
+    from mavfi.detectors.preprocess import PROFILES
+    from mavfi.detectors.registry import of_monitored_fields
+    from mavfi.extras.logs.report import Rates
+
+    check_name("--detector", detector, of_monitored_fields())
+    check_name("--profile", profile, PROFILES)
+    check_number("--split", split, 0.05, 0.95)
+    check_number("--inject", inject, 0, _MOST_FLIPS)
+    check_seed("--seed", seed)
+    if (split is None) == (not train):
+        for path in logs:
+            if not path.exists():
+                raise BadInputError(f"{path}: no such file")
+        given = "neither given" if split is None else "both given"
+        raise BadInputError(f"--train, --split: {given}; allowed: one of them, what a normal flight is learned from")
+    _check_apart(logs, train or [])
+    with stoppable("Stopped."):
+        wanted = options.listed(fields)
+        trained, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+    rates, used = Rates(judged), sum(watching.trained_on for watching in trained)
+    names = {topic: [f.name for f in probe.spec.header] for watching in trained
+             for topic, probe in watching.probes.items()}  # fmt: skip
+    if as_json:
+        write_json(rates.to_json() | {
+            "detector": detector, "profile": profile, "fields": names, "trained_on": used,
+        })  # fmt: skip
+        return
+    out = console()
+    out.print(rates.headline(), style="bold", markup=False)
+    for line in _summary(rates):
+        out.print(line, markup=False, soft_wrap=True)
+    monitored = f"{sum(map(len, names.values()))} fields of {', '.join(names)}"
+    out.print(f"{detector} ({profile}), {monitored}; trained on {used} messages", markup=False, soft_wrap=True)
+    out.print(_table(judged))
+    _list_alarms(judged)
+
+
+def _check_apart(logs: list[Path], train: list[Path]) -> None:
+    """Refuse a log that is judged by a detector trained on it, also as a copy under another name."""
+    from filecmp import cmp
+
+    for log in logs:
+        for path in train:
+            if log.is_file() and path.is_file() and (log.samefile(path) or cmp(log, path, shallow=False)):
+                copy = "" if log == path else f" (it is {path})"
+                raise BadInputError(
+                    f"{log}: is also trained on{copy}: a detector has no false alarms on its own training data; "
+                    "allowed: other flights for --train, or --split"
+                )
+
+
+def _judge(
+    logs: list[Path], train: list[Path], split: float | None, chosen: tuple[str, str], fields: list[str], fault: str,
+    flips: tuple[int, int],
+) -> tuple[list[LogWatch], list[Judged]]:  # fmt: skip
+    """Train and judge; each LOG that is split trains its own detector."""
+    from mavfi.extras.logs.watch import LogWatch, cut_text, judge_rest, read_recording, select
+
+    recordings = [read_recording(path, fault) for path in logs]
+    normal = [read_recording(path, fault, required=False).normal for path in train]
+    if cut := cut_text([*recordings, *normal]):
+        console(error=True).print(cut, markup=False, soft_wrap=True)
+    if split is None:
+        probes = select([*normal, *(recording.normal for recording in recordings)], fields)
+        watching = LogWatch(*chosen, probes, normal)
+        return [watching], [watching.judge(recording, *flips) for recording in recordings]
+    pairs = [judge_rest(*chosen, recording, split, fields, *flips) for recording in recordings]
+    return [watching for watching, _ in pairs], [judged for _, judged in pairs]
+
+
+def _summary(rates: Rates) -> list[str]:
+    """Detection of flips and known faults."""
+    from mavfi.report.text import rate
+
+    lines = [f"flips detected, {bits} (%): {rate(found)}" for bits, found in rates.flips.items()]
+    if rates.faults.n:
+        delays = rates.delays_s
+        span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
+        lines.append(f"known faults followed by an alarm (%): {rate(rates.faults)}{span}")
+    return lines
+
+
+def _table(judged: list[Judged]) -> Table:
+    from mavfi.extras.logs.report import delay_text
+
+    table = titled_table("Recordings")
+    for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):
+        table.add_column(heading, justify="left" if heading == "recording" else "right")
+    for found in judged:
+        table.add_row(
+            found.name, f"{found.exposure_s:.1f} s", str(found.messages), str(found.events), delay_text(found)
+        )
+    return table
+
+
+def _list_alarms(judged: list[Judged]) -> None:
+    """The first false alarms of each recording."""
+    out = console()
+    for found in judged:
+        for alarm in found.alarms[:_MOST_LISTED]:
+            named = ", ".join(alarm.fields)
+            text = f"{found.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {named}, score {alarm.score:.3g}"
+            out.print(text, markup=False, soft_wrap=True)
+        if len(found.alarms) > _MOST_LISTED:
+            out.print(f"{found.name}: {len(found.alarms) - _MOST_LISTED} more alarms", markup=False)

@@ -1,0 +1,74 @@
+"""Events, alarms, injections and the end of a flight, one line of text each."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from mavfi.mission import MissionStatus
+from mavfi.record import AlarmRecord, Event, FlightLog, Injection
+
+INFO, WARN, ERROR = "info", "warn", "error"
+LONGEST_TEXT = 50
+"""Characters of one STATUSTEXT of MAVLink; longer texts are sent in chunks."""
+
+
+def chunks_of(text: str) -> list[bytes]:
+    """The texts of the STATUSTEXT messages of a line: one or more."""
+    content = text.encode("ascii", "replace")
+    return [content[place : place + LONGEST_TEXT] for place in range(0, len(content), LONGEST_TEXT)] or [b""]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line.
+
+    Attributes:
+        time_us: Instant of the flight (us).
+        level: "info", "warn" (alarm) or "error" (injection).
+        name: Kind of source: "event", "alarm", "injection" or "mission".
+        text: Short text.
+        data: All data as plain text, "key=value ...".
+    """
+
+    time_us: int
+    level: str
+    name: str
+    text: str
+    data: str
+
+
+def lines_of(log: FlightLog) -> list[Line]:
+    """All lines of a flight by time, injections first; an injection without an instant is left out."""
+    items: list[Event | AlarmRecord | Injection] = [*log.injections, *log.events, *log.alarms]
+    found = map(line_of, items)
+    known = [line for line in found if line is not None]
+    return sorted([*known, end_line(float(log.column("time")[-1]), log.status)], key=lambda line: line.time_us)
+
+
+def end_line(time_s: float, status: MissionStatus) -> Line:
+    """The line of the end of the mission."""
+    text = f"{status.label}: {status.value}"
+    return Line(max(0, round(1e6 * time_s)), INFO, "mission", text, text)
+
+
+def line_of(item: Event | AlarmRecord | Injection) -> Line | None:
+    """The line of an event, an alarm or an injection; None if it has no finite instant."""
+    if isinstance(item, Event):
+        text = f"{item.kind} {_pairs(item.data)}".strip()
+        return Line(max(0, item.time_us), INFO, "event", text, text)
+    if not math.isfinite(item.time_s):
+        return None
+    time_us, data = max(0, round(1e6 * item.time_s)), _pairs(item.to_json())
+    if isinstance(item, AlarmRecord):
+        return Line(time_us, WARN, "alarm", f"alarm: {item.source} {item.state}, {item.action}, {item.outcome}", data)
+    change = f"{_short(item.before)} -> {_short(item.after)}" if item.activated else "not activated"
+    bit = "" if item.bit is None else f" bit {item.bit}"
+    return Line(time_us, ERROR, "injection", f"fault: {item.site}{bit}: {change}", data)
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _pairs(data: dict[str, Any]) -> str:
+    return " ".join(f"{key}={value}" for key, value in data.items() if key != "time_s")

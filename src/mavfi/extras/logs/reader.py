@@ -1,0 +1,157 @@
+"""Readers of recorded flights: their interface, the known formats, and messages with numbers at fixed offsets."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.faults.levels.message.definition import FORMATS, Leaf
+from mavfi.files import check_regular
+from mavfi.plugins import build, known, load_object, reason
+
+GROUP = "mavfi.extras.logs"
+"""Entry points of this group are readers by file name extension: classes constructed with a path."""
+_SHIPPED = {
+    "bag": "mavfi.extras.logs.ros:RosReader", "mcap": "mavfi.extras.logs.ros:RosReader",
+    "ulg": "mavfi.extras.logs.ulog:UlogReader", "tlog": "mavfi.extras.logs.tlog:TlogReader",
+    "csv": "mavfi.extras.logs.table:CsvReader", "jsonl": "mavfi.extras.logs.calls:CallsReader",
+}  # fmt: skip
+
+
+class Number(Protocol):
+    """Location of a number in a message."""
+
+    @property
+    def offset(self) -> int:
+        """Position of its first byte in the message."""
+
+    def value(self, data: bytes) -> int | float:
+        """Decode the number from the bytes of a message."""
+
+
+class Layout(Protocol):
+    """Numbers in the messages of a topic.
+
+    Attributes:
+        kind: Name of their type.
+    """
+
+    kind: str
+
+    def check(self, path: str) -> str:
+        """Refuse a path that names no number; `BadInputError` says why."""
+
+    def locate(self, data: bytes, path: str) -> Number:
+        """The number with a path; `AbsentError` if this message does not have it."""
+
+    def numbers(self, data: bytes, longest_list: int) -> list[str]:
+        """Paths of all numbers of a message; lists that are longer are left out."""
+
+
+class Record:
+    """Layout of the messages of a topic, by the offset of each number; see `Layout`.
+
+    Args:
+        kind: Name of the type.
+        leaves: Place of each number, by its name.
+    """
+
+    def __init__(self, kind: str, leaves: Mapping[str, Leaf]) -> None:
+        self.kind, self._leaves = kind, dict(leaves)
+
+    @staticmethod
+    def of(kind: str, dtype: np.dtype) -> "Record":
+        """The layout of rows of a structured array."""
+        fields = {} if dtype.fields is None else dtype.fields
+        return Record(kind, {name: Leaf(entry[1], entry[0].name) for name, entry in fields.items()})
+
+    def check(self, path: str) -> str:
+        """Kind of a number, e.g. "float32", or a BadInputError."""
+        if path not in self._leaves:
+            raise BadInputError(f"field {path}: {self.kind} has no such number; allowed: {allowed(self._leaves, path)}")
+        return self._leaves[path].kind
+
+    def locate(self, data: bytes, path: str) -> Leaf:
+        """Location of a number."""
+        del data
+        return self._leaves[path]
+
+    def numbers(self, data: bytes, longest_list: int) -> list[str]:
+        """Names of all numbers."""
+        del data, longest_list
+        return list(self._leaves)
+
+
+def numeric(dtype: np.dtype) -> bool:
+    """Whether a NumPy type is one of `FORMATS`."""
+    return dtype.name in FORMATS
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedMessage:
+    """One message of a recorded flight.
+
+    Attributes:
+        topic: Its topic.
+        time_us: Time of recording (us, by the clock of the file).
+        layout: Layout of its numbers.
+        data: Its bytes.
+    """
+
+    topic: str
+    time_us: int
+    layout: Layout
+    data: bytes
+
+
+class FlightLogReader(Protocol):
+    """Reads one file.
+
+    A reader may have `recommended`: fields worth monitoring, by topic, with names as in its messages; without it, all
+    numbers of all topics are.  It may have `is_cut()`: whether the file ends within a message.
+    """
+
+    def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """The messages of some topics, in their order; without topics, those of all.
+
+        Raises:
+            BadInputError: The file cannot be read, or lacks a topic.
+        """
+
+
+def open_flight_log(path: Path) -> FlightLogReader:
+    """The reader of a file, by its extension; the file is opened when messages are asked for.
+
+    Raises:
+        BadInputError: Nothing reads files with this extension.
+    """
+    extension, formats = path.suffix.removeprefix("."), known(GROUP, _SHIPPED)
+    if extension not in formats:
+        endings = ", ".join(f".{name}" for name in sorted(formats))
+        raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")
+    factory = load_object("reader of flight logs", extension, GROUP, _SHIPPED)
+    reader: FlightLogReader = build("reader of flight logs", extension, factory, path, needs={"messages": "topics"})
+    return reader
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Convert the exceptions of a library at a missing or damaged file to a `BadInputError`; `kind`: "a ROS 1 bag"."""
+    check_regular(path)
+    try:
+        yield
+    except MavfiError:
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - any exception of a library
+        raise BadInputError(f"{path}: is not {kind} that can be read ({reason(error)})") from None
+
+
+def check_topics(path: Path, topics: Sequence[str], held: Collection[str]) -> None:
+    """Refuse topics that a file does not hold."""
+    for topic in topics:
+        if topic not in held:
+            raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")

@@ -1,0 +1,87 @@
+"""Tables of comma-separated values: one row per instant, with one column for the time."""
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.extras.logs.reader import LoggedMessage, Record, check_topics
+from mavfi.files import read_file
+
+TOPIC = "row"
+"""The only topic of a table."""
+_LARGEST = 1 << 28
+_TIME = re.compile(r"#?\s*(time|timestamp|stamp|t)([^a-z]|$)", re.IGNORECASE)
+_UNITS = {"ns": 1e-3, "us": 1.0, "ms": 1e3, "s": 1e6}
+_MAGNITUDES = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
+"""Units of times since 1970 without a fraction, by their smallest value."""
+
+
+class CsvReader:
+    """Reads a table; see `FlightLogReader`.
+
+    The first line has the names of the columns.  The time is the first column with a name like `time`, `timestamp` or
+    `t`; its unit is in the name ("time [ms]", "time_us"), else follows from the size of whole numbers, else is seconds.
+    Columns that are not numeric throughout are left out.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """See `FlightLogReader`."""
+        check_topics(self._path, topics, [TOPIC])
+        names, lines = self._lines()
+        clock = next((place for place, name in enumerate(names) if _TIME.match(name)), None)
+        if clock is None:
+            raise BadInputError(f"{self._path}: no column of time; allowed: a name like time, timestamp or t")
+        times = self._times(names[clock], [line[clock] for line in lines])
+        chosen = {name: column for place, name in enumerate(names)
+                  if place != clock and (column := _column(lines, place)) is not None}  # fmt: skip
+        rows = np.zeros(len(lines), [(name, np.float64) for name in chosen])
+        for name, column in chosen.items():
+            rows[name] = column
+        layout = Record.of(TOPIC, rows.dtype)
+        for time_us, row in zip(times, rows, strict=True):
+            yield LoggedMessage(TOPIC, time_us, layout, row.tobytes())
+
+    def _lines(self) -> tuple[list[str], list[list[str]]]:
+        """Names of the columns and the rows."""
+        path = self._path
+        try:
+            text = read_file(path, _LARGEST).decode()
+            names, *lines = csv.reader(text.splitlines())
+        except (UnicodeDecodeError, ValueError, csv.Error) as error:
+            raise BadInputError(f"{path}: is not a table of comma-separated values ({error})") from None
+        names = [name.strip() for name in names]
+        if len(set(names)) < len(names) or not all(names):
+            raise BadInputError(f"{path}: columns: allowed: a different name for each")
+        for number, line in enumerate(lines, 2):
+            if len(line) != len(names):
+                raise BadInputError(f"{path}: line {number}: {len(line)} values; allowed: {len(names)}")
+        if not lines:
+            raise BadInputError(f"{path}: has no rows; allowed: one or more")
+        return names, lines
+
+    def _times(self, name: str, cells: Sequence[str]) -> list[int]:
+        """Times in us."""
+        named = re.search(r"(?:[\[(_])(ns|us|ms|s)(?:[\])]|$)", name)
+        try:
+            values = [int(cell) if cell.strip().isdigit() else float(cell) for cell in cells]
+            whole = isinstance(values[0], int)
+            guessed = next((unit for least, unit in _MAGNITUDES if whole and values[0] >= least), "s")
+            scale = _UNITS[named[1] if named else guessed]
+            return [value // 1000 if isinstance(value, int) and scale == 1e-3 else round(value * scale)
+                    for value in values]  # fmt: skip
+        except (ValueError, OverflowError) as error:
+            raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
+
+
+def _column(lines: Sequence[Sequence[str]], place: int) -> np.ndarray | None:
+    try:
+        return np.array([float(line[place]) for line in lines])
+    except ValueError:
+        return None

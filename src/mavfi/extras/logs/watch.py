@@ -1,0 +1,384 @@
+"""GAD or AAD on recorded flights: trained on some, applied to others, with injected flips and known faults."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn
+from mavfi.errors import BadInputError, allowed
+from mavfi.extras.logs.probe import LONGEST_LIST, Probe
+from mavfi.extras.logs.reader import LoggedMessage, check_topics, open_flight_log
+from mavfi.faults.levels.message.definition import AbsentError, Leaf, flip_bit
+from mavfi.faults.strata import bits_of
+from mavfi.states import Field, State
+
+_EVENT_GAP_US = 1_000_000
+"""Alarms that follow each other within this time are one event (us)."""
+BIT_CLASSES = ("sign", "exponent", "mantissa")
+_LONGEST_GAP_US = 1_000_000
+"""Longer times without a message do not count as exposure (us)."""
+_LEAST_MESSAGES = 20
+_FLOATS = {"float32": "f4", "float64": "f8"}
+_INJECTION_STREAM = 1
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Messages of a recorded flight.
+
+    Attributes:
+        name: File name.
+        messages: In order of time.
+        onset_us: Start of a known fault (us, by the clock of the file); None = none known.
+        recommended: Fields worth monitoring, by topic, as known by the reader; empty = all numbers.
+        cut: Whether the file ends within a message.
+    """
+
+    name: str
+    messages: list[LoggedMessage]
+    onset_us: int | None = None
+    recommended: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    cut: bool = False
+
+    @property
+    def normal(self) -> "Recording":
+        """The part before the known fault."""
+        if self.onset_us is None:
+            return self
+        return replace(self, messages=[message for message in self.messages if message.time_us < self.onset_us])
+
+    def split(self, share: float) -> tuple["Recording", "Recording"]:
+        """The first share of its messages, and the rest."""
+        count = round(share * len(self.messages))
+        return replace(self, messages=self.messages[:count]), replace(self, messages=self.messages[count:])
+
+
+def read_recording(path: Path, fault: str = "", *, required: bool = True) -> Recording:
+    """Read a recorded flight.
+
+    Args:
+        path: The file.
+        fault: "TOPIC:FIELD" of a number whose first value other than 0 marks the start of a known fault; "" = none.
+        required: Whether the file must have that number.
+
+    Raises:
+        BadInputError: The file cannot be read, or lacks a required field.
+    """
+    topic, _, number = fault.rpartition(":")
+    if fault and not (topic and number):
+        raise BadInputError(f"--fault: {fault!r}: allowed: TOPIC:FIELD, a number that is 0 before the fault")
+    reader = open_flight_log(path)
+    messages = list(reader.messages([]))
+    if fault and required:
+        check_topics(path, [topic], {message.topic for message in messages})
+    onset = _onset([message for message in messages if message.topic == topic], number) if fault else None
+    others = [message for message in messages if not fault or message.topic != topic]
+    is_cut = getattr(reader, "is_cut", None)
+    cut = is_cut is not None and is_cut()
+    return Recording(path.name, others, onset, getattr(reader, "recommended", {}), cut)
+
+
+def _onset(messages: Sequence[LoggedMessage], number: str) -> int | None:
+    """Time of the first message (us) in which a number is not 0."""
+    for message in messages:
+        message.layout.check(number)
+        try:
+            if message.layout.locate(message.data, number).value(message.data) != 0:
+                return message.time_us
+        except AbsentError as error:
+            raise BadInputError(f"--fault: {error}") from None
+    return None
+
+
+# ---- selection of fields -------------------------------------------------------------------------------------------
+def select(recordings: Sequence[Recording], wanted: Sequence[str] = ()) -> dict[str, Probe]:
+    """Monitored fields by topic: those that all recordings have, with finite numbers in every message.
+
+    Args:
+        recordings: Normal parts of the recordings.
+        wanted: "TOPIC:FIELD" or "FIELD"; empty = the recommended ones of the format, or all.
+
+    Raises:
+        BadInputError: A wanted field is not in all recordings, or there is none at all.
+    """
+    groups = [_by_topic(recording) for recording in recordings]
+    shared = [topic for topic in groups[0] if all(len(group.get(topic, ())) >= _LEAST_MESSAGES for group in groups)]
+    probes = {}
+    for topic in shared:
+        first = groups[0][topic][0]
+        names = _candidates(topic, first, wanted, recordings[0].recommended)
+        usable = [name for name in names if all(_is_finite(group[topic], name) for group in groups)]
+        if usable:
+            probes[topic] = Probe(first.layout, foreign_spec(topic, usable))
+    cut = f" ({text})" if (text := cut_text(recordings)) else ""
+    _check_wanted(wanted, probes, groups, shared, cut)
+    if not probes:
+        files = ", ".join(recording.name for recording in recordings)
+        raise BadInputError(
+            f"{files}: no numbers in common{cut}; allowed: topics with {_LEAST_MESSAGES} messages or more "
+            "in each recording, with finite numbers"
+        )
+    return probes
+
+
+def cut_text(recordings: Sequence[Recording]) -> str:
+    """Which files are cut; "" = none."""
+    names = [recording.name for recording in recordings if recording.cut]
+    return f"{', '.join(names)}: cut, the last message is not complete" if names else ""
+
+
+def _by_topic(recording: Recording) -> dict[str, list[LoggedMessage]]:
+    groups: dict[str, list[LoggedMessage]] = {}
+    for message in recording.messages:
+        groups.setdefault(message.topic, []).append(message)
+    return groups
+
+
+def _candidates(
+    topic: str, message: LoggedMessage, wanted: Sequence[str], recommended: Mapping[str, Sequence[str]]
+) -> list[str]:
+    known = message.layout.numbers(message.data, LONGEST_LIST)
+    if wanted:
+        named = [name.rpartition(":") for name in wanted]
+        return [path for own, _, path in named if own in ("", topic) and path in known]
+    if not recommended:
+        return known
+    return [name for name in recommended.get(topic, ()) if name in known]
+
+
+def _is_finite(messages: Sequence[LoggedMessage], name: str) -> bool:
+    """Whether every message has the number, and it is finite."""
+    try:
+        values = [message.layout.locate(message.data, name).value(message.data) for message in messages]
+    except (AbsentError, KeyError):
+        return False
+    return bool(np.isfinite(np.array(values, np.float64)).all())
+
+
+def _check_wanted(
+    wanted: Sequence[str], probes: Mapping[str, Probe], groups: Sequence[dict[str, list[LoggedMessage]]],
+    shared: Sequence[str], cut: str,
+) -> None:  # fmt: skip
+    """Refuse wanted fields that are not monitored, and name the nearest ones."""
+    found = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
+    for name in wanted:
+        topic, _, path = name.rpartition(":")
+        if any(path == own and topic in ("", held) for held, own in found):
+            continue
+        held = [topic] if topic in shared else shared
+        numbers = [
+            f"{own}:{number}" if topic else number
+            for own in held
+            for number in groups[0][own][0].layout.numbers(groups[0][own][0].data, LONGEST_LIST)
+            if all(_is_finite(group[own], number) for group in groups)
+        ]
+        raise BadInputError(
+            f"--fields: {name}: not a finite number in all recordings, in {_LEAST_MESSAGES} messages or more of "
+            f"each{cut}; allowed: {allowed(numbers, name)}"
+        )
+
+
+# ---- judging -------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class LogAlarm:
+    """An alarm on one message of a recording."""
+
+    place: int  # index of the message among the judged ones
+    time_us: int
+    topic: str
+    score: float  # relative to the threshold
+    fields: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Flip:
+    """An injected flip."""
+
+    topic: str
+    field: str
+    bit: int
+    bit_class: str
+    detected: bool  # an alarm on the message, or on the next one of its topic
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a detector found in one recording.
+
+    Attributes:
+        name: File name.
+        exposure_s: Duration of the normal part, without gaps (s).
+        messages: Number of messages judged in it.
+        alarms: Alarms in it.
+        flips: Flips injected into it.
+        fault_delay_s: Time from the start of the known fault to the first alarm (s); None = no alarm.
+        has_fault: Whether a fault is known.
+        after_fault_s: Duration of the part with the known fault (s).
+        cut: Whether the file ends within a message.
+    """
+
+    name: str
+    exposure_s: float
+    messages: int
+    alarms: list[LogAlarm]
+    flips: list[Flip]
+    has_fault: bool = False
+    fault_delay_s: float | None = None
+    after_fault_s: float = 0.0
+    cut: bool = False
+
+    @property
+    def events(self) -> int:
+        """Alarms, with those within `_EVENT_GAP_US` of each other counted as one."""
+        times = [alarm.time_us for alarm in self.alarms]
+        return len(times) and 1 + sum(b - a > _EVENT_GAP_US for a, b in zip(times, times[1:], strict=False))
+
+
+class LogWatch:
+    """A detector trained on recordings.
+
+    Args:
+        kind: "gaussian" or "autoencoder".
+        profile: "paper" or "tuned".
+        probes: Monitored fields.
+        training: Recordings of normal flights.
+
+    Raises:
+        BadInputError: Unknown kind, or too few messages.
+    """
+
+    def __init__(self, kind: str, profile: str, probes: Mapping[str, Probe], training: Sequence[Recording]) -> None:
+        self.probes = dict(probes)
+        flights = [[state for _, state in self._states(recording)] for recording in training]
+        counts = {topic: sum(state.spec is probe.spec for states in flights for state in states)
+                  for topic, probe in probes.items()}  # fmt: skip
+        self.probes = {topic: probe for topic, probe in probes.items() if counts[topic] >= SMALLEST_SAMPLE}
+        if not self.probes:
+            raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
+        specs = {topic: probe.spec for topic, probe in self.probes.items()}
+        kept = [[state for state in states if state.spec.name in specs] for states in flights]
+        self.detector: Any = learn(kind, profile, kept, specs)
+        self.trained_on = sum(map(len, kept))
+
+    def _states(self, recording: Recording) -> Iterator[tuple[LoggedMessage, State]]:
+        for message in recording.messages:
+            state = self._read(message, message.data)
+            if state is not None:
+                yield message, state
+
+    def _read(self, message: LoggedMessage, data: bytes) -> State | None:
+        """The monitored fields of bytes with the layout of a message, which may differ from file to file."""
+        probe = self.probes.get(message.topic)
+        return None if probe is None else replace(probe, definition=message.layout).read(data)
+
+    def judge(self, recording: Recording, flips: int = 0, seed: int = 0) -> Judged:
+        """Judge a recording.
+
+        Args:
+            recording: The recording; what follows its known fault is judged apart.
+            flips: Number of bits to flip in floating-point fields of its normal part, each alone and undone
+                afterwards, as many in each of `BIT_CLASSES`.
+            seed: Draws messages, fields and bits.
+        """
+        judged = list(self._states(recording))
+        onset = recording.onset_us
+        alarms = list(self._run(judged))
+        normal = [place for place, (m, _) in enumerate(judged) if onset is None or m.time_us < onset]
+        clean = [alarm for alarm in alarms if onset is None or alarm.time_us < onset]
+        late = [alarm for alarm in alarms if onset is not None and alarm.time_us >= onset]
+        times = [judged[place][0].time_us for place in normal]
+        return Judged(
+            recording.name, _exposure_s(times), len(normal), clean,
+            list(self._inject(judged[: len(normal)], {alarm.place for alarm in clean}, flips, seed)),
+            onset is not None, None if onset is None or not late else 1e-6 * (late[0].time_us - onset),
+            _exposure_s([m.time_us for m, _ in judged[len(normal) :]]), recording.cut,
+        )  # fmt: skip
+
+    def _run(self, judged: Sequence[tuple[LoggedMessage, State]]) -> Iterator[LogAlarm]:
+        self.detector.start()
+        for place, (message, state) in enumerate(judged):
+            found = self._step(state, message.time_us)
+            if found is not None:
+                fields = tuple(name.removeprefix(f"{message.topic}.") for name in found.fields)
+                yield LogAlarm(place, message.time_us, message.topic, found.score, fields)
+
+    def _step(self, state: State, time_us: int) -> Any:
+        found = self.detector.check(state, time_us)
+        self.detector.accept(state, time_us)
+        return found
+
+    def _inject(
+        self, judged: Sequence[tuple[LoggedMessage, State]], alarmed: set[int], count: int, seed: int
+    ) -> Iterator[Flip]:
+        """Flips in order of time; messages with an alarm of their own, or before one, are not drawn."""
+        following = _next_of_topic(judged)
+        usable = [
+            (place, follower)
+            for place, follower in enumerate(following)
+            if follower is not None and not alarmed & {place, follower} and self._floats(judged[place][0])
+        ]
+        if not usable or not count:
+            return
+        random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_INJECTION_STREAM,)))
+        drawn = sorted((*usable[int(random.integers(len(usable)))], number) for number in range(count))
+        self.detector.start()
+        done = 0
+        for place, follower, number in drawn:
+            for message, state in judged[done:place]:
+                self._step(state, message.time_us)
+            done = max(done, place)
+            yield self._flip(judged[place : follower + 1], BIT_CLASSES[number % len(BIT_CLASSES)], random)
+
+    def _floats(self, message: LoggedMessage) -> list[tuple[str, str]]:
+        """Monitored floating-point fields of a message, each with its kind."""
+        names = [field.name for field in self.probes[message.topic].spec.header]
+        kinds = [(name, message.layout.check(name)) for name in names]
+        return [(name, kind) for name, kind in kinds if kind in _FLOATS]
+
+    def _flip(self, judged: Sequence[tuple[LoggedMessage, State]], bit_class: str, random: np.random.Generator) -> Flip:
+        """Flip a bit of the first message, and judge until the next one of its topic; the detector's memory is kept."""
+        message = judged[0][0]
+        floats = self._floats(message)
+        name, kind = floats[int(random.integers(len(floats)))]
+        typed = Field(name, _FLOATS[kind], "-")
+        bits = bits_of(typed, bit_class)
+        bit = int(random.integers(bits.start, bits.stop))
+        leaf = Leaf(message.layout.locate(message.data, name).offset, kind)
+        changed = self._read(message, flip_bit(message.data, leaf, bit))
+        assert changed is not None  # it has the numbers of the original
+        memory = self.detector.memory()
+        detected = self._step(changed, message.time_us) is not None
+        for later, state in judged[1:]:
+            detected |= self._step(state, later.time_us) is not None and later.topic == message.topic
+        self.detector.restore(memory)
+        return Flip(message.topic, name, bit, bit_class, detected)
+
+
+def judge_rest(
+    kind: str, profile: str, recording: Recording, share: float, fields: Sequence[str] = (), flips: int = 0,
+    seed: int = 0,
+) -> tuple[LogWatch, Judged]:  # fmt: skip
+    """Train a detector on the first share of a recording, and judge the rest."""
+    first, rest = recording.split(share)
+    watching = LogWatch(kind, profile, select([first.normal, rest.normal], fields), [first.normal])
+    return watching, watching.judge(rest, flips, seed)
+
+
+def _next_of_topic(judged: Sequence[tuple[LoggedMessage, State]]) -> list[int | None]:
+    """Index of the next message of the same topic, for each message."""
+    following: list[int | None] = [None] * len(judged)
+    latest: dict[str, int] = {}
+    for place, (message, _) in enumerate(judged):
+        if message.topic in latest:
+            following[latest[message.topic]] = place
+        latest[message.topic] = place
+    return following
+
+
+def _exposure_s(times: Sequence[int]) -> float:
+    """Duration without longer gaps (s)."""
+    gaps = np.diff(np.array(times, np.int64))
+    return 1e-6 * float(gaps[gaps <= _LONGEST_GAP_US].sum())

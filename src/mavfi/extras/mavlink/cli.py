@@ -1,0 +1,83 @@
+"""`mavfi mavlink`: our vehicle as a MAVLink autopilot."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import check_number, console, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.extras.airsim.cli import OF_THE_PIPELINE
+from mavfi.mission import MissionSpec
+
+if TYPE_CHECKING:
+    from mavfi.extras.mavlink.server import Server
+
+_LONGEST_S = 7 * 86_400.0
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _mavlink() -> None:
+    r"""Programs for MAVLink autopilots fly our vehicle, with failures on command (pip install 'mavfi\[mavlink]').
+
+    Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
+    """
+
+
+@app.command("serve")
+@partial(options.with_mission_options, without=(*OF_THE_PIPELINE, "goal"))
+def serve(
+    mission: MissionSpec,
+    port: Annotated[int, typer.Option(help="UDP port of the autopilot on 127.0.0.1; 0 = any free one.")] = 14580,
+    speed: Annotated[float, typer.Option(help="Simulated time per wall time.")] = 1.0,
+    seconds: options.Duration = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Serve a vehicle with PX4's modes to ground stations and MAVSDK programs, in wall time.
+
+    Telemetry goes to the UDP ports 14540 and 14550 of this machine, and to every sender of a message.  Failures are
+    injected by MAV_CMD_INJECT_FAILURE.
+
+    Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
+    """
+    check_number("--port", port, 0, 65_535)
+    check_number("--speed", speed, 0.1, 100.0)
+    check_number("--seconds", seconds, 0.0, _LONGEST_S)
+    from mavfi.extras.mavlink.server import Server
+
+    server = Server(mission, port, speed=speed)
+    if not as_json:
+        console().print(f"autopilot at udp://127.0.0.1:{server.port}, telemetry to 14540 and 14550", markup=False)
+    with stoppable("Stopped."):
+        try:
+            server.run(_LONGEST_S if seconds is None else seconds)
+        finally:
+            _show(server, as_json)
+            server.close()
+
+
+def _show(server: Server, as_json: bool) -> None:
+    """Print the final state."""
+    vehicle, autopilot = server.vehicle, server.autopilot
+    state = {
+        "time_s": 1e-6 * vehicle.now_us, "mode": autopilot.mode.name.lower(), "landed": vehicle.landed,
+        "armed": vehicle.sim.armed, "collided": vehicle.has_collided, "messages": server.received,
+        "position": [round(value, 3) for value in vehicle.position], "digest": vehicle.digest(),
+    }  # fmt: skip
+    if as_json:
+        write_json(state)
+        return
+    north, east, down = vehicle.position
+    place = "on the ground" if vehicle.landed else "in the air"
+    console().print(
+        f"{state['time_s']:.1f} s simulated, {server.received} messages received: the vehicle is {place}, "
+        f"{north:z.1f} m north, {east:z.1f} m east and {-down:z.1f} m above its start, in mode {state['mode']}, "
+        f"{'armed' if state['armed'] else 'disarmed'}, {'after a' if state['collided'] else 'without'} collision; "
+        f"digest {vehicle.digest()[:16]}",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip

@@ -1,0 +1,217 @@
+"""`mavfi reproduce`: train detectors, fly the campaigns of a study, write its reports, print its headline."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from mavfi.cli import options
+from mavfi.cli.console import console, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError
+from mavfi.files import check_folder, is_file
+
+if TYPE_CHECKING:
+    from mavfi.analysis.runs import Runs
+    from mavfi.campaign.config import Campaign
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.training import Training
+    from mavfi.cli.progress import StudyBar
+    from mavfi.extras.paper.steps import Steps
+    from mavfi.extras.paper.study import Study
+    from mavfi.mission import MissionSpec
+
+MODELS = "models"
+"""Subfolder of the study for the trained models."""
+PAGE, FLIGHTS = "report.html", 30
+"""Name of the study's page, and its number of flights: five of each campaign of the paper's study, 1.5 MB and less than
+a minute of two processors.  `mavfi report --html` fills the page up to its largest size, in several minutes."""
+TIMED, TIMED_FLIGHTS = "overheads_as_in_the_paper", 3
+"""View whose overheads are measured, and golden flights per environment and detector for it."""
+
+
+def reproduce(  # noqa: PLR0913 - one parameter per option
+    study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
+    scale: Annotated[
+        str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 17,000.")
+    ] = "quick",
+    out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
+    workers: options.Workers = 2,
+    show_all: options.AllTables = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Train detectors, fly the campaigns of a study, and compare the results with the paper's tables and findings.
+
+    Each campaign has a separate folder; those that fly the same missions share their golden flights. Writes
+    report.html, study.md, study.json, figures and tables (CSV).
+
+    Ctrl-C stops (exit code 130); the same command resumes.
+
+    Example: [bold]mavfi reproduce --scale quick --out out/reproduce[/bold]
+    """
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.run import run_campaigns
+    from mavfi.campaign.training import record
+    from mavfi.campaign.warm_up import compile_ahead
+    from mavfi.cli.progress import StudyBar
+    from mavfi.extras.paper.cli_report import show_study_report, write_study_report
+    from mavfi.extras.paper.overheads import measure, save
+    from mavfi.extras.paper.report import check_names
+    from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
+    from mavfi.extras.paper.steps import Steps
+    from mavfi.extras.paper.study import load_study
+
+    chosen = load_study(study)
+    check_names(chosen, study)
+    campaigns = chosen.campaigns_at(scale)
+    executor = LocalExecutor(workers)
+    for folder, campaign in campaigns.items():
+        _check_campaign(campaign, chosen.campaigns[folder], out / folder)
+    check_folder(out)
+    lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
+    wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
+    timed = _to_be_timed(chosen, campaigns, out)
+    stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
+    with stoppable(stopped), StudyBar(f"study {chosen.name}", Steps.begin(out, workers)) as bar:
+        with bar.timed("compilation", "tasks"):
+            compile_ahead(campaigns.values(), executor, bar.show)
+        fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
+        _train(lacking, fly, executor, bar)
+        with bar.timed(FLIGHTS_STEP):
+            run_campaigns(
+                {out / folder: campaign for folder, campaign in campaigns.items()}, executor=executor,
+                models_dir=out / MODELS, progress=bar.show_campaigns,
+            )  # fmt: skip
+        for folder in timed:  # in one process, with no other work at the same time
+            with bar.timed("timed flights"):
+                save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
+        written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers, bar=bar)
+    if as_json:
+        write_json(written.to_json())
+        return
+    show_study_report(written, show_all)
+    _say_where(out, written.campaigns, bar.steps)
+
+
+def _train(
+    lacking: Iterable["MissionSpec"], fly: Callable[..., "Training"], executor: "LocalExecutor", bar: "StudyBar"
+) -> None:
+    """Fly and fit the models that are lacking."""
+    from mavfi.campaign.executors.executor import map_each
+    from mavfi.campaign.training import Training
+
+    trainings = []
+    for mission in lacking:
+        with bar.timed("training flights"):
+            trainings.append(fly(mission))
+    if trainings:
+        with bar.timed("fitting of detectors", "trainings"):
+            for done, _ in enumerate(map_each(executor, Training.fit, trainings), 1):
+                bar.show(done, len(trainings))
+
+
+def _say_where(out: Path, campaigns: Mapping[str, "Runs"], steps: "Steps") -> None:
+    """Print where report, ledgers and models are, the digests of the ledgers, and how long it took."""
+    from mavfi.cli.progress import duration
+    from mavfi.extras.paper.report import MARKDOWN
+    from mavfi.extras.paper.steps import SET_UP
+    from mavfi.report.text import short
+
+    terminal = console()
+    terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
+    terminal.print("The ledgers, with their digests (mavfi campaign digest DIR prints one in full):")
+    width = max((len(runs.campaign["name"]) for runs in campaigns.values()), default=0)
+    for folder, runs in campaigns.items():
+        name, digest = runs.campaign["name"], short(runs.campaign["digest"])
+        terminal.print(Text(f"  {name:{width}}  {digest}  {out / folder}"), soft_wrap=True)
+    took = duration(sum(steps.seconds.values())) + (", set-up included" if SET_UP in steps.seconds else " in all")
+    terminal.print(f"The models are in {out / MODELS}. It took {took}.", soft_wrap=True)
+
+
+def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
+    """Missions for which detectors are still to be trained, without duplicates."""
+    found: dict[tuple[str, ...], MissionSpec] = {}
+    for campaign in campaigns:
+        for mission in _missions(campaign) if any(arm.detector for arm in campaign.arms.values()) else ():
+            if not _trained(campaign, mission, folder, flights):
+                found.setdefault(tuple(_trained_for(mission).values()), mission)
+    return list(found.values())
+
+
+def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
+    """Folders of the campaigns whose overheads the study shows and nobody has measured yet."""
+    from mavfi.extras.paper.overheads import load
+
+    shown = dict.fromkeys(section.campaign for section in study.sections if TIMED in section.views)
+    return [folder for folder in shown if _detectors(campaigns[folder]) and not load(out / folder)]
+
+
+def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
+    """Refuse a campaign of a file that names what does not exist, or whose ledger holds another one."""
+    from mavfi.campaign.names import check_names
+
+    check_names(campaign, source)
+    _check_ledger(campaign, ledger)
+
+
+def _check_ledger(campaign: "Campaign", folder: Path) -> None:
+    """Reject a folder that holds another campaign, before training or writing anything."""
+    from mavfi.campaign.fingerprint import differences
+    from mavfi.campaign.mission import scenarios_of
+    from mavfi.campaign.plan import arms_of
+    from mavfi.campaign.run import identity_of
+    from mavfi.campaign.store import FILE, Store
+
+    if not is_file(folder / FILE):
+        return
+    with Store.open(folder) as store:
+        held = store.meta("identity")
+    wanted = identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {})
+    differing = differences(*({key: one.get(key) for key in ("campaign", "scenarios")} for one in (held, wanted)))
+    if differing:
+        raise BadInputError(f"{folder}: holds another campaign (differs in: {differing}); choose another directory")
+
+
+def _missions(campaign: "Campaign") -> list["MissionSpec"]:
+    """Training missions of a campaign's detectors: one per platform, or that which `trained_for` names."""
+    found: dict[str, MissionSpec] = {}
+    for environment in campaign.environments:
+        mission = campaign.spec(environment, campaign.first_seed)
+        if mission.trained_for:
+            autopilot, platform = mission.trained_for.split("/")
+            planner = type(mission).model_fields["planner"].default
+            mission = mission.model_copy(update={"autopilot": autopilot, "platform": platform, "planner": planner})
+        found.setdefault(mission.platform, mission)
+    return list(found.values())
+
+
+def _trained_for(mission: "MissionSpec") -> dict[str, str]:
+    """Properties of a mission that determine the models of its detectors."""
+    return {"stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner}
+
+
+def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
+    """Whether the folder holds up-to-date models for a mission and all detectors of a campaign."""
+    from mavfi.campaign.fingerprint import versions
+    from mavfi.detectors.model import Model
+
+    here, wanted = versions(), {**_trained_for(mission), "flights": flights}
+    held = set()
+    for path in sorted(folder.glob("*.json")):
+        try:
+            model = Model.load(path)
+        except BadInputError:
+            return False
+        origin = model.provenance
+        fresh = all(here.get(name) == version for name, version in origin.get("versions", {}).items())
+        if fresh and all(origin.get(key) == value for key, value in wanted.items()):
+            held.add((model.kind, model.profile))
+    return _detectors(campaign) <= held
+
+
+def _detectors(campaign: "Campaign") -> set[tuple[str, str]]:
+    """Detectors of a campaign's arms, as (name, profile)."""
+    return {(arm.detector, arm.profile) for arm in campaign.arms.values() if arm.detector}

@@ -1,0 +1,294 @@
+"""Time of detection and recovery relative to that of the kernels, measured on this machine in one process.
+
+The paper's Table II.  The time of detection is also divided by the compute time that the platform's latencies give the
+pipeline, as if the detector were as fast on the platform as here (docs/models.md).
+
+The publications that a detector checks are recorded in flight and replayed to it afterwards, several times and in
+blocks, since a timer around each call would take longer than the call.
+"""
+
+import json
+import platform
+import statistics
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.plan import arms_of
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError, write_text
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import resolve
+from mavfi.flight.decide import SCANNING, Action
+from mavfi.flight.policy import Recovery
+from mavfi.flight.watching import detector_for
+from mavfi.mission import MissionSpec
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import KERNELS, PPC_STAGES, Stage, State
+
+FILE = "overheads.json"
+"""Name of the file in the folder of a campaign."""
+ALL = "all"
+"""Key of the sum over all stages."""
+STAGES = (*map(str, PPC_STAGES), ALL)
+_REPLAYS, _BLOCK = 5, 16
+LONG_S = 1.0
+"""Time of a replay from which on it is not repeated: the clock is fine enough for one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Times of one flight with a detector, by stage and, under `ALL`, in total.
+
+    Attributes:
+        kernels: Time of all kernels, including the reception of their inputs (s).
+        detection: Time of `check` and `accept`, by stage of the publications, and of steps that are computed again for
+            comparison (s).
+        recovery: Time of repeated steps, and of saving and restoring memory for them (s).
+        shown: Number of publications that the detector checked, and of steps that were computed again.
+        recomputed: Recomputations / computations, both in the platform's modelled time.
+        compute: Compute time of the pipeline with the platform's latencies, without recomputations (s).
+    """
+
+    kernels: float
+    detection: Mapping[str, float]
+    recovery: Mapping[str, float]
+    shown: int
+    recomputed: float
+    compute: float
+
+
+Verify = Callable[[Any, list[State], int], tuple[list[State], int]]
+
+
+class _Clock:
+    """Wall time and calls by kernel and method."""
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[tuple[str, str], float] = defaultdict(float)
+        self.calls: Counter[tuple[str, str]] = Counter()
+        self.again: defaultdict[str, float] = defaultdict(float)
+        self.verified = 0
+
+    def timed(self, kernel: Any, method: str) -> None:
+        """Wrap a method of a kernel in a timer."""
+        function, key, clock = getattr(kernel, method), (kernel.name, method), time.perf_counter
+
+        def call(*arguments: Any) -> Any:
+            start = clock()
+            result = function(*arguments)
+            self.seconds[key] += clock() - start
+            self.calls[key] += 1
+            return result
+
+        setattr(kernel, method, call)
+
+    def timed_verification(self, verify: Verify) -> Verify:
+        """Wrap a function that computes steps again: its time, by stage, is not that of kernels."""
+
+        def call(kernel: Any, states: list[State], now: int) -> tuple[list[State], int]:
+            seconds, calls, start = self.seconds.copy(), self.calls.copy(), time.perf_counter()
+            result = verify(kernel, states, now)
+            self.again[str(kernel.stage)] += time.perf_counter() - start
+            self.seconds, self.calls = seconds, calls
+            self.verified += 1
+            return result
+
+        return call
+
+    def step(self, kernel: str) -> float:
+        """Mean time of a step (s)."""
+        key = kernel, "step"
+        return self.seconds[key] / self.calls[key] if self.calls[key] else 0.0
+
+
+def cost(
+    mission: MissionSpec, name: str, profile: str, models_dir: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Cost:  # fmt: skip
+    """Fly a golden mission with a detector, then replay its publications to the detector.
+
+    Raises:
+        BadInputError: The mission cannot be flown, or the detector or its model does not exist.
+    """
+    clock = _Clock()
+
+    def build(config: Any) -> Any:
+        built: dict[str, Any] = build_pipeline(config)
+        for kernel in built.values():
+            for method in ("step", "receive", "mark", "rollback"):
+                clock.timed(kernel, method)
+        return built
+
+    scenario = resolve(mission)
+    detector = detector_for(scenario, name, profile, models_dir, mission.trained_for, options).detector
+    loop = new_loop(scenario, make_kernels=build)
+    watch(loop, detector, Recovery.of(mission))
+    if loop.verify is not None:
+        loop.verify = clock.timed_verification(loop.verify)
+    repeated: Counter[tuple[str, str]] = Counter()
+    recompute = loop.recompute
+
+    def counted(action: Action, now: int) -> None:
+        for kernel in SCANNING if action.kernel in SCANNING else (action.kernel,):
+            repeated[str(action.stage), kernel] += 1
+        recompute(action, now)
+
+    loop.recompute = counted  # type: ignore[method-assign]
+    states, shown = loop.taps.watched, list[tuple[State, int]]()
+    loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
+    meta = loop.fly().log.meta
+    recomputed, computed = (sum(meta[key].values()) for key in ("recompute_us", "compute_us"))
+    if not computed > recomputed:
+        raise BadInputError(f"platform {scenario.platform.name}: latency_us: all are 0; allowed: one above 0 at least")
+    watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
+    kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
+    return Cost(
+        kernels, _detection(detector, watched, clock.again), _recovery(clock, repeated), len(watched) + clock.verified,
+        recomputed / computed, 1e-6 * (computed - recomputed),
+    )  # fmt: skip
+
+
+def _detection(
+    detector: Detector, publications: Sequence[tuple[State, int]], again: Mapping[str, float]
+) -> dict[str, float]:  # fmt: skip
+    """Time of a detector by stage; `again`: that of steps that were computed again."""
+
+    def spent(own: Sequence[tuple[State, int]]) -> float:
+        times = [replay(detector, own)] if own else [0.0]
+        while own and times[0] < LONG_S and len(times) < _REPLAYS:
+            times.append(replay(detector, own))
+        return statistics.median(times)
+
+    parts = {str(stage): spent([one for one in publications if one[0].spec.stage is stage]) for stage in PPC_STAGES}
+    found = {stage: time + again.get(stage, 0.0) for stage, time in parts.items()}
+    return {**found, ALL: spent(publications) + sum(again.values())}
+
+
+def _recovery(clock: _Clock, repeated: Mapping[tuple[str, str], int]) -> dict[str, float]:
+    found = dict.fromkeys(STAGES, 0.0)
+    for (kernel, method), spent in clock.seconds.items():
+        if method in ("mark", "rollback") and KERNELS[kernel].stage is not Stage.SENSOR:
+            found[str(KERNELS[kernel].stage)] += spent
+    for (stage, kernel), times in repeated.items():
+        found[stage] += times * clock.step(kernel)
+    return {**found, ALL: sum(found.values())}
+
+
+def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> float:
+    """Wall time (s) of a detector over publications, which it receives, and may seal, as in flight.
+
+    In flight a publication has just been written, so each block is read once before timing to warm the CPU cache.
+    The time of the loop itself is subtracted: that of the same loop without the detector.
+    """
+    detector.start()
+    spent, clock = 0.0, time.perf_counter
+    for first in range(0, len(publications), _BLOCK):
+        block = publications[first : first + _BLOCK]
+        for state, _ in block:
+            state.header.tobytes(), state.elements.tobytes()
+        start = clock()
+        for state, now in _sealed(block, detector.seal) if detector.seals else block:
+            detector.check(state, now)  # after a false alarm, the value is assumed to be published, too
+            detector.accept(state, now)
+        middle = clock()
+        for state, now in block:  # noqa: B007 - as above
+            pass
+        spent += 2.0 * middle - start - clock()
+    return spent
+
+
+def _sealed(
+    publications: Iterable[tuple[State, int]], seal: Callable[[State, int], None]
+) -> Iterator[tuple[State, int]]:  # fmt: skip
+    for state, now in publications:
+        seal(state, now)
+        yield state, now
+
+
+def processor() -> str:
+    """Model name of the processor, as reported by the operating system."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def measure(
+    campaign: Campaign, missions: int, models_dir: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Measure every detector of a campaign on golden flights in each of its environments.
+
+    Args:
+        campaign: Environments, mission and arms.
+        missions: Flights per environment and arm; an additional warm-up flight precedes them.
+        models_dir: Folder of trained models; None = the shipped ones.
+        progress: Called with the numbers of completed and of all flights.
+
+    Returns:
+        `processor`, `missions`, and `rows`: environment, arm, stage, and medians over flights of `detection` and
+        `recovery` as shares of the kernels' time, and of `detection_modelled`, the time of detection as a share of the
+        modelled compute time; `flights` has the three of each flight, in order of seed.
+
+    Raises:
+        BadInputError: No arm has a detector, or a mission cannot be flown.
+    """
+    arms = [arm for arm in arms_of(campaign) if arm.detector]
+    if not arms:
+        raise BadInputError(f"campaign {campaign.name}: arms: none has a detector; needed: one at least")
+    seeds = range(campaign.first_seed, campaign.first_seed + missions)
+    total, done = len(campaign.environments) * len(arms) * missions, 0
+    rows: list[dict[str, Any]] = []
+    for environment in campaign.environments:
+        for arm in arms:
+            flown = [campaign.spec(environment, seed, arm.overrides) for seed in seeds]
+            if not rows:  # warm-up: compiles, or reads the cache
+                cost(flown[0], arm.detector, arm.profile, models_dir, arm.options)
+            costs = []
+            for mission in flown:
+                costs.append(cost(mission, arm.detector, arm.profile, models_dir, arm.options))
+                done += 1
+                progress(done, total)
+            rows += [{"environment": environment, "arm": arm.name, "stage": stage, **_shares(costs, stage)}
+                     for stage in STAGES]  # fmt: skip
+    return {"processor": processor(), "missions": missions, "rows": rows}
+
+
+def _shares(costs: Iterable[Cost], stage: str) -> dict[str, Any]:
+    found = [
+        (one.detection[stage] / one.kernels, one.recovery[stage] / one.kernels, one.detection[stage] / one.compute)
+        for one in costs
+    ]
+    medians = map(statistics.median, zip(*found, strict=True))
+    return dict(zip(("detection", "recovery", "detection_modelled"), medians, strict=True)) | {"flights": found}
+
+
+def save(measured: Mapping[str, Any], directory: Path) -> Path:
+    """Write measured overheads to the folder of a campaign, from which its views read them."""
+    path = directory / FILE
+    write_text(path, json.dumps(measured, indent=1) + "\n")
+    return path
+
+
+def load(directory: Path) -> dict[str, Any]:
+    """Read measured overheads from the folder of a campaign; empty if there are none.
+
+    Raises:
+        BadInputError: The file is invalid.
+    """
+    path = directory / FILE
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found["processor"], found["missions"]
+        {(row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"]) for row in found["rows"]}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BadInputError(f"{path}: is not a file of measured overheads; remove it, or measure again") from None
+    return found

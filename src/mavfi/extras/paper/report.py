@@ -1,0 +1,254 @@
+"""The report of a study: sections in order, each with tables, figures and tested claims."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from mavfi.analysis import VIEWS, table, views_for
+from mavfi.analysis.findings import findings
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.table import Table
+from mavfi.campaign.telling import with_flights
+from mavfi.config import parse
+from mavfi.dropped import dropped_name
+from mavfi.errors import BadInputError, write_text, writing
+from mavfi.extras.paper.claims import CLAIMS, claims_table
+from mavfi.extras.paper.steps import SET_UP, Steps
+from mavfi.extras.paper.study import Section, Study
+from mavfi.extras.paper.times import step_table, time_table
+from mavfi.files import LARGEST_TEXT, is_file, read_file
+from mavfi.record import plain
+from mavfi.report.campaign_report import markdown_table
+from mavfi.report.figures import FIGURES, draw, drawing
+from mavfi.report.text import checks, header, versions
+
+FIGURES_FOLDER, TABLES_FOLDER = "figures", "tables"
+MARKDOWN, JSON = "study.md", "study.json"
+
+
+@dataclass(frozen=True, slots=True)
+class SectionReport:
+    """A section of the study with its results."""
+
+    section: Section
+    runs: Runs | None  # of its campaign, with the flights needed by its figures
+    tables: tuple[Table, ...]  # in the order of the section, without empty ones
+    captions: Mapping[str, str] = field(default_factory=dict)  # by figure file, relative to the study's folder
+
+
+@dataclass(frozen=True, slots=True)
+class StudyReport:
+    """A study with the runs of its campaigns and the results of its sections."""
+
+    study: Study
+    campaigns: Mapping[str, Runs]  # by folder
+    sections: tuple[SectionReport, ...]
+    steps: Steps
+    files: tuple[Path, ...] = ()
+
+    @property
+    def headline(self) -> list[SectionReport]:
+        """Sections marked as headline, shown first; all sections if none is marked."""
+        return [one for one in self.sections if one.section.headline and one.tables] or list(self.sections)
+
+    @property
+    def findings(self) -> dict[str, list[str]]:
+        """Findings in sentences by title of their section: tested claims first, then the headline's campaigns."""
+        found = {}
+        for one in self.sections:
+            claims = [entry for table in one.tables if table.name == "claims" for entry in table.entries()]
+            if claims:
+                found[one.section.title] = _verdicts(claims)
+        of_campaigns = {one.section.campaign: one for one in reversed(self.headline) if one.runs is not None}
+        for one in reversed(of_campaigns.values()):
+            lines = findings(one.runs) if one.runs is not None else []
+            if lines:
+                found.setdefault(one.section.title, []).extend(lines)
+        return found
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """All tables by name; those of a campaign begin with its name."""
+        found: dict[str, Table] = {}
+        for one in self.sections:
+            start = "" if one.runs is None else f"{one.runs.campaign['name']}_"
+            found |= {f"{start}{table.name}": table for table in one.tables}
+        return found
+
+    @property
+    def times(self) -> list[Table]:
+        """Tables of wall time by step, if it was flown by `mavfi reproduce`, and of worker time by campaign."""
+        return [
+            table
+            for table in (step_table(self.steps.seconds, self.campaigns), time_table(self.campaigns))
+            if table.rows
+        ]
+
+    @property
+    def programs(self) -> list[str]:
+        """The programs that flew the study, with their commits; empty if it was not flown by `mavfi reproduce`."""
+        return list(dict.fromkeys(run["program"] for run in self.steps.runs))
+
+    @property
+    def provenance(self) -> list[str]:
+        """Lines on where, when, by which program and with which versions the study was flown, and how long it took."""
+        runs, whole = self.steps.runs, sum(self.steps.seconds.values()) / 60
+        lines = [f"Machine: {name}." for name in dict.fromkeys(run["machine"] for run in runs)]
+        if runs:
+            again = f", last resumed {runs[-1]['begun']} (run {len(runs)})" if len(runs) > 1 else ""
+            set_up = ", set-up included" if SET_UP in self.steps.seconds else ""
+            lines.append(f"Begun {runs[0]['begun']}{again}; wall time in all: {whole:.1f} min{set_up}.")
+        lines += [f"Program: {'; then '.join(self.programs)}."] if runs else []
+        flown_with: dict[str, str] = {}
+        for name, text in (one for runs in self.campaigns.values() for one in runs.campaign["versions"].items()):
+            known = flown_with.get(name, text)
+            flown_with[name] = known if text in known.split(" and ") else f"{known} and {text}"
+        return [*lines, f"Versions: {', '.join(versions({'versions': flown_with}))}."]
+
+    @property
+    def digests(self) -> list[str]:
+        """A line for the ledger of each campaign."""
+        return [
+            f"Digest of the ledger in {folder} ({flown.campaign['name']}): {flown.campaign['digest']}."
+            for folder, flown in self.campaigns.items()
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: name, campaigns by folder, programs, provenance; the tables are in files of their own."""
+        campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
+        data: dict[str, Any] = plain({
+            "study": self.study.name, "campaigns": campaigns, "programs": self.programs,
+            "provenance": [*self.provenance, *self.digests],
+        })  # fmt: skip
+        return data
+
+
+def _verdicts(claims: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Sentences on tested claims: their number by verdict, and those that were contradicted."""
+    counts = Counter(claim["verdict"] for claim in claims)
+    parts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in sorted(counts))
+    against = "; ".join(claim["statement"] for claim in claims if claim["verdict"] == "contradicted")
+    return [f"{len(claims)} claims: {parts}.", *([f"Contradicted: {against}."] if against else [])]
+
+
+def check_names(study: Study, where: str) -> None:
+    """Check that all views, figures and claims of a study exist.
+
+    Raises:
+        BadInputError: A name is unknown; `where` identifies the study in the message.
+    """
+    known: dict[str, Mapping[str, Any]] = {"views": VIEWS, "figures": FIGURES, "claims": CLAIMS}
+    for section in study.sections:
+        for key, allowed in known.items():
+            for name in getattr(section, key):
+                if dropped_name(key, name):
+                    raise BadInputError(f"{where}: section {section.title!r}: {dropped_name(key, name)}")
+                if name not in allowed:
+                    raise BadInputError(
+                        f"{where}: section {section.title!r}: {key}: {name!r}: not known; allowed: {', '.join(allowed)}"
+                    )
+
+
+def study_report(study: Study, folder: Path) -> StudyReport:
+    """Compute the tables of a study from its ledgers, and write its figures; no other file is written.
+
+    Args:
+        study: The study, with sections in order.
+        folder: Folder of its ledgers; figures are written to its subfolder `FIGURES_FOLDER`.
+
+    Raises:
+        BadInputError: A campaign does not exist, a name is unknown, or the folder cannot be written.
+    """
+    campaigns = {name: Runs.read(folder / name) for name in study.campaigns}
+    sections = study.sections or tuple(
+        Section(title=found[0].title, campaign=name, views=(found[0].name,))
+        for name, runs in campaigns.items()
+        if (found := views_for(runs))
+    )
+    reports = tuple(_section(section, campaigns, folder) for section in sections)
+    return StudyReport(study, campaigns, reports, Steps.load(folder))
+
+
+def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path) -> SectionReport:
+    runs = campaigns.get(section.campaign)
+    tables = [claims_table(section.claims, campaigns.values())] if section.claims else []
+    captions: dict[str, str] = {}
+    shown = runs
+    if runs is not None:
+        tables += [table(runs, name) for name in section.views]
+        cases = [run_id for name in section.figures for run_id in drawing(name).cases(runs)]
+        shown = with_flights(runs, folder / section.campaign, cases)
+        pictures = folder / FIGURES_FOLDER
+        if section.figures:
+            with writing(pictures):
+                pictures.mkdir(parents=True, exist_ok=True)
+        start = f"{runs.campaign['name']}_"
+        written = draw(shown, pictures, section.figures, start)
+        captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in written.items()}
+    return SectionReport(section, shown, tuple(table for table in tables if table.rows), captions)
+
+
+def write_study(study: Study, scale: str, folder: Path) -> StudyReport:
+    """Analyse a study flown at a scale, and write study.md, study.json, tables (CSV) and figures to its folder.
+
+    Raises:
+        BadInputError: See `study_report`.
+    """
+    found = study_report(study, folder)
+    files = [*write_texts(found, scale, folder), *(name for one in found.sections for name in one.captions)]
+    return replace(found, files=tuple(folder / name for name in files))
+
+
+def write_texts(found: StudyReport, scale: str, folder: Path) -> list[str]:
+    """Write study.md, study.json and tables (CSV) of a study flown at a scale; returns their names.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
+    today = date.today().isoformat()
+    flown = {"date": today, "scale": scale, "definition": found.study.model_dump(mode="json", exclude_defaults=True)}
+    texts = {
+        MARKDOWN: _markdown(found, today, scale),
+        JSON: json.dumps({**flown, **found.to_json()}, indent=1, allow_nan=False) + "\n",
+        **{f"{TABLES_FOLDER}/{name}.csv": table.to_csv() for name, table in found.tables.items()},
+    }
+    with writing(folder / TABLES_FOLDER):
+        (folder / TABLES_FOLDER).mkdir(exist_ok=True)
+    for name, content in texts.items():
+        write_text(folder / name, content)
+    return list(texts)
+
+
+def stored_study(folder: Path) -> tuple[Study, str] | None:
+    """The study that was reported in a folder, and its scale; None if the folder holds no study.
+
+    Raises:
+        BadInputError: The file is invalid, or was written by a version that did not store the study.
+    """
+    path = folder / JSON
+    if not is_file(path):
+        return None
+    try:
+        held = json.loads(read_file(path, LARGEST_TEXT))
+        definition, scale = held["definition"], str(held["scale"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise BadInputError(f"{path}: is no record of a study ({error!r}); `mavfi reproduce` writes it again") from None
+    return parse(Study, definition, f"{path}: definition"), scale
+
+
+def _markdown(found: StudyReport, today: str, scale: str) -> str:
+    parts = [f"# Study {found.study.name}", f"Report of {today}, scale {scale}."]
+    parts.append("\n".join(f"- {line}" for line in (*found.provenance, *found.digests)))
+    for part in found.sections:
+        parts += [f"# {part.section.title}", part.section.text]
+        parts += [f"![{name}]({name})\n\n{text}" for name, text in part.captions.items()]
+        parts += [markdown_table(shown) for shown in part.tables]
+    parts += ["# Campaigns", *map(markdown_table, found.times)]
+    for runs in found.campaigns.values():
+        first, *rest = header(runs.campaign)
+        parts += [f"## {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, *checks(runs)])]
+    return "\n\n".join(part for part in parts if part) + "\n"

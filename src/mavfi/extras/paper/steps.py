@@ -1,0 +1,107 @@
+"""Wall time of a study by step, and the machines that it ran on, kept in its folder: a resumed study adds to them."""
+
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mavfi.errors import BadInputError, writing
+from mavfi.extras.paper.overheads import processor
+from mavfi.version import __version__
+
+FILE = "steps.json"
+"""Name of the file in the folder of a study."""
+SET_UP = "set-up (make setup)"
+"""The first step, which the Makefile times."""
+FLIGHTS = "flights of all campaigns"
+"""The step in which the campaigns fly, together."""
+SET_UP_FILE = Path(sys.prefix) / "setup-seconds"
+"""Written by `make setup` when it has made this virtual environment."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Wall times (s) by step, and when and where each run of the command began."""
+
+    folder: Path
+    seconds: dict[str, float] = field(default_factory=dict)
+    runs: list[dict[str, str]] = field(default_factory=list)  # "begun" (UTC), "machine" and "program"
+
+    @staticmethod
+    def load(folder: Path) -> "Steps":
+        """The steps so far; without any if the folder has no file of them.
+
+        Raises:
+            BadInputError: The file is invalid.
+        """
+        path = folder / FILE
+        try:
+            held = json.loads(path.read_text(encoding="utf-8"))
+            seconds = {str(step): float(spent) for step, spent in held["seconds"].items()}
+            runs = [{key: str(run[key]) for key in ("begun", "machine", "program")} for run in held["runs"]]
+        except FileNotFoundError:
+            return Steps(folder)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            raise BadInputError(f"{path}: is not a file of wall times; remove it") from None
+        return Steps(folder, seconds, runs)
+
+    @staticmethod
+    def begin(folder: Path, workers: int) -> "Steps":
+        """The steps so far, and a new run on this machine; set-up counts once, as that of the first run."""
+        found = Steps.load(folder)
+        spent = set_up_seconds()
+        if spent is not None and SET_UP not in found.seconds:
+            found = replace(found, seconds={SET_UP: spent, **found.seconds})
+        begun = datetime.now(UTC).isoformat(" ", "seconds")
+        where = f"{machine()}, {workers} worker{'s' * (workers != 1)}"
+        found.runs.append({"begun": begun, "machine": where, "program": program()})
+        return found
+
+    @contextmanager
+    def timed(self, step: str) -> Iterator[None]:
+        """Add the wall time of a block to a step, and write the file, also if the block is interrupted."""
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[step] = self.seconds.get(step, 0.0) + time.perf_counter() - begun
+            path, new = self.folder / FILE, self.folder / f".{FILE}"
+            with writing(path):
+                new.write_text(json.dumps({"seconds": self.seconds, "runs": self.runs}, indent=1) + "\n", "utf-8")
+                os.replace(new, path)
+
+
+def set_up_seconds() -> float | None:
+    """Wall time (s) in which `make setup` made this environment; None if it is unknown, or another way was taken."""
+    try:
+        spent = float(SET_UP_FILE.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # a damaged file is no reason not to fly: the time is unknown
+        return None
+    return spent if 0 <= spent < math.inf else None
+
+
+def machine() -> str:
+    """This machine in words: processor, its number of cores, memory and system."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    system = f"{platform.system()} {platform.machine()}"
+    return f"{processor()}, {os.cpu_count()} cores, {memory:.1f} GiB of memory, {system}"
+
+
+def program() -> str:
+    """This program in words: its version, and its commit if it runs in a clone."""
+    root = Path(__file__).parents[3]
+    done = None
+    if (root / ".git").exists():
+        command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]
+        with suppress(OSError):
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+    commit = done.stdout.strip() if done is not None and done.returncode == 0 else ""
+    return f"mavfi {__version__}" + (f", commit {commit}" if commit else "")

@@ -1,0 +1,195 @@
+"""Randomization tests on the means of worlds: worlds are independent, flights within a world are not.
+
+The null distribution comes from random signs of each world's difference, or from permutations of worlds between two
+groups (Fisher's randomization test, exact for few worlds), so the tests are distribution-free.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import scipy
+
+from mavfi.analysis.measures import Measure
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import (
+    Rate,
+    cluster_sums,
+    clustered_rate,
+    draws,
+    percentiles,
+    quantiles,
+    resample,
+)
+
+_RESAMPLES = 9999
+_SEED = 20
+_ENTRIES = 1_000_000
+"""Values of runs in the samples that are held at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """A mean over runs, with its 95 % interval: Wilson's of a rate, else a bootstrap of worlds; None in one world."""
+
+    value: float
+    n: int  # runs
+    bounds: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A difference of means, first - second, and its p value."""
+
+    first: Mean
+    second: Mean
+    worlds: int  # in the test
+    difference: float  # first - second, mean over worlds
+    p_value: float | None  # two-sided; None = fewer than two worlds
+    behind: tuple[str, ...]  # ids of the runs with a value
+
+
+def within_worlds(first: Runs, second: Runs, value: pl.Expr, *, by: str = "world") -> Difference | None:
+    """Compare two groups of runs in the same worlds, with random signs of each world's difference.
+
+    `by` names the column that identifies the world.  Runs with a null value are excluded; None if the groups share no
+    world.
+    """
+    one, other = _by_world(first, value, by), _by_world(second, value, by)
+    shared = [world for world in one if world in other]
+    if not shared:
+        return None
+    differences = np.array([np.mean(one[world]) - np.mean(other[world]) for world in shared])
+    p_value = _p_value((differences,), np.mean, "samples")
+    return _compared(first, second, value, len(shared), float(differences.mean()), p_value)
+
+
+def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
+    """Compare two groups of runs in different worlds, with worlds permuted between them; None if a group is empty."""
+    one, other = _by_world(first, value), _by_world(second, value)
+    if not one or not other:
+        return None
+    means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
+    difference = float(means[0].mean() - means[1].mean())
+    p_value = _p_value(means, _difference, "independent")
+    return _compared(first, second, value, len(one) + len(other), difference, p_value)
+
+
+def _compared(
+    first: Runs, second: Runs, value: pl.Expr, worlds: int, difference: float, p_value: float | None
+) -> Difference:  # fmt: skip
+    ids = (part.where(value.is_not_null()).ids for part in (first, second))
+    behind = tuple(dict.fromkeys(run_id for part in ids for run_id in part))
+    return Difference(_mean(first, value), _mean(second, value), worlds, difference, p_value, behind)
+
+
+CONTRAST = "[95 % interval]: bootstrap of worlds; p: randomization test, settings swapped in whole worlds"
+"""Note below tables with contrasts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast(Rate):
+    """A contrast of quantiles, e.g. a difference (`rate`), with its 95 % interval and p value; n: worlds."""
+
+    p_value: float | None = None  # two-sided; None = fewer than two worlds
+
+
+def contrast(
+    groups: Sequence[Runs], column: str, share: float, of: Callable[..., Any], *, by: str = "world"
+) -> Contrast | None:  # fmt: skip
+    """Contrast the quantiles of groups of runs in the same worlds.
+
+    The interval is a bootstrap of worlds, each with its runs of all groups.  The p value is that of the difference of
+    the first two groups, which are swapped in whole worlds; it holds for a maximum, too, whose bootstrap is too narrow.
+
+    Args:
+        groups: Two groups or more; runs with a null value are excluded.
+        column: With the values.
+        share: Of the quantile; 1 = the maximum.
+        of: Contrast of the quantiles, one argument per group: numbers, or arrays of shape (samples,).
+        by: Column that identifies the world.
+
+    Returns:
+        None if a group is empty.
+    """
+    parts = [group.frame.select(by, value=column, group=pl.lit(place)) for place, group in enumerate(groups)]
+    rows = pl.concat(parts).drop_nulls().sort("value")
+    values, group = rows["value"].to_numpy(), rows["group"].to_numpy()
+    if set(group) != set(range(len(groups))):
+        return None
+    places = {world: place for place, world in enumerate(rows[by].unique(maintain_order=True))}
+    world = np.array([places[one] for one in rows[by]])
+
+    def found(counts: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
+        return [quantiles(values, counts * (own == place), share) for place in range(len(groups))]
+
+    def swapped(signs: np.ndarray, axis: int = -1) -> np.ndarray:
+        del axis
+        flipped = (np.atleast_2d(signs)[:, world] < 0) & (group < 2)
+        first, second, *_ = found(np.ones(flipped.shape, np.int32), np.where(flipped, 1 - group, group))
+        difference: np.ndarray = (first - second).reshape(signs.shape[:-1])
+        return difference
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        low, high = percentiles(of(*found(draws(len(places))[:, world], group)))
+        value = float(of(*found(np.ones((1, len(values)), np.int32), group))[0])
+    p_value = _p_value((np.ones(len(places)),), swapped, "samples", batch=max(1, _ENTRIES // len(values)))
+    return Contrast(len(places), value, low, high, None, p_value)
+
+
+def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
+    key: str, heading: str, form: str, groups: Callable[[Runs], Sequence[Runs]], column: str, share: float,
+    of: Callable[..., Any], *, by: str = "world",
+) -> Measure:  # fmt: skip
+    """A column of contrasts; `groups` maps the rows of a group to the compared ones, none = no cell."""
+
+    def counted(own: Runs) -> Runs:
+        compared = groups(own)
+        return replace(own, frame=pl.concat([one.frame for one in compared])) if compared else own
+
+    def cell(own: Runs) -> Contrast | None:
+        compared = groups(own)
+        return contrast(compared, column, share, of, by=by) if compared else None
+
+    return Measure(key, heading, form, cell, counted=counted)
+
+
+def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:
+    difference: np.ndarray = np.mean(first, axis=axis) - np.mean(second, axis=axis)
+    return difference
+
+
+def _by_world(runs: Runs, value: pl.Expr, by: str = "world") -> dict[str, list[float]]:
+    rows = runs.frame.select(by, value=value.cast(pl.Float64)).drop_nulls()
+    parts = rows.partition_by(by, maintain_order=True, as_dict=True)
+    return {str(world): part["value"].to_list() for (world,), part in parts.items()}
+
+
+def _mean(runs: Runs, value: pl.Expr) -> Mean:
+    rows = runs.frame.select("world", value=value).drop_nulls()
+    worlds, values = rows["world"].to_list(), rows["value"].cast(pl.Float64).to_numpy()
+    bounds = None
+    if rows["world"].n_unique() > 1 and rows["value"].dtype == pl.Boolean:
+        rate = clustered_rate(rows["value"].to_list(), worlds)
+        bounds = (rate.low or 0.0, rate.high or 0.0)
+    elif rows["world"].n_unique() > 1:
+        totals = resample(cluster_sums(worlds, values, np.ones(len(values))))
+        bounds = percentiles(totals[:, 0] / totals[:, 1])
+    return Mean(float(values.mean()), len(values), bounds)
+
+
+def _p_value(
+    data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str, batch: int | None = None
+) -> float | None:  # fmt: skip
+    """Two-sided p value of a randomization test (deterministic); None with fewer than two worlds in a group."""
+    if any(len(part) < 2 for part in data):
+        return None
+    if not any(part.any() for part in data):
+        return 1.0
+    found = scipy.stats.permutation_test(
+        data, statistic, permutation_type=kind, vectorized=True, n_resamples=_RESAMPLES,
+        batch=batch, rng=np.random.default_rng(_SEED),
+    )  # fmt: skip
+    return float(min(1.0, found.pvalue))

@@ -1,0 +1,97 @@
+"""`mavfi inject`: flip a bit in a register of a running process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from mavfi.cli import options
+from mavfi.cli.console import check_seed, console, write_json
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import DEFAULT_WALK
+
+if TYPE_CHECKING:
+    from mavfi.record import Injection
+
+
+def inject(  # noqa: PLR0913 - one parameter per option
+    pid: Annotated[int | None, typer.Option(help="Process to inject; one of your own.")] = None,
+    ros_node: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
+    ] = None,
+    symbol: Annotated[
+        str, typer.Option(help="Inject at the next call of this function: its name, or a part that no other has.")
+    ] = "",
+    registers: Annotated[str, typer.Option(help="general (with the flags), fp (XMM, YMM), or all.")] = "all",
+    access: Annotated[
+        str,
+        typer.Option(
+            help="Inject what the next instruction reads, or what it has written: read, write, either.",
+            show_default="either with --symbol, otherwise read",
+        ),
+    ] = "",
+    walk: Annotated[
+        int,
+        typer.Option(
+            help="From the stop on, fewer than this many instructions are executed before the injection.",
+            show_default=f"{DEFAULT_WALK} with --symbol, otherwise 1",
+        ),
+    ] = 0,
+    count: Annotated[int, typer.Option(help="How many injections.")] = 1,
+    timeout: Annotated[float, typer.Option(help="Longest wait for an injection, s.")] = 10.0,
+    seed: Annotated[int, typer.Option(help="Draws length of walk, register and bit.")] = 0,
+    null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Flip one bit in one register of a running process (x86-64 Linux), and report the injection.
+
+    The process needs no preparation. Its busiest thread, or the first to call --symbol, is injected. It is stopped for
+    about a millisecond, then continues.
+
+    Example: [bold]mavfi inject --pid 1234 --registers fp --seed 3[/bold]
+    """
+    check_seed("--seed", seed)
+
+    from mavfi.extras.registers import inject as inject_register
+    from mavfi.faults.fault import RegisterFault
+
+    fault = RegisterFault(registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed)
+    process = _process(pid, ros_node)
+    done = inject_register(process, fault, count, None if as_json else _report)
+    if as_json:
+        injections = [injection.to_json() for injection in done]
+        write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
+
+
+def _process(pid: int | None, ros_node: str | None) -> int:
+    """Process id from --pid or --ros-node, exactly one of which must be given."""
+    if (pid is None) == (ros_node is None):
+        raise BadInputError("--pid, --ros-node: allowed: one of them")
+    if pid is not None:
+        return pid
+    from mavfi.extras.ros.node.master import Master
+
+    assert ros_node is not None
+    return Master().node_pid(ros_node)
+
+
+def _report(injection: Injection) -> None:
+    """Print one injection in two lines; operands and names are never interpreted as markup."""
+    known = injection.details
+    when = "before" if known["access"] == "read" else "after"
+    done, values = "injected", f"{injection.before} → {injection.after}"
+    if not injection.activated:
+        done = "NOT injected as planned"
+    elif injection.before == injection.after:
+        done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
+    out = console()
+    out.print(Text.assemble(
+        f"pid {known['pid']}, thread {known['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
+        f"{when} ", (known["instruction"], "bold"), f": {values}",
+    ))  # fmt: skip
+    out.print(Text(
+        f"  at {known['address']}, {known['symbol'] or known['offset']} in {known['library']}; "
+        f"stood still for {known['stopped_us'] / 1000:.2f} ms", style="dim",
+    ))  # fmt: skip

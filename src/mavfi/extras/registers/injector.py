@@ -1,0 +1,279 @@
+"""One injection: stop the target, find an instruction, flip a bit, release the target.
+
+Killing the tracer while it single-steps the target kills the target as well: the kernel leaves single-stepping on (in
+`__ptrace_unlink`), and nobody handles the SIGTRAP.  Without steps (`RegisterFault.steps`), the default where no
+breakpoint is set, the target survives.
+
+The stop determines the location of the flip.  A stop from outside occurs at few instructions, always the same (skid);
+with `RegisterFault.walk` a random number of instructions is single-stepped before the injection.  This spreads
+injections over the code near the stop, not over the program: for rates per instruction use the level `instruction`.
+"""
+
+import os
+import random
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.registers.addresses import AddressSpace
+from mavfi.extras.registers.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
+from mavfi.extras.registers.registers import Instruction, Register, decode, enters_kernel, flip, value_of
+from mavfi.extras.registers.target import busiest_thread, check_target, not_permitted, threads_of
+from mavfi.faults.fault import RegisterFault
+from mavfi.record import Injection
+
+_REACH = 40
+"""Instructions after the walk within which the first eligible one is injected."""
+_PAUSES = (2e-4, 5e-3)
+"""Shortest and longest time between two attempts (s)."""
+_STEP_LIMIT = 2.0
+_NAP = 1e-3
+_LONGEST_INSTRUCTION = 15
+_VERBS = {"read": "reads", "write": "writes", "either": "reads or writes"}
+_NOUNS = {"general": "a general register", "fp": "an fp register", "all": "a register"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Shared context of all attempts at one injection."""
+
+    pid: int
+    fault: RegisterFault
+    choices: random.Random
+    deadline: float
+    cancelled: Callable[[], bool]
+
+    def is_over(self) -> bool:
+        return time.monotonic() > self.deadline or self.cancelled()
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """An injection, before its address is resolved to a location."""
+
+    address: int
+    instruction: Instruction
+    access: str
+    register: Register
+    bit: int
+    before: int
+    after: int
+
+
+@dataclass(slots=True)
+class _Attempt:
+    """The stopped target: thread, file of its memory, start and finally duration of the stop (s).
+
+    `walked` instructions have been single-stepped.
+    """
+
+    tracee: Tracee
+    memory: int
+    since: float
+    walked: int = 0
+    done: Done | None = None
+    stopped: float = 0.0
+
+    def walk(self, count: int) -> bool:
+        """Single-step instructions; False before one that would enter the kernel, which may block."""
+        for _ in range(count):
+            code = os.pread(self.memory, _LONGEST_INSTRUCTION, self.tracee.instruction_pointer())
+            if enters_kernel(code):
+                return False
+            self.tracee.step(_STEP_LIMIT)
+            self.walked += 1
+        return True
+
+
+def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool]) -> Injection:
+    """Flip one bit of a process; returns the injection, with time 0.
+
+    Each injection has a number that seeds its own random choices; `tool` is the calling process, which is never a
+    target; `cancelled` is polled while waiting, and True ends the wait.
+
+    Raises:
+        BadInputError: The target is rejected.
+        MavfiError: The target ended, or did not reach an eligible instruction in time.
+    """
+    check_target(pid, tool)
+    search = _Search(pid, fault, random.Random(f"{fault.seed}/{number}"), time.monotonic() + fault.timeout, cancelled)
+    attempts = 0
+    decode(b"\x90", 0)  # builds the decoder while the target still runs
+    try:
+        while True:
+            attempts += 1
+            with closing(AddressSpace(pid)) as space:
+                with _stopped(search, space) as attempt:
+                    attempt.done = _try(search, attempt)
+                    if attempt.done is not None:
+                        space.read()
+                if attempt.done is not None:
+                    return _record(search, attempt, attempt.done, attempts, space)
+            if search.is_over():
+                raise TracerTimeoutError(
+                    f"pid {pid}: found no instruction that {_VERBS[fault.access]} {_NOUNS[fault.registers]} "
+                    f"({attempts} stops in {fault.timeout:g} s, system calls excluded"
+                    f"{'' if fault.steps else '; --walk looks further'})"
+                )
+            time.sleep(search.choices.uniform(*_PAUSES))
+    except TargetGoneError as error:
+        raise MavfiError(f"pid {pid}: {error} before the injection") from None
+    except PermissionError:
+        raise BadInputError(f"pid {pid}: may not be traced ({not_permitted()})") from None
+    except (ProcessLookupError, ChildProcessError, FileNotFoundError):
+        raise MavfiError(f"pid {pid}: ended before the injection") from None
+
+
+def _try(search: _Search, attempt: _Attempt) -> Done | None:
+    """Walk, and flip a bit at the first eligible instruction; None if there is none."""
+    fault, choices = search.fault, search.choices
+    if attempt.tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
+        return None
+    return flip_here(fault, choices, attempt.tracee, attempt.memory, attempt.walk)
+
+
+def flip_here(
+    fault: RegisterFault, choices: random.Random, tracee: Tracee, memory: int, walk: Callable[[int], bool]
+) -> Done | None:
+    """Flip a bit at the first eligible instruction, beginning with the next one of a stopped thread.
+
+    Args:
+        fault: The fault.
+        choices: Draws access, register and bit.
+        tracee: The thread.
+        memory: File of its memory.
+        walk: Executes a number of instructions; False = the thread cannot continue.
+
+    Returns:
+        The injection; None if no instruction within reach is eligible.
+    """
+    access = choices.choice(("read", "write")) if fault.access == "either" else fault.access
+    for left in reversed(range(_REACH if fault.steps else 1)):
+        address = tracee.instruction_pointer()
+        instruction = decode(os.pread(memory, _LONGEST_INSTRUCTION, address), address)
+        if instruction is None:
+            return None
+        registers = _qualifying(instruction, access, fault.registers)
+        if registers and not (instruction.enters_kernel and access == "write"):
+            register = choices.choice(registers)
+            bit = choices.choice(register.bits)
+            if access == "write":
+                tracee.step(_STEP_LIMIT)
+            before = value_of(tracee, register)
+            if not fault.null:
+                flip(tracee, register, bit)
+            return Done(address, instruction, access, register, bit, before, value_of(tracee, register))
+        if not left or not walk(1):
+            return None
+    return None
+
+
+def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Register]:
+    registers = instruction.reads if access == "read" else instruction.writes
+    return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
+
+
+def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space: AddressSpace) -> Injection:
+    """The injection record."""
+    details = {
+        "pid": search.pid, "thread": attempt.tracee.thread, "attempts": attempts, "walked": attempt.walked,
+        "stopped_us": round(1e6 * attempt.stopped),
+    }  # fmt: skip
+    return injection_of(done, space, search.fault, details)
+
+
+def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]) -> Injection:
+    """The record of an injection, with time 0; values and addresses are hexadecimal text, for up to 256 bits."""
+    place = space.place(done.address)
+    return Injection(
+        fault.level, done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
+        done.after == done.before ^ (0 if fault.null else 1 << done.bit),
+        details={
+            "address": f"{done.address:#x}", "library": place.library, "offset": f"{place.offset:#x}",
+            "symbol": place.symbol, "instruction": done.instruction.text, "access": done.access,
+            "register": done.register.name, "width": done.register.width, **details,
+        },
+    )  # fmt: skip
+
+
+@contextmanager
+def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
+    """Stop the thread to be injected; it is released in any case."""
+    pid, fault = search.pid, search.fault
+    with ExitStack() as cleanup:
+        memory = os.open(f"/proc/{pid}/mem", os.O_RDONLY)
+        cleanup.callback(os.close, memory)
+        if fault.symbol:
+            tracee, since = _stop_at(search, space, cleanup)
+        else:
+            tracee = Tracee(busiest_thread(pid), cancelled=search.cancelled)
+            cleanup.callback(tracee.detach)
+            time.sleep(search.choices.uniform(*_PAUSES))
+            since = time.perf_counter()
+            tracee.interrupt(_STEP_LIMIT)
+        attempt = _Attempt(tracee, memory, since)
+        yield attempt
+        tracee.detach()
+        attempt.stopped = time.perf_counter() - since
+
+
+def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[Tracee, float]:
+    """Stop the first thread that calls the function; returns it and the time (s).  All others are released."""
+    pid, fault = search.pid, search.fault
+    address = space.find(fault.symbol)
+    held: dict[int, Tracee] = {}
+
+    def let_go() -> None:
+        for tracee in held.values():
+            tracee.detach()
+
+    cleanup.callback(let_go)
+    for thread in threads_of(pid):
+        try:
+            held[thread] = Tracee(thread, cancelled=search.cancelled)
+            held[thread].interrupt(_STEP_LIMIT)
+            held[thread].follow_threads()
+            held[thread].set_breakpoint(address)
+            held[thread].resume()
+        except (ProcessLookupError, PermissionError, TargetGoneError):  # no permission: it is ending
+            if thread == pid:
+                raise
+            held.pop(thread, None)  # a thread that has ended since it was listed
+    arrived = _first_at(address, held, search)
+    since = time.perf_counter()
+    arrived.clear_breakpoint()
+    del held[arrived.thread]
+    cleanup.callback(arrived.detach)
+    let_go()
+    held.clear()
+    return arrived, since
+
+
+def _first_at(address: int, held: dict[int, Tracee], search: _Search) -> Tracee:
+    """Wait for the first thread to reach an address; includes newly created threads."""
+    while held:
+        thread, status = os.waitpid(-1, WAIT_ALL | os.WNOHANG)
+        if not thread:
+            if search.is_over():
+                fault = search.fault
+                raise TracerTimeoutError(f"pid {search.pid}: did not call {fault.symbol!r} within {fault.timeout:g} s")
+            await_news(_NAP)
+            continue
+        new = thread not in held
+        if new:  # created by a traced thread
+            held[thread] = Tracee(thread, seize=False, cancelled=search.cancelled)
+        tracee = held[thread]
+        try:
+            stop = tracee.note(status)
+        except TargetGoneError:
+            del held[thread]
+            continue
+        if new:
+            tracee.set_breakpoint(address)
+        elif not stop.signal and not stop.interrupted and tracee.instruction_pointer() == address:
+            return tracee
+        tracee.resume(stop.signal)
+    raise TargetGoneError("the target ended")

@@ -1,0 +1,164 @@
+"""Registers read and written by an instruction, and bit flips in them."""
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+import capstone
+from capstone import x86_const as x86
+
+from mavfi.extras.registers.ptrace import Tracee
+
+_FLAGS = {"CF": 0, "PF": 2, "AF": 4, "ZF": 6, "SF": 7, "OF": 11}
+_VECTOR = re.compile(r"([xy])mm(\d+)$")
+_LAST_VECTOR = 15
+_COMPARES = ("vucomis", "vcomis")
+"""Comparisons for which the decoder omits that they set flags: all six (Intel SDM, vol. 2, UCOMISD)."""
+_MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
+"""A masked first operand, whose write the decoder omits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A register as named by an instruction, e.g. "eax", "xmm3", "rflags".
+
+    It starts at bit `shift` of its holder, which is "" for vector registers; those have an index. `bits` are the
+    injectable bits, counted from the start of the register.
+    """
+
+    name: str
+    holder: str
+    index: int
+    shift: int
+    bits: tuple[int, ...]
+
+    @property
+    def width(self) -> int:
+        """Size in bits."""
+        return max(self.bits) + 1 if self.name == "rflags" else len(self.bits)
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it is XMM or YMM."""
+        return not self.holder
+
+
+def _general() -> dict[str, Register]:
+    families = [[(f"r{x}x", 64), (f"e{x}x", 32), (f"{x}x", 16), (f"{x}l", 8), (f"{x}h", 8)] for x in "abcd"]
+    families += [[(f"r{x}", 64), (f"e{x}", 32), (x, 16), (f"{x}l", 8)] for x in ("si", "di", "bp", "sp")]
+    families += [[(f"r{x}", 64), (f"r{x}d", 32), (f"r{x}w", 16), (f"r{x}b", 8)] for x in range(8, 16)]
+    return {
+        name: Register(name, family[0][0], 0, 8 if name[-1] == "h" else 0, tuple(range(width)))
+        for family in families
+        for name, width in family
+    }
+
+
+_GENERAL = _general()
+
+
+@lru_cache(maxsize=1)
+def _decoder() -> capstone.Cs:
+    decoder = capstone.Cs(capstone.CS_ARCH_X86, capstone.CS_MODE_64)
+    decoder.detail = True
+    return decoder
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """A decoded instruction: mnemonic and operands, and the registers that it reads and writes.
+
+    Stepping over an instruction that enters the kernel (a system call) may block.
+    """
+
+    text: str
+    enters_kernel: bool
+    reads: tuple[Register, ...]
+    writes: tuple[Register, ...]
+
+
+_PREFIXES = b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65" + bytes(range(0x40, 0x50))
+_SYSCALL, _SYSENTER, _INT = b"\x0f\x05", b"\x0f\x34", b"\xcd"
+
+
+@lru_cache(maxsize=4096)
+def enters_kernel(code: bytes) -> bool:
+    """`Instruction.enters_kernel` of the instruction at the start of `code`, without decoding (Intel SDM, vol. 2)."""
+    return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
+
+
+@lru_cache(maxsize=4096)
+def decode(code: bytes, address: int) -> Instruction | None:
+    """The instruction at the start of up to 15 bytes at an address; None if unknown to the decoder."""
+    found = next(_decoder().disasm(code, address, 1), None)
+    if found is None:
+        return None
+    read, written = found.regs_access()
+    text = f"{found.mnemonic} {found.op_str}".rstrip()
+    writes = _registers(found, written, _FLAGS_WRITTEN)
+    if found.mnemonic.startswith(_COMPARES):
+        writes += _ALL_FLAGS
+    masked = _MASKED.match(found.op_str)
+    if masked and all(register.name != masked[0] for register in writes):
+        writes += _vector(masked[0], found.mnemonic)
+    return Instruction(
+        text, found.mnemonic in ("syscall", "sysenter", "int"), _registers(found, read, _FLAGS_READ), writes
+    )  # fmt: skip
+
+
+def _flag_masks(*verbs: str) -> dict[str, int]:
+    """Capstone's `eflags` bits for the given actions on each flag."""
+    return {flag: sum(getattr(x86, f"X86_EFLAGS_{verb}_{flag}", 0) for verb in verbs) for flag in _FLAGS}
+
+
+_FLAGS_READ = _flag_masks("TEST")
+_FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
+_ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
+
+
+def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
+    chosen = []
+    for number in numbers:
+        name = found.reg_name(number)
+        if name in _GENERAL:
+            chosen.append(_GENERAL[name])
+        elif name == "rflags":  # only flags that the instruction tests or sets: the others would all be masked
+            bits = tuple(place for flag, place in _FLAGS.items() if found.eflags & flags[flag])
+            chosen += [Register("rflags", "rflags", 0, 0, bits)] if bits else []
+        else:
+            chosen += _vector(name, found.mnemonic)
+    return tuple(chosen)
+
+
+def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
+    """An injectable vector register; empty if the name is not one."""
+    found = _VECTOR.match(name)
+    if found is None or int(found[2]) > _LAST_VECTOR:
+        return ()
+    return (Register(name, "", int(found[2]), 0, tuple(range(_used_bits(mnemonic, found[1])))),)
+
+
+def _used_bits(mnemonic: str, kind: str) -> int:
+    """Bits of a vector register that the instruction uses: one number for scalar arithmetic."""
+    if kind == "y":
+        return 256
+    if mnemonic.endswith("sd"):
+        return 64
+    return 32 if mnemonic.endswith("ss") else 128
+
+
+def value_of(tracee: Tracee, register: Register) -> int:
+    """Value of a register of a stopped thread."""
+    whole = tracee.vector(register.index) if register.is_vector else tracee.general()[register.holder]
+    return (whole >> register.shift) % (1 << register.width)
+
+
+def flip(tracee: Tracee, register: Register, bit: int) -> None:
+    """Flip a bit of a register of a stopped thread."""
+    mask = 1 << (register.shift + bit)
+    if register.is_vector:
+        tracee.set_vector(register.index, tracee.vector(register.index) ^ mask)
+        return
+    held = tracee.general()
+    held[register.holder] ^= mask
+    tracee.set_general(held)

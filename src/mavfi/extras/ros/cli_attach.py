@@ -1,0 +1,239 @@
+"""`mavfi ros list | corrupt | watch`: inspect, inject into and monitor any running ROS 1 application."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError, MavfiError
+
+if TYPE_CHECKING:
+    from mavfi.detectors.detector import Detector
+    from mavfi.extras.logs.probe import Probe
+    from mavfi.extras.ros.node.relay import Relay
+    from mavfi.extras.ros.node.survey import Survey
+    from mavfi.extras.ros.node.watch import Listener
+    from mavfi.faults.levels.message.definition import Definition
+    from mavfi.faults.levels.message.injector import MessageInjector
+    from mavfi.record import Injection
+
+_LONGEST_S = 7 * 86_400.0
+_AFTERWARDS_S = 0.2
+"""Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
+_POLL_S = 0.01
+
+
+def list_graph(
+    seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
+
+    Example: [bold]mavfi ros list[/bold]
+    """
+    check_number("--seconds", seconds, 0.0, 3600.0)
+    from mavfi.extras.ros.node.master import Master
+    from mavfi.extras.ros.node.survey import survey
+
+    found = survey(Master(), seconds)
+    if as_json:
+        write_json(found.to_json())
+        return
+    out = console()
+    for table in _tables(found):
+        out.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = titled_table(title)
+    for column in columns:
+        table.add_column(column, justify="right" if column in ("pid", "Hz") else "left", overflow="fold")
+    return table
+
+
+def _tables(found: Survey) -> tuple[Table, Table]:
+    nodes = _table(f"Nodes at {found.master}", "node", "pid", "executable", "publishes", "reads")
+    for node in found.nodes:
+        pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
+        executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
+        nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
+    topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
+    for topic in found.topics:
+        rate = "" if topic.rate is None else f"{topic.rate:.1f}"
+        topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
+    return nodes, topics
+
+
+def corrupt(  # noqa: PLR0913 - one parameter per option
+    topic: Annotated[str, typer.Option(help="Whose messages are changed.")],
+    field: Annotated[str, typer.Option(help="A number in them, e.g. position\\[0] or pose.position.x.")],
+    bit: Annotated[int | None, typer.Option(help="0 = least significant; drawn by default.")] = None,
+    at: Annotated[int, typer.Option(help="First message that may be changed, counted from 1.")] = 1,
+    rate: Annotated[
+        float | None, typer.Option(help="Change each message with this probability, until Ctrl-C; one by default.")
+    ] = None,
+    node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
+    seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
+    as_json: options.AsJson = False,
+) -> None:
+    r"""Flip bits of a numeric field in the messages of any topic, without restarting any node.
+
+    Subscribers are redirected to mavfi, and back to their publishers at the end, even if mavfi is killed.
+
+    Example: [bold]mavfi ros corrupt --topic /joint_states --field 'position\[0]' --bit 51 --at 10[/bold]
+    """
+    check_seed("--seed", seed)
+    check_number("--duration", duration, 0.0, _LONGEST_S)
+    from mavfi.extras.ros.node.master import Master
+    from mavfi.extras.ros.node.relay import Relay
+    from mavfi.faults.fault import MessageFault
+    from mavfi.faults.levels.message.injector import MessageInjector, check_fault
+
+    fault = MessageFault(topic, field, bit, at, rate, seed=seed)
+    injector = MessageInjector(fault, None if as_json else _tell)
+    relay = Relay(Master(), topic, injector, partial(check_fault, fault), node)
+    with stoppable("Stopped. The graph is as it was."), relay:
+        try:
+            _run(relay, injector, duration)
+        finally:
+            injector.stop()
+            if as_json:
+                done = [injection.to_json() for injection in injector.injections]
+                write_json({"topic": relay.topic, "passed": relay.passed, "injections": done})
+    if not as_json:
+        console().print(f"{relay.passed} messages passed, {len(injector.injections)} injected; the graph is as it was")
+
+
+def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> None:
+    """Relay messages until the fault has been injected, or the duration has elapsed."""
+    for failure in relay.failures:
+        console(error=True).print(f"not turned: {failure}", markup=False)
+    end = time.monotonic() + (_LONGEST_S if duration is None else duration)
+    while time.monotonic() < end:
+        if relay.error is not None:
+            raise MavfiError(f"topic {relay.topic}: {relay.error}")
+        if injector.fault.rate is None and injector.done.wait(_POLL_S):
+            break
+        time.sleep(_POLL_S)
+    injector.stop()
+    time.sleep(_AFTERWARDS_S)
+
+
+def _tell(injection: Injection) -> None:
+    """Print one injection in one line."""
+    details = injection.details
+    verdict = "verified" if injection.activated else "NOT verified"
+    console().print(
+        f"{details['topic']} message {details['message']}: [bold]{escape(details['field'])}[/bold] "
+        f"({details['kind']}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
+        f"{details['readers']} readers, {verdict}"
+    )
+
+
+def watch(  # noqa: PLR0913 - one parameter per option
+    topics: Annotated[str, typer.Option(metavar="TOPIC,...", help="What is watched.")],
+    fields: Annotated[
+        str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
+    ] = "",
+    detector: Annotated[str, typer.Option(help=f"{options.DETECTORS}, or package:Class.")] = "gaussian",
+    profile: options.WatchProfile = "tuned",
+    train: Annotated[
+        str, typer.Option(metavar="FILE.bag|online", help="A ROS 1 bag of normal messages, or what comes first.")
+    ] = "online",
+    learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
+    duration: options.Duration = None,
+    as_json: options.AsJson = False,
+) -> None:
+    r"""Monitor numeric fields of any topics with one of the paper's detectors; alarms are printed and published.
+
+    They are published on /mavfi/alarm, as JSON text.
+
+    Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
+    """
+    from mavfi.detectors.preprocess import PROFILES
+
+    check_number("--learn", learn_s, 0.1, _LONGEST_S)
+    check_number("--duration", duration, 0.0, _LONGEST_S)
+    check_name("--profile", profile, PROFILES)
+    from mavfi.extras.ros.node.master import Master
+    from mavfi.extras.ros.node.watch import Listener, Watch
+
+    names = options.listed(topics)
+    if not names:
+        raise BadInputError(f"--topics: {topics!r}: allowed: names, with commas between")
+    listener = Listener(Master(), names)
+    out = console()
+    with stoppable("Stopped. The graph is as it was."), listener:
+        probes, trained, used = _trained(listener, (detector, profile), options.listed(fields), train, learn_s)
+        watching = Watch(listener, probes, trained)
+        if not as_json:
+            out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
+        try:
+            for topic, message in listener.take(_LONGEST_S if duration is None else duration):
+                alarm = watching.judge(topic, message)
+                if alarm is not None and not as_json:
+                    named = ", ".join(f"{f} = {v}" for f, v in zip(alarm.fields, alarm.values, strict=False))
+                    out.print(f"{topic} message {alarm.message}: {named}, score {alarm.score:.3g}", markup=False)
+        finally:
+            if as_json:
+                write_json({
+                    "learned_from": used, "judged": dict(watching.judged), "skipped": dict(watching.skipped),
+                    "alarms": [alarm.to_json() for alarm in watching.alarms],
+                })  # fmt: skip
+    if not as_json:
+        out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")
+
+
+def _trained(
+    listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
+) -> tuple[dict[str, Probe], Detector, int]:
+    """Monitored fields, trained detector, and number of training messages."""
+    from mavfi.detectors.registry import of_monitored_fields
+    from mavfi.extras.logs.probe import make_probes
+    from mavfi.extras.ros.node.watch import train
+
+    check_name("--detector", chosen[0], of_monitored_fields())
+    if source == "online":
+        probes = make_probes(listener.first(), fields)
+        return probes, *train(*chosen, probes, listener.take(seconds))
+    return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
+
+
+def trained_on_file(
+    source: Path,
+    topics: Sequence[str],
+    definitions: Mapping[str, Definition],
+    chosen: tuple[str, str],
+    fields: list[str],
+) -> tuple[dict[str, Probe], Detector, int]:
+    """Monitored fields, detector trained on a file, and number of training messages.
+
+    Raises:
+        BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
+    """
+    from mavfi.extras.logs import open_flight_log
+    from mavfi.extras.logs.probe import make_probes
+    from mavfi.extras.ros.node.watch import train
+
+    try:
+        messages = list(open_flight_log(source).messages(topics))
+        first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
+        for topic, definition in definitions.items():
+            if topic in first and definition != first[topic][0]:
+                raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
+        probes = make_probes(first, fields)
+        parts = ((message.topic, message.data) for message in messages)
+        return probes, *train(*chosen, probes, parts)
+    except MavfiError as error:
+        raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

@@ -1,0 +1,169 @@
+"""Monitors numeric fields of any application's topics with GAD or AAD, trained from a bag or the first messages.
+
+The detectors are observers: they withhold no message, and publish their alarms on a topic.
+"""
+
+import json
+import os
+import queue
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+from mavfi.detectors.detector import Detector
+from mavfi.detectors.foreign import foreign_state, learn
+from mavfi.errors import MavfiError
+from mavfi.extras.logs.probe import Probe
+from mavfi.extras.ros.node.guardian import Guardian, Registered
+from mavfi.extras.ros.node.master import Master, absolute
+from mavfi.extras.ros.node.message import Composer
+from mavfi.extras.ros.node.peer import Outlet, Peer
+from mavfi.extras.ros.node.relay import sources_of
+from mavfi.faults.levels.message.definition import Definition
+
+ALARM_TOPIC, ALARM_TYPE = "/mavfi/alarm", "std_msgs/String"
+FIRST_PATIENCE_S = 10.0
+"""Time limit for the first message of a topic (s), which determines the available fields."""
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignAlarm:
+    """An alarm on one message.
+
+    Attributes:
+        time_s: Wall-clock time (s since 1970).
+        message: Sequence number among the checked messages of its topic, from 1.
+        score: Anomaly score, relative to the threshold; > 1 is an alarm.
+        fields: The anomalous fields; `values`: their values as text.
+    """
+
+    time_s: float
+    topic: str
+    message: int
+    detector: str
+    score: float
+    fields: tuple[str, ...]
+    values: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The alarm as plain data."""
+        return asdict(self)
+
+
+class Listener:
+    """Subscribes to topics of a running graph, as a node, from `__enter__` to `__exit__`; collects one queue.
+
+    Raises:
+        BadInputError: A topic is unknown or has no publisher.
+    """
+
+    def __init__(self, master: Master, topics: Sequence[str]) -> None:
+        graph = master.graph()
+        self.topics = list(dict.fromkeys(absolute(topic) for topic in topics))
+        self._messages: queue.Queue[tuple[str, bytes]] = queue.Queue()
+        self._master = master
+        self.definitions: dict[str, Definition] = {}
+        for topic in self.topics:
+            sources = sources_of(master, graph, topic)
+            self.definitions[topic] = sources[0].definition()
+            for source in sources:
+                source.close()
+
+    def __enter__(self) -> "Listener":
+        self._guardian = Guardian(self._master.uri)
+        self._peer = Peer(self._master, f"/mavfi_watch_{os.getpid()}")
+        for topic in self.topics:
+            self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri, "Subscriber"))
+            self._peer.subscribe(topic, partial(self._arrived, topic))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._guardian.undo()
+        self._peer.close()
+
+    def _arrived(self, topic: str, message: bytes) -> None:
+        self._messages.put((topic, message))
+
+    def speak(self, topic: str, kind: str) -> tuple[Outlet, Composer]:
+        """Publish on a topic until `__exit__`."""
+        composer = Composer(kind)
+        self._guardian.remember(Registered(topic, self._peer.name, self._peer.uri))
+        return self._peer.advertise(topic, composer.header), composer
+
+    def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:
+        """Messages in order of arrival, for a duration (s)."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            try:
+                yield self._messages.get(timeout=min(left, _POLL_S))
+            except queue.Empty:
+                continue
+
+    def first(self) -> dict[str, tuple[Definition, bytes]]:
+        """Definition and one message of each topic; `MavfiError` if a topic has no messages."""
+        found: dict[str, tuple[Definition, bytes]] = {}
+        for topic, message in self.take(FIRST_PATIENCE_S):
+            found.setdefault(topic, (self.definitions[topic], message))
+            if len(found) == len(self.topics):
+                return found
+        silent = [topic for topic in self.topics if topic not in found]
+        raise MavfiError(f"topic {silent[0]}: no message within {FIRST_PATIENCE_S:g} s; nothing can be watched")
+
+
+class Watch:
+    """Checks messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
+
+    Attributes:
+        alarms: All alarms so far.
+        judged: Number of checked messages by topic.
+        skipped: Number of messages that lack a monitored field, by topic.
+    """
+
+    def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector) -> None:
+        self._probes, self._detector = probes, detector
+        self.alarms: list[ForeignAlarm] = []
+        self.judged: Counter[str] = Counter()
+        self.skipped: Counter[str] = Counter()
+        self._detector.start()
+        for probe in probes.values():  # compile in advance, as messages would queue up meanwhile
+            self._detector.check(foreign_state(probe.spec, [0.0] * len(probe.spec.header)), 0)
+        self._outlet, self._composer = listener.speak(ALARM_TOPIC, ALARM_TYPE)
+
+    def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
+        """Check a message; an alarm is published, stored and returned."""
+        state = self._probes[topic].read(message) if topic in self._probes else None
+        if state is None:
+            self.skipped[topic] += 1
+            return None
+        self.judged[topic] += 1
+        now = time.time()
+        found = self._detector.check(state, int(1e6 * now))
+        self._detector.accept(state, int(1e6 * now))
+        if found is None:
+            return None
+        fields = tuple(name.removeprefix(f"{topic}.") for name in found.fields)
+        values = tuple(
+            repr(state.header[name][0].item()) for name in fields if name in (state.header.dtype.names or ())
+        )
+        alarm = ForeignAlarm(now, topic, self.judged[topic], found.source, found.score, fields, values)
+        self.alarms.append(alarm)
+        self._outlet.send(self._composer.pack({"data": json.dumps(alarm.to_json())}))
+        return alarm
+
+
+def train(
+    kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]]
+) -> tuple[Detector, int]:
+    """Train a detector on normal messages (topic and bytes, in order); also returns their number.
+
+    Raises:
+        BadInputError: See `learn`.
+    """
+    states = [
+        state for topic, message in messages if topic in probes and (state := probes[topic].read(message)) is not None
+    ]
+    return learn(kind, profile, [states], {topic: probe.spec for topic, probe in probes.items()}), len(states)

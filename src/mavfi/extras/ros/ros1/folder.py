@@ -1,0 +1,132 @@
+"""The folder of a flight: files, environment, and the script `join` with which another terminal joins the ROS graph."""
+
+import fcntl
+import json
+import os
+import shutil
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mavfi.errors import MachineError, MavfiError
+from mavfi.extras.ros.ros1 import finder
+from mavfi.record import Injection
+
+FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
+"""Environment variable: folder of the flight to which a node belongs."""
+MESSAGES, LOG, JOIN, PID = "messages", "log", "join", "pid"
+FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
+INJECTIONS = "injections.json"
+_PREFIX, _OWNER = "mavfi-ros-", "owner"
+_PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
+_EXPORTED = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+
+
+def flight_folder() -> Path:
+    """Folder of the flight to which this process belongs."""
+    return Path(os.environ[FOLDER_VARIABLE])
+
+
+@contextmanager
+def new_folder() -> Iterator[Path]:
+    """Create the folder of a flight, which is removed at its end; one with the logs of a failed flight remains.
+
+    Folders of processes that were killed are removed, too: nobody holds the lock of their owner.
+
+    Raises:
+        MavfiError: As in the context, with the folder of the logs.
+    """
+    for owner in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_OWNER}"):
+        with suppress(OSError), owner.open() as file:  # in use, of another user, or being removed
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            remove_folder(owner.parent)
+    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    with (folder / f"new-{_OWNER}").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        os.rename(file.name, folder / _OWNER)  # never seen without its lock
+        try:
+            yield folder
+        except BaseException as error:
+            if isinstance(error, MavfiError) and not isinstance(error, MachineError):
+                (folder / _OWNER).unlink()
+                raise MavfiError(f"{error}; logs: {folder / LOG}") from None
+            remove_folder(folder)
+            raise
+        remove_folder(folder)
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove the folder of a flight, its owner last: if that is cut short, the next flight removes the rest."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != _OWNER:
+                path.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_file(name: str, content: bytes) -> None:
+    """Write a file of the flight's folder atomically."""
+    part = flight_folder() / f"part-{name}"
+    part.write_bytes(content)
+    part.rename(flight_folder() / name)
+
+
+def write_injections(injections: list[Injection]) -> None:
+    """Save the injections so far: the injector's node may be restarted, and must not inject again."""
+    write_file(INJECTIONS, json.dumps([injection.to_json() for injection in injections]).encode())
+
+
+def read_injections() -> list[Injection]:
+    """The injections so far."""
+    path = flight_folder() / INJECTIONS
+    return [Injection.from_json(done) for done in json.loads(path.read_text())] if path.exists() else []
+
+
+def master_port() -> str:
+    """Port of the flight's master, on the loopback interface."""
+    return os.environ.get(_PORT_VARIABLE, _USUAL_PORT)
+
+
+def free_port() -> dict[str, str]:
+    """An unused port for a flight without a private network, as an environment variable."""
+    with socket.socket() as any_socket:
+        any_socket.bind(("127.0.0.1", 0))
+        return {_PORT_VARIABLE: str(any_socket.getsockname()[1])}
+
+
+def own_path() -> str:
+    """PYTHONPATH of this process with absolute folders, as nodes have other working directories."""
+    given = os.environ.get("PYTHONPATH", "")
+    return os.pathsep.join(os.path.abspath(folder) for folder in given.split(os.pathsep) if folder)
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Environment of all ROS programs of a flight."""
+    given = finder.environment()
+    paths = [str(folder / MESSAGES), *([given["PYTHONPATH"]] if "PYTHONPATH" in given else [])]
+    return {
+        **os.environ, **given,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "ROS_PACKAGE_PATH": f"{folder / MESSAGES}:{given['ROS_PACKAGE_PATH']}",
+        "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
+        "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG),
+        FOLDER_VARIABLE: str(folder),
+        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1",
+    }  # fmt: skip
+
+
+def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
+    """Write the script `join`, which enters the flight's network namespace and, if present, its user namespace."""
+    enter = "--user --preserve-credentials --net" if own_users else "--net"
+    prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
+    variables = environment(folder)
+    exports = " ".join(f"{name}='{variables[name]}'" for name in _EXPORTED if name in variables)
+    path = folder / JOIN
+    path.write_text(
+        f'#!/bin/sh\nexec {prefix}env {exports} PATH="{finder.find_file("usr/bin/rosmaster").parent}:$PATH" "$@"\n'
+    )
+    path.chmod(0o755)

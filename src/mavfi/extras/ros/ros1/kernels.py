@@ -1,0 +1,140 @@
+"""The generic kernel node: any set of kernels behind ROS topics, driven by the world in lock-step."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.detector import Detector
+from mavfi.extras.ros.ros1.messages import Action, deserialized
+from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.ports import Inbox, Ports
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.mission import Scenario
+from mavfi.pipeline.kernel import Kernel, repeat
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import State
+
+_LOADING_FLIGHT_US = 3_000_000
+"""Simulated time within which every kernel has been executed (us)."""
+
+
+class KernelNode:
+    """Executes the world's operations in order, on values received over the topics."""
+
+    def __init__(self, name: str, plan: Plan) -> None:
+        self._ports = Ports(name, plan)
+        self._build()
+        self._inbox = Inbox()
+        self._taken: dict[int, tuple[State, int]] = {}
+        self._due: dict[str, tuple[int, State]] = {}
+        self._results: dict[int, State] = {}
+        self._given: dict[int, State] = {}
+        self._at_once = plan.published_at_once()
+        written = [state for kernel in self._kernels.values() for state in kernel.writes]
+        self._outlets = {state: self._ports.outlet(state, self._ports.ways[state].first) for state in written}
+        self._actions: dict[int, Callable[[Kernel, Any], Any]] = {
+            Action.STEP: lambda kernel, order: kernel.step(order.time_us),
+            Action.MARK: lambda kernel, order: kernel.mark(),
+            Action.ROLLBACK: lambda kernel, order: kernel.rollback(),
+            Action.STOP: lambda kernel, order: kernel.stop(),  # type: ignore[attr-defined]
+            Action.ABANDON: lambda kernel, order: kernel.abandon(order.time_us),  # type: ignore[attr-defined]
+            Action.AGAIN: lambda kernel, order: repeat(kernel),
+            Action.RECEIVE: self._receive,
+            Action.PUBLISH: self._publish,
+            Action.GIVE: self._note_given,
+            Action.RESUME: self._resume,
+            Action.RESET: self._reset,
+        }
+
+    def _build(self) -> None:
+        """Construct the kernels of this node."""
+        plan = self._ports.plan
+        built = build_pipeline(plan.config)
+        self._kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[self._ports.node]}
+
+    def _reading(self, state: str) -> list[Kernel]:
+        """Kernels of this node that read a state."""
+        return [kernel for kernel in self._kernels.values() if state in kernel.reads]
+
+    def run(self) -> None:
+        """Serve until shutdown."""
+        for state, way in self._ports.ways.items():
+            if self._reading(state):
+                self._ports.read(state, way.final, lambda state, number, time_us: self._inbox.put(number, state))
+        self._ports.serve(self._drive)
+
+    def _drive(self, request: Any) -> Any:
+        from mavfi_msgs.srv import DriveResponse
+
+        response = DriveResponse()
+        with np.errstate(all="ignore"):
+            for order in request.operations:
+                answer = self._actions[order.action](self._kernels[order.kernel], order)
+                if order.action in (Action.STEP, Action.STOP, Action.ABANDON):
+                    response.numbers = list(range(order.number, order.number + len(answer)))
+                    response.states = [state.spec.name for state in answer]
+                    self._keep_results(answer, response.numbers, order.publish_us)
+                elif order.action == Action.RESUME:
+                    response.states = list(answer)
+                elif answer:
+                    response.due = True
+        return response
+
+    def _keep_results(self, states: list[State], numbers: list[int], publish_us: int) -> None:
+        """Keep results until they are published, or publish them now with the stamp of that instant."""
+        for state, number in zip(states, numbers, strict=True):
+            if publish_us >= 0 and state.spec.name in self._at_once:
+                self._outlets[state.spec.name].publish(state, number, publish_us)
+            else:
+                self._results[number] = state
+
+    def _receive(self, kernel: Kernel, order: Any) -> bool:
+        number = order.number
+        waiting, state = self._due.get(kernel.name, (-1, None))
+        if waiting != number or state is None:
+            state = self._take(number)
+        due = kernel.receive(state, order.time_us)
+        if due:
+            self._due[kernel.name] = number, state
+        return due
+
+    def _take(self, number: int) -> State:
+        """A value received over a topic, for one of the kernels that read it."""
+        if number in self._given:
+            return self._given[number]
+        if number not in self._taken:
+            state = self._inbox.take(number, self._ports.plan.patience_s)
+            self._taken[number] = state, len(self._reading(state.spec.name))
+        state, left = self._taken.pop(number)
+        if left > 1:
+            self._taken[number] = state, left - 1
+        return state
+
+    def _publish(self, kernel: Kernel, order: Any) -> None:
+        state = self._results.pop(order.number)
+        self._outlets[state.spec.name].publish(state, order.number, order.time_us)
+
+    # ---- after a restart --------------------------------------------------------------------------------------------
+    def _note_given(self, kernel: Kernel, order: Any) -> None:
+        """Keep a value of before the restart."""
+        self._given[order.number] = deserialized(order.value, order.state)
+
+    def _resume(self, kernel: Kernel, order: Any) -> tuple[str, ...]:
+        latest = {self._given[number].spec.name: self._given[number] for number in sorted(self._given)}
+        return kernel.resume(latest, order.time_us)
+
+    def _reset(self, kernel: Kernel, order: Any) -> None:
+        """Initialize the memory; results already computed remain scheduled for publication."""
+        self._build()
+        self._due.clear()
+        self._given.clear()
+
+
+def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Recovery = INLINE) -> None:
+    """Fly the first seconds in this process, so that all functions are compiled and loaded."""
+    loop = new_loop(scenario)
+    watch(loop, detector, recovery)
+    loop.judge.limit_us = _LOADING_FLIGHT_US
+    loop.fly()

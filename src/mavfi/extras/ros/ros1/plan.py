@@ -1,0 +1,117 @@
+"""Specification of a flight on ROS, as plain data that every node loads from the flight's folder."""
+
+import pickle
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
+from mavfi.extras.ros.ros1.folder import flight_folder
+from mavfi.extras.ros.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph
+from mavfi.faults.fault import RegisterFault, StateFault
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.ppc import build_pipeline
+
+_PLAN = "plan.pickle"
+
+
+def check_supported(spec: MissionSpec) -> None:
+    """Check that ROS nodes can fly a mission.
+
+    Raises:
+        BadInputError: The mission requires retransmission of messages, protected kernels, or a degraded mode.
+    """
+    if spec.grain == "message":
+        raise BadInputError("grain: 'message': on ROS, nodes keep no copy of what they sent; allowed: stage, kernel")
+    if spec.protection:
+        raise BadInputError(f"protection: {spec.protection!r}: not on ROS; allowed: none")
+    if spec.degraded != "none":
+        raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A flight on ROS.
+
+    Attributes:
+        scenario: The mission; `config`: configuration of its kernels.
+        fault: Fault in a state, injected by a node, or failure of a sensor or motor, in the world; None = none.
+        detector: The detector in its initial state; None = none.
+        recovery: The recovery policy for its alarms.
+        kills: Scheduled kills: node and instant (us).
+        restart_us: Down time of a lost node, in simulated time (us).
+        patience_s: Timeout for a node's response (s, wall clock).
+        register_faults: Bit flips in registers of nodes.
+        profile: Whether to record publication times.
+        pace: Flight time per wall time; 0 = as fast as possible.
+        nodes: All nodes except the world.
+
+    Raises:
+        BadInputError: The fault is not transient (the injector's node changes one publication) or may lose a message,
+            or the detector acts on unpublished values.
+    """
+
+    scenario: Scenario
+    config: PipelineConfig
+    fault: StateFault | SensorFault | None = None
+    detector: Detector | None = None
+    recovery: Recovery = INLINE
+    kills: tuple[tuple[str, int], ...] = ()
+    restart_us: int = 1_000_000
+    patience_s: float = 60.0
+    register_faults: tuple[RegisterFault, ...] = ()
+    profile: bool = False
+    pace: float = 0.0
+    graph: Graph = field(init=False)
+    nodes: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        fault = self.state_fault
+        if fault is not None and fault.lasting:
+            raise BadInputError(f"fault in {fault.site}: lasts_s or times: on ROS one publication is changed")
+        if fault is not None and fault.of_length:
+            raise BadInputError(f"fault in {fault.site}: is the length of a list; allowed on ROS: a field of the state")
+        if self.detector is not None and (self.detector.seals or self.detector.duplicates):
+            text = "takes part in what is not published; allowed on ROS: detectors of published values"
+            raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
+        injected = None if fault is None else fault.where.state
+        object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected))
+        extra = (INJECTOR,) * (fault is not None) + (DETECTOR,) * (self.detector is not None)
+        object.__setattr__(self, "nodes", (*self.graph.nodes, *extra))
+
+    @property
+    def state_fault(self) -> StateFault | None:
+        """The fault that the injector's node injects."""
+        return self.fault if isinstance(self.fault, StateFault) else None
+
+    def published_at_once(self) -> frozenset[str]:
+        """States whose values a node publishes immediately, which saves one call each.
+
+        Their stamps carry the publication instant, and no consumer takes them before.  Excluded where the order of
+        transmission matters: with a detector, which may request recomputation, or an injector, which counts values.
+        """
+        if self.detector is not None:
+            return frozenset()
+        return frozenset(name for name, way in self.graph.ways.items() if not way.injected)
+
+    def world_listens(self, state: str) -> bool:
+        """Whether the world subscribes to the values of a state: to all but its own."""
+        return self.graph.ways[state].sender != WORLD
+
+    def listeners(self, state: str) -> int:
+        """Number of the flight's nodes that subscribe to the final topic of a state."""
+        is_checked = self.detector is not None
+        return len(self.graph.ways[state].readers) + self.world_listens(state) + is_checked
+
+    def save(self, folder: Path) -> None:
+        """Save the plan to the flight's folder, which only this user can access."""
+        (folder / _PLAN).write_bytes(pickle.dumps(self))
+
+
+def load_plan() -> Plan:
+    """The plan of the flight to which this process belongs."""
+    plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
+    return plan

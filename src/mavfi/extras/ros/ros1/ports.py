@@ -1,0 +1,177 @@
+"""Publishers and subscribers of the loop's topics, and the services of a node."""
+
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NoReturn, TypeVar
+from xmlrpc.client import ServerProxy
+
+from mavfi.errors import MavfiError
+from mavfi.extras.ros.ros1.messages import from_msg, from_stamp, state_types, to_msg
+from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.states import STATES, State
+
+_BUFFER = 1 << 22
+_POLL_S = 0.005
+_REPEAT_S = 1.0
+_Given = TypeVar("_Given")
+_Answer = TypeVar("_Answer")
+Arrived = Callable[[State, int, int], None]
+"""Receives a value, its sequence number, and its instant (us)."""
+
+
+def die() -> NoReturn:
+    """Terminate this process and log the current exception; the supervisor restarts it immediately.
+
+    rospy itself would log exceptions of callbacks and services, and continue without the value.
+    """
+    traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
+
+
+def fatal(callback: Callable[[_Given], _Answer]) -> Callable[[_Given], _Answer]:
+    """Wrap a callback so that an exception terminates the process."""
+
+    def guarded(given: _Given) -> _Answer:
+        try:
+            return callback(given)
+        except Exception:  # any exception type
+            die()
+
+    return guarded
+
+
+class Inbox:
+    """Passes values from the callbacks of topics to a waiting thread, by sequence number."""
+
+    def __init__(self) -> None:
+        self._values: dict[int, State] = {}
+        self._changed = threading.Condition()
+
+    def put(self, number: int, state: State) -> None:
+        """Add a value."""
+        with self._changed:
+            self._values[number] = state
+            self._changed.notify_all()
+
+    def take(self, number: int, patience_s: float) -> State:
+        """Wait for a value and remove it; `TimeoutError` if it does not arrive in time."""
+        end = time.monotonic() + patience_s
+        with self._changed:
+            while number not in self._values:
+                if not self._changed.wait(max(0.0, end - time.monotonic())) and number not in self._values:
+                    raise TimeoutError(f"publication {number} did not come within {patience_s:g} s")
+            return self._values.pop(number)
+
+
+class Outlet:
+    """Publishes the values of one state to `listeners` nodes of the flight."""
+
+    def __init__(self, state: str, topic: str, listeners: int) -> None:
+        import rospy
+
+        self._kind = state_types()[state]
+        self._publisher = rospy.Publisher(topic, self._kind, queue_size=None, tcp_nodelay=True)
+        self._listeners = listeners
+
+    def publish(self, state: State, number: int, time_us: int) -> None:
+        """Publish one value."""
+        self._publisher.publish(to_msg(state, number, time_us, self._kind))
+
+    def connected(self) -> bool:
+        """Whether all of the flight's subscribers are connected."""
+        return bool(self._publisher.get_num_connections() >= self._listeners)
+
+
+class Ports:
+    """Publications and subscriptions of a node."""
+
+    def __init__(self, node: str, plan: Plan) -> None:
+        self.node = node
+        self.plan = plan
+        self.ways = plan.graph.ways
+        self._outlets: list[Outlet] = []
+        self._subscribers: list[Any] = []
+
+    def outlet(self, state: str, topic: str) -> Outlet:
+        """Advertise one of the topics on the route of a state."""
+        is_final = topic == self.ways[state].final
+        outlet = Outlet(state, topic, self.plan.listeners(state) if is_final else 1)  # one: the injector
+        self._outlets.append(outlet)
+        return outlet
+
+    def read(self, state: str, topic: str, arrived: Arrived) -> None:
+        """Subscribe to values of a state."""
+        import rospy
+
+        spec = STATES[state]
+
+        def callback(message: Any) -> None:
+            arrived(from_msg(message, spec), int(message.number), from_stamp(message.header.stamp))
+
+        self._subscribers.append(
+            rospy.Subscriber(
+                topic, state_types()[state], fatal(callback), queue_size=None, buff_size=_BUFFER, tcp_nodelay=True
+            )
+        )
+
+    # ---- connections to the other nodes ------------------------------------------------------------------------------
+    def wait_until_connected(self) -> None:
+        """Wait until this node is connected to every publisher and subscriber of the flight, or raise `MavfiError`."""
+        now = time.monotonic()
+        end, repeat = now + self.plan.patience_s, now + _REPEAT_S
+        while not self._connected():
+            now = time.monotonic()
+            if now > end:
+                raise MavfiError(f"node {self.node}: not connected within {self.plan.patience_s:g} s")
+            if now > repeat:
+                repeat = now + _REPEAT_S
+                self._repeat_publishers()
+            time.sleep(_POLL_S)
+
+    def _repeat_publishers(self) -> None:
+        """Send this node the master's list of publishers of each topic without a connection.
+
+        Its registration can race with that of the publisher: rospy keeps one list per topic, the one it queued last,
+        which may be the older one.
+        """
+        import rosgraph
+        import rospy
+
+        topics = {each.resolved_name for each in self._subscribers if each.get_num_connections() == 0}
+        master = rosgraph.Master(rospy.get_name())
+        with suppress(OSError, rosgraph.MasterException):  # a node has just died: next time
+            for topic, nodes in master.getSystemState()[0]:
+                if topic in topics:
+                    uris = [master.lookupNode(node) for node in nodes]
+                    ServerProxy(rospy.get_node_uri()).publisherUpdate(rospy.get_name(), topic, uris)
+
+    def _connected(self) -> bool:
+        return all(outlet.connected() for outlet in self._outlets) and all(
+            subscriber.get_num_connections() >= 1 for subscriber in self._subscribers
+        )
+
+    def serve(self, drive: Callable[[Any], Any] | None = None) -> None:
+        """Offer the services of a node, and run until shutdown.
+
+        These are `/<node>/ready`, which returns the process id once all connections are established, and
+        `/<node>/drive`, by which the world drives the node (None = it does not).
+        """
+        import rospy
+        from mavfi_msgs.srv import Drive
+        from std_srvs.srv import Trigger, TriggerResponse
+
+        def answer(request: Any) -> Any:
+            self.wait_until_connected()
+            return TriggerResponse(True, str(os.getpid()))
+
+        if drive is not None:
+            rospy.Service(f"/{self.node}/drive", Drive, fatal(drive), buff_size=1 << 16)
+        rospy.Service(f"/{self.node}/ready", Trigger, answer)
+        rospy.spin()

@@ -1,0 +1,235 @@
+"""The world node: simulator, clock, and the event queue that determines the order of all events."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from mavfi.extras.ros.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
+from mavfi.extras.ros.ros1.graph import DETECTOR, WORLD
+from mavfi.extras.ros.ros1.messages import Action
+from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.ports import Inbox, Ports
+from mavfi.extras.ros.ros1.register_injector import PLANNED, RegisterInjector
+from mavfi.extras.ros.ros1.remote import (
+    SILENT,
+    Counter,
+    Link,
+    NodeLostError,
+    Publication,
+    RemoteDetector,
+    RemoteKernel,
+    Watchdog,
+)
+from mavfi.extras.ros.ros1.roll_call import is_alive, wait_for
+from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.loop import Loop
+from mavfi.flight.restarts import Restarts
+from mavfi.flight.sensor_faults import inject_sensor_fault
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
+from mavfi.record import Injection
+from mavfi.states import State
+
+CAMERA_PATIENCE_US = 2_000_000
+"""After a node loss: time without a response to an image after which the camera takes the next one (us)."""
+_LOOK_S = 0.5
+
+
+def fly(plan: Plan) -> None:
+    """Fly the mission and write its record to the flight's folder."""
+    started = time.time()
+    loop = Conductor(plan).loop
+    ready = time.time()
+    flight = loop.fly()
+    times = {"world_started": started, "nodes_ready": ready, "flight_done": time.time()}
+    (flight_folder() / TIMES).write_text(json.dumps(times))
+    if flight.profile is not None:
+        write_file(PROFILE, flight.profile.to_bytes())
+    part = flight_folder() / f"part-{FLIGHT}"
+    flight.log.save(part)
+    part.rename(flight_folder() / FLIGHT)
+
+
+class Conductor:
+    """The loop with its kernels, injector and detector in other processes, in lock-step with them.
+
+    The constructor waits until every node is connected; its `loop` has not started.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.counter = Counter()
+        watchdog = Watchdog(plan.patience_s)
+        self.links = {node: Link(node, watchdog, self._lost) for node in plan.nodes}
+        self.back_us: dict[str, int] = {}
+        self.losses = 0
+        self.kills = sorted(plan.kills, key=lambda kill: kill[1])
+        self.registers = RegisterInjector(plan.register_faults, lambda node: self.links[node].pid)
+        self.loop = self._compose()
+        self.restarts = Restarts(self.loop, plan.scenario.dead_node)
+        self.loop.renew = self._renew
+        pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
+        self.ports.wait_until_connected()
+        for node, link in self.links.items():
+            link.connect(pids[node], self.counter.take(0))
+        self._began = time.monotonic()
+
+    def _compose(self) -> Loop:
+        """The loop with the proxies, taps and callbacks of this flight."""
+        plan = self.plan
+        loop = new_loop(plan.scenario, profile=plan.profile, make_kernels=self._proxies)
+        self.ports = Ports(WORLD, plan)
+        loop.taps.injector = Passage(self.ports, self.counter, self.links, self.registers, self._lost)
+        inject_sensor_fault(loop, plan.fault)
+        watch(loop, None if plan.detector is None else RemoteDetector(self.links[DETECTOR]), plan.recovery)
+        loop.before_tick.append(self._before_tick)
+        loop.after_tick.append(self._after_tick)
+        loop.before_end.append(lambda: self.registers.finish(self.loop.now))
+        return loop
+
+    def _proxies(self, config: PipelineConfig) -> dict[str, Kernel]:
+        graph = self.plan.graph
+        return {
+            name: RemoteKernel(face, self.links[graph.node_of(name)], self.counter, self.plan)
+            for name, face in graph.faces.items()
+        }
+
+    # ---- the control period -----------------------------------------------------------------------------------------
+    def _before_tick(self, now: int) -> None:
+        """Wait for the wall clock if requested; kill, inject and reconnect nodes."""
+        if self.plan.pace > 0:
+            time.sleep(max(0.0, self._began + 1e-6 * now / self.plan.pace - time.monotonic()))
+        while self.kills and self.kills[0][1] <= now:
+            self._lost(self.links[self.kills.pop(0)[0]], PLANNED)
+        self.registers(now)
+        for node in [node for node, then in self.back_us.items() if then <= now]:
+            del self.back_us[node]
+            self._rejoin(node)
+
+    def _after_tick(self, now: int) -> None:
+        loop = self.loop
+        if self.losses and loop.status is None and now - loop.captured_us > CAMERA_PATIENCE_US:
+            loop.capture(now)
+
+    # ---- node crashes and restarts -----------------------------------------------------------------------------------
+    def _lost(self, link: Link, why: str) -> None:
+        """A node does not respond or is to be killed: kill its process, and schedule its return."""
+        if link.lost:
+            return
+        self._note("node_lost", {"node": link.node, "pid": link.pid, "why": why})
+        with suppress(ProcessLookupError):
+            os.kill(link.pid, signal.SIGKILL)
+        link.lose()
+        self.losses += 1
+        kernels = self.plan.graph.nodes.get(link.node)
+        if kernels is None:
+            self.back_us[link.node] = self.loop.now + self.plan.restart_us
+        else:
+            self.restarts.die(kernels[0], self.loop.now, self.plan.restart_us)
+
+    def _renew(self, kernel: str) -> Mapping[str, Kernel]:
+        """Reconnect a restarted node, or reset a live one; pending operations are flushed to its peers first."""
+        link = self.links[self.plan.graph.node_of(kernel)]
+        for other in self.links.values():
+            other.flush()
+        if link.lost:
+            self._rejoin(link.node)
+        else:
+            link.reset(kernel, self.counter.take(0))
+        return {} if link.lost else self._proxies(self.plan.config)
+
+    def _rejoin(self, node: str) -> None:
+        """Reconnect a node that the supervisor has restarted, with initialized memory."""
+        link = self.links[node]
+        try:
+            pid = wait_for(node, self.plan.patience_s, link.pid)
+            self.ports.wait_until_connected()
+        except Exception as error:  # noqa: BLE001 (any cause: the flight continues without the node)
+            self._note("node_absent", {"node": node, "why": str(error)})
+            return
+        link.connect(pid, self.counter.take(0))
+        self._note("node_back", {"node": node, "pid": pid})
+
+    def _note(self, kind: str, data: dict[str, Any]) -> None:
+        self.loop.record.note(self.loop.now, kind, data)
+
+
+class Passage:
+    """The injector tap: every published value passes the topics, and returns as its consumers receive it."""
+
+    spent = False
+
+    def __init__(
+        self, ports: Ports, counter: Counter, links: dict[str, Link], registers: RegisterInjector,
+        on_loss: Callable[[Link, str], None],
+    ) -> None:  # fmt: skip
+        self._counter = counter
+        self._links, self._registers = links, registers
+        self._on_loss = on_loss
+        self._plan = ports.plan
+        self._ways = ports.ways
+        self._inbox = Inbox()
+        self._sensors = {
+            name: ports.outlet(name, way.first) for name, way in self._ways.items() if way.writer == WORLD
+        }  # fmt: skip
+        for name, way in self._ways.items():
+            if self._plan.world_listens(name):
+                ports.read(name, way.final, lambda state, number, time_us: self._inbox.put(number, state))
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """Publish a value; returns the output of the injector, None if the value was lost in transit."""
+        if self._is_lost(state):
+            return None
+        try:
+            return self._pass(state, time_us)
+        except NodeLostError:
+            return None
+
+    def _is_lost(self, state: State) -> bool:
+        """Whether a value died with its node, or its route contains a node that is down."""
+        if isinstance(state, Publication) and state.is_lost:
+            return True
+        route = self._ways[state.spec.name].nodes
+        return any(node in self._links and self._links[node].lost for node in route[1:])
+
+    def _pass(self, state: State, time_us: int) -> State:
+        if isinstance(state, Publication) and state.link is not None:
+            number = state.number
+            if not state.sent and state.link.call(Action.PUBLISH, state.kernel, number, time_us) is None:
+                raise NodeLostError(state.link.node)
+        else:
+            number = self._counter.take()
+            self._sensors[state.spec.name].publish(state, number, time_us)
+        seen = self._await(number, state) if self._plan.world_listens(state.spec.name) else state
+        return Publication(seen.spec, seen.header, seen.elements, number)
+
+    def _await(self, number: int, state: State) -> State:
+        """Wait until a value has passed its route; `NodeLostError` if a node on the route has died."""
+        end = time.monotonic() + self._plan.patience_s
+        route = self._ways[state.spec.name].nodes
+        while True:
+            try:
+                return self._inbox.take(number, _LOOK_S)
+            except TimeoutError:
+                is_late = time.monotonic() > end
+            for node in route:
+                link = self._links.get(node)
+                # the writer has confirmed its publication: a timeout is attributed to the last node on the route
+                is_slow = is_late and node == route[-1]
+                if link is not None and (link.lost or is_slow or not is_alive(link.pid)):
+                    self._on_loss(link, SILENT)
+                    raise NodeLostError(node)
+
+    def finish(self) -> list[Injection]:
+        """State injections, as recorded by the injector's node, and register injections.
+
+        A state fault whose publication never occurred is a missed activation.
+        """
+        injections: list[Injection] = []
+        if self._plan.state_fault is not None:
+            injections = read_injections() or StateInjector(self._plan.state_fault).finish()
+        return injections + self._registers.injections

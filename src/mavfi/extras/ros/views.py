@@ -1,0 +1,75 @@
+"""Views of other people's software: faults in the calls of a client program, and in registers of a node."""
+
+import polars as pl
+
+from mavfi.analysis import measures as m
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.views import View, has, register
+
+_EFFECTS = {"masked": "masked", "sdc": "SDC", "crash": "crash", "hang": "hang"}
+_INTERVALS = "per cent, [95 % interval, Wilson], count; a crash or a hang is a detected error (DUE)"
+_REPEAT = (
+    "the instant of an injection is the machine's, not the seed's: a trial cannot be repeated bit for bit, and the "
+    "digest is that of this ledger"
+)
+_JUDGED = pl.col("effect") != "unknown"
+_OF_CALLS = pl.col("effect").is_in(["masked", "sdc", "exception", "hang"])
+"""Activated faults in calls whose effect is known."""
+_SILENT, _COLLIDED = pl.col("effect") == "sdc", pl.col("status") == "collision"
+
+
+def _of_registers(runs: Runs) -> bool:
+    return has(runs.injected, level="register", kernel="")
+
+
+def _trials(runs: Runs) -> Runs:
+    names = {"general": "general + flags", "fp": "XMM, YMM"}
+    return runs.injected.where(level="register").adding(registers=pl.col("target").replace(names))
+
+
+def _endings_note(runs: Runs) -> list[str]:
+    crashed = (
+        _trials(runs).where(effect="crash").frame["kernel_effect_detail"].value_counts().sort("kernel_effect_detail")
+    )
+    signals = ", ".join(f"{name} {count}" for name, count in crashed.rows())
+    return [f"crashes: {signals}"] if signals else []
+
+
+def _stopped_note(runs: Runs) -> list[str]:
+    held = sorted(
+        injection.details["stopped_us"]
+        for record in _trials(runs).recorded()
+        for injection in record.injections
+        if "stopped_us" in injection.details
+    )
+    return [f"the process stood still for {held[len(held) // 2] / 1000:.1f} ms (median)"] if held else []
+
+
+register(
+    View(
+        "boundary_effects", "What one bit in a call does to a program", ("side",),
+        (
+            m.count("n", "runs", _OF_CALLS),
+            m.wilson_rate("masked", "masked", pl.col("effect") == "masked", _OF_CALLS),
+            m.wilson_rate("deviates", "deviates", _SILENT & ~_COLLIDED, _OF_CALLS),
+            m.wilson_rate("collides", "collision", _SILENT & _COLLIDED, _OF_CALLS),
+            m.wilson_rate("exception", "program crash", pl.col("effect") == "exception", _OF_CALLS),
+            m.wilson_rate("hang", "hang", pl.col("effect") == "hang", _OF_CALLS),
+            m.count("not_activated", "not activated", effect="not_activated"),
+            m.count("unknown", "not judged", effect="unknown"),
+        ),
+        where=lambda runs: runs.injected.where(level="message").adding(side=pl.col("target")),
+        total=("side", "both"), applies=lambda runs: has(runs.injected, level="message"),
+        notes=lambda _: ("per cent of the runs whose fault was activated, [95 % interval, Wilson], count",),
+    ),
+    View(
+        "register_effects", "What one bit in a register does", ("registers",),
+        (
+            m.count("n", "trials", _JUDGED),
+            *(m.wilson_rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
+            m.count("unknown", "not judged", effect="unknown"),
+        ),
+        where=_trials, total=("registers", "in all"),
+        notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT), applies=_of_registers,
+    ),
+)  # fmt: skip

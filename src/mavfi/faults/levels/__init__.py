@@ -1,0 +1,1 @@
+"""Fault levels: what can go wrong, one module or folder for each."""

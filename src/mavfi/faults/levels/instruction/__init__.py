@@ -1,0 +1,17 @@
+"""Instruction-level faults: one exact, replayable dynamic instruction of a Numba kernel, once."""
+
+from mavfi.faults.fault import InstructionFault
+from mavfi.faults.levels.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked
+from mavfi.faults.levels.instruction.instrumented import Profiling, Resolving
+from mavfi.faults.levels.instruction.plan import budget_for, choose, injection_of
+from mavfi.faults.levels.instruction.refusal import MismatchError
+from mavfi.faults.levels.instruction.table import Site
+from mavfi.ir.forked import Ended, ForkPoint, run_in_child
+from mavfi.ir.refusal import BuildError, RefusedError
+
+__all__ = [
+    "BuildError", "Ended", "ForkPoint", "InjectedCall", "InstructionFault",
+    "MismatchError", "Profiling", "RefusedError", "Resolving", "Site", "budget_for", "choose",
+    "count", "draw", "histogram", "inject", "injection_of", "resolve", "run_forked",
+    "run_in_child",
+]  # fmt: skip

@@ -1,0 +1,148 @@
+"""Memory accesses of instructions, and placement of a kernel's memory: stack frames and constants in the arena."""
+
+import re
+from dataclasses import dataclass
+
+from mavfi.faults.levels.instruction.arena import CONSTANTS, EXCEPTION, LINE, RESULT
+from mavfi.faults.levels.instruction.runtime import REPLACED
+from mavfi.ir.module import Instruction, Module, holds_pointer, parts, width
+
+_MASKED = re.compile(r"@llvm\.masked\.(?:load|store|expandload|compressstore|gather|scatter)\.")
+_COPIES = re.compile(r"@llvm\.mem(?:cpy|move|set)\.")
+_ARRAY = re.compile(
+    r"^(@\S+) = (?:private |internal )((?:unnamed_addr |local_unnamed_addr )?)constant (\[\d+ x \w+\]) "
+)
+_VECTOR = re.compile(r"<(\d+) x (.+)>")
+_NAME = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """A memory access of an instruction: pointer and size (bytes), a number or a value of type i64.
+
+    With a `mask` (a vector of bits) the pointer is a vector, of which the lanes with a set bit are accessed.
+    """
+
+    pointer: str
+    size: str
+    mask: str = ""
+    lanes: int = 0
+
+
+def accesses_of(instruction: Instruction) -> list[Access]:
+    """Accesses of an instruction through computed pointers; callees are instrumented separately."""
+    if instruction.opcode == "load":
+        found = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
+    elif instruction.opcode == "store":
+        found = [Access(instruction.tokens[5], str(size_of(instruction.tokens[1])))]
+    elif instruction.callee is not None and _COPIES.match(instruction.callee):
+        length = instruction.arguments[2][1]
+        found = [Access(value, length) for kind, value in instruction.arguments[:2] if kind == "ptr"]
+    elif instruction.callee is not None and _MASKED.match(instruction.callee):
+        found = [_masked(instruction)]
+    else:
+        found = []
+    return [access for access in found if access.pointer.startswith("%")]
+
+
+def _masked(call: Instruction) -> Access:
+    """A masked access; a plain pointer counts as accessed in full, which is simple and harmless inside the arena."""
+    mask = next(value for kind, value in call.arguments[::-1] if " x i1>" in kind)
+    data = call.kind if call.kind != "void" else call.arguments[0][0]
+    kind, pointer = next((kind, value) for kind, value in call.arguments if holds_pointer(kind))
+    if kind == "ptr":
+        return Access(pointer, str(size_of(data)))
+    vector = _VECTOR.fullmatch(data)
+    assert vector is not None  # the elements of a vector of pointers
+    return Access(pointer, str(size_of(vector[2])), mask, int(vector[1]))
+
+
+def size_of(kind: str) -> int:
+    """Bytes that a value of a type occupies in memory, including padding."""
+    fields = parts(kind)
+    if not fields:
+        return -(-width(kind) // 8)
+    end, widest = 0, 1
+    for part in fields:
+        aligned = min(8, size_of(part)) if not parts(part) else 8
+        end = -(-end // aligned) * aligned + size_of(part)
+        widest = max(widest, aligned)
+    return -(-end // widest) * widest
+
+
+def is_owned(module: Module) -> bool:
+    """Whether a kernel accesses memory in its own code only: no C function that it calls takes or returns pointers."""
+    own = {function.name for function in module.functions}
+    for function in module.functions:
+        for block in function.blocks:
+            for instruction in block.all():
+                callee = instruction.callee
+                if callee is None or callee in own or callee[1:] in REPLACED:
+                    continue
+                known = callee.startswith("@llvm.") and not callee.startswith("@llvm.x86.")
+                if not known and any(
+                    map(holds_pointer, [instruction.kind, *(kind for kind, _ in instruction.arguments)])
+                ):
+                    return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant array of a module: name, planned address, and size (bytes)."""
+
+    name: str
+    address: int
+    size: int
+
+
+def constants_of(module: Module) -> dict[str, Constant]:
+    """Arrays used in the fault space, with their addresses in the arena, in order of first use.
+
+    Pickled exceptions are not moved: only Python reads them, and their length depends on a file path.
+    """
+    arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
+    kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
+    found: dict[str, Constant] = {}
+    free = CONSTANTS
+    for function in module.functions:
+        for name in _NAME.findall(function.text()):
+            if name in kinds and name not in found:
+                found[name] = Constant(name, free, size_of(kinds[name]))
+                free += -(-found[name].size // LINE) * LINE
+    return found
+
+
+def visible(line: str, constants: dict[str, Constant]) -> str:
+    """A global of the module; constants to be copied to the arena become externally visible."""
+    match = _ARRAY.match(line)
+    if match is None or match[1] not in constants:
+        return line
+    return line.replace(" = private ", " = ", 1).replace(" = internal ", " = ", 1)
+
+
+def moved(token: str, constants: dict[str, Constant]) -> str:
+    """A token of an instruction, with arrays replaced by planned addresses, and Numba's runtime by ours."""
+    if "@" not in token:
+        return token
+    if token[1:] in REPLACED:
+        return f"@mavfi_{token[1:]}"
+
+    def place(match: re.Match[str]) -> str:
+        constant = constants.get(match[0])
+        return match[0] if constant is None else f"inttoptr (i64 {constant.address} to ptr)"
+
+    return _NAME.sub(place, token)
+
+
+def planned_wrapper(text: str, kernels: list[str]) -> str:
+    """Numba's wrapper with planned addresses for the kernel's result and exception, and with our runtime."""
+    for name in kernels:
+        call = re.search(rf"{re.escape(name)} \( ptr (?:[^,]* )?(\S+) , ptr (?:[^,]* )?(\S+) [,)]", text)
+        if call is not None:
+            for local, address in ((call[1], RESULT), (call[2], EXCEPTION)):
+                text = re.sub(
+                    rf"^  {re.escape(local)} = alloca .*$", f"  {local} = inttoptr i64 {address} to ptr", text,
+                    flags=re.MULTILINE,
+                )  # fmt: skip
+    return re.sub(rf"(call [^@\n]*)@({'|'.join(REPLACED)}) \(", r"\1@mavfi_\2 (", text)

@@ -1,0 +1,186 @@
+"""Injection into a single kernel: count and resolve its instructions, draw faults, and inject them.
+
+Kernels are functions compiled by `mavfi.numerics.jit.kernel_jit`; no other part of mavfi is needed.
+"""
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import InstructionFault, Model
+from mavfi.faults.levels.instruction.plan import budget_for, check_fault, injection_of, plan
+from mavfi.faults.levels.instruction.selection import parse_selection
+from mavfi.faults.levels.instruction.table import Site
+from mavfi.faults.levels.instruction.variant import variant_for
+from mavfi.ir.build import name_of
+from mavfi.ir.forked import run_in_child
+from mavfi.ir.refusal import BuildError
+from mavfi.record import Injection
+
+_ROUNDS = 40
+_BATCH = 256
+
+
+@dataclass(frozen=True, slots=True)
+class InjectedCall:
+    """The effect of a fault on one call.
+
+    Attributes:
+        how: "masked": result and arguments are bit-identical to the fault-free call; "sdc": they differ; "crash": a
+            signal; "hang": the instruction budget was exhausted; "exception"; "not_activated": the instruction was
+            not reached.
+        injection: Record of the injection.
+        detail: Name of the signal, or text of the exception.
+    """
+
+    how: Literal["masked", "sdc", "crash", "hang", "exception", "not_activated"]
+    injection: Injection
+    detail: str = ""
+
+
+def count(kernel: Any, *args: Any) -> int:
+    """Number of values that a compiled function writes: its injectable dynamic instructions.
+
+    Modifies the arguments as a call does. Raises a RefusedError if the function cannot be instrumented exactly.
+    """
+    return variant_for(kernel, args).count(*args)[1]
+
+
+def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
+    """All static instructions of a compiled function and their execution counts; modifies arguments as a call does."""
+    variant = variant_for(kernel, args)
+    return variant.table.executions(variant.tally(*args)[1])
+
+
+def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:
+    """Static instructions at the given dynamic indices (from 0, in any order) of a call, which modifies the arguments.
+
+    None for an index beyond the last.
+    """
+    return variant_for(kernel, args).resolve(indices, *args)[1]
+
+
+def draw(
+    kernel: Any, n: int, *args: Any, which: str = "all", model: Model = "one_bit", seed: int = 0, bits: int = 2
+) -> list[InstructionFault]:
+    """Draw faults for one call: uniform over its dynamic instructions of a class, then over bits.
+
+    Args:
+        kernel: A compiled function.
+        n: Number of faults.
+        *args: Arguments of the call; they are not modified.
+        which: Class of instructions, see `mavfi.faults.levels.instruction.selection`.
+        model: "one_bit", "bits", "random" or "zero", see `mavfi.faults.levels.instruction.plan`.
+        seed: Seed of the draw.
+        bits: Number of bits for the model "bits".
+
+    Raises:
+        BadInputError: No instruction of that class was found in some thousand draws.
+    """
+    variant = variant_for(kernel, args)
+    selection = parse_selection(which)
+    random = np.random.default_rng(seed)
+    total = int(apart(partial(count, kernel, *args)))
+    if total == 0:
+        raise BadInputError(f"{name_of(kernel)}: it writes no value that could be injected")
+    found: list[InstructionFault] = []
+    for _ in range(_ROUNDS):
+        indices = random.integers(total, size=max(_BATCH, n)).tolist()
+        sites: list[Site] = apart(partial(resolve, kernel, indices, *args))
+        for index, site in zip(indices, sites, strict=True):
+            if site in selection and len(found) < n:
+                fault = plan(
+                    random, name_of(kernel), variant.ir_sha256, site, index, model, bits, which=which,
+                    budget=budget_for(total), seed=seed,
+                )  # fmt: skip
+                found.append(fault)
+        if len(found) == n:
+            return found
+    raise BadInputError(
+        f"instructions {which!r}: {len(found)} found in {_ROUNDS * max(_BATCH, n)} tries; allowed: a class that "
+        f"{name_of(kernel)} executes"
+    )
+
+
+def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injection]:
+    """Call a compiled function with a fault in this process; returns the result and the injection.
+
+    Modifies the arguments as the faulty call does. A wild write, a crash or a hang (exit status 77) ends the process:
+    use `run_forked` for addresses and control.
+
+    Raises:
+        MismatchError: The fault belongs to other machine code.
+    """
+    variant = variant_for(kernel, args)
+    check_fault(fault, variant, kernel)
+    budget = fault.budget or budget_for(int(apart(partial(count, kernel, *args))))
+    result = variant.inject(fault.index, *fault.masks, budget, *args)
+    return result, injection_of(fault, variant.report())
+
+
+def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> InjectedCall:
+    """Call a kernel with a fault in a forked child, and compare with the fault-free call; arguments are not modified.
+
+    The wall-clock limit `timeout` (s) covers hangs outside budgeted instructions.
+
+    Raises:
+        MismatchError: The fault belongs to other machine code.
+    """
+    variant = variant_for(kernel, args)
+    check_fault(fault, variant, kernel)
+    variant.own_report()
+
+    def golden_run() -> tuple[bytes, int]:
+        result, total = variant.count(*args)
+        return digest((result, args)), total
+
+    golden, total = apart(golden_run)
+    armed = replace(fault, budget=fault.budget or budget_for(total))
+
+    def injected_run() -> bytes:
+        result = variant.inject(armed.index, *armed.masks, armed.budget, *args)
+        return digest((result, args))
+
+    ended = run_in_child(injected_run, timeout)
+    report = variant.report()
+    injection = injection_of(armed, report)
+    if report is None:
+        return InjectedCall("not_activated", injection, ended.detail)
+    if ended.how == "done":
+        return InjectedCall("masked" if ended.payload == golden else "sdc", injection)
+    return InjectedCall(ended.how, injection, ended.detail)
+
+
+def digest(value: Any) -> bytes:
+    """Digest of numbers and arrays, bit for bit, including nested tuples and lists."""
+    total = hashlib.sha256()
+    for part in _bytes(value):
+        total.update(part)
+    return total.digest()
+
+
+def _bytes(value: Any) -> Iterator[bytes]:
+    if isinstance(value, np.ndarray | np.generic):
+        yield f"{value.dtype}{value.shape}".encode()
+        yield value.tobytes()
+    elif isinstance(value, tuple | list):
+        yield f"{type(value).__name__}{len(value)}".encode()
+        for part in value:
+            yield from _bytes(part)
+    else:
+        number = np.float64(value).tobytes() if isinstance(value, float) else repr(value).encode()
+        yield type(value).__name__.encode() + number
+
+
+def apart(work: Callable[[], Any]) -> Any:
+    """Result of a fault-free run in a forked child, which leaves the arguments unmodified; failure is a BuildError."""
+    ended = run_in_child(lambda: pickle.dumps(work()))
+    if ended.how != "done":
+        raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")
+    return pickle.loads(ended.payload)

@@ -1,0 +1,88 @@
+"""Builds the instrumented variant of a kernel, or loads it from the cache."""
+
+import inspect
+import json
+import zlib
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mavfi.faults.levels.instruction.accesses import Constant
+from mavfi.faults.levels.instruction.instrument import Instrumented, instrument
+from mavfi.faults.levels.instruction.table import Table
+from mavfi.faults.levels.instruction.tally import optimised
+from mavfi.ir.build import Rewrite, Source, build_apart, translate
+from mavfi.ir.object_cache import ObjectCache, folder_text
+from mavfi.ir.sources import cached_source
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """An instrumented kernel: object files, and the other attributes as in `Instrumented`.
+
+    Python calls the function `wrapper`; the global `environment` points to Numba's environment of the kernel.
+    """
+
+    code: bytes
+    tally: bytes
+    table: Table
+    ir_sha256: str
+    constants: tuple[Constant, ...]
+    owned: bool
+    wrapper: str
+    environment: str
+
+    def pack(self) -> bytes:
+        """Serialize to bytes."""
+        constants = [[constant.name, constant.address, constant.size] for constant in self.constants]
+        facts = [self.table.to_json(), self.ir_sha256, constants, self.owned, self.wrapper, self.environment]
+        head = zlib.compress(json.dumps(facts).encode(), 1)
+        return b"".join(len(part).to_bytes(8, "little") + part for part in (head, self.tally, self.code))
+
+    @staticmethod
+    def unpack(data: bytes) -> "Built":
+        """Inverse of `pack`."""
+        parts = []
+        while data:
+            size = 8 + int.from_bytes(data[:8], "little")
+            parts.append(data[8:size])
+            data = data[size:]
+        head, tally, code = parts
+        rows, digest, constants, *others = json.loads(zlib.decompress(head))
+        placed = tuple(Constant(*constant) for constant in constants)
+        return Built(code, tally, Table.from_json(rows), digest, placed, *others)
+
+
+def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
+    """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
+    cache = ObjectCache("instruction", Path(__file__).parent)
+    more = [] if rewrite is None else [rewrite.key, folder_text(Path(inspect.getfile(type(rewrite))).parent)]
+    key = cache.key(kernel, signature, *more)
+    data = cache.load(key)
+    if data is not None:
+        return Built.unpack(data)
+    built = build(kernel, signature, rewrite)
+    cache.store(key, built.pack(), built.table.files())
+    return built
+
+
+def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
+    """Instrument a Numba dispatcher for one signature (Numba types of the arguments), rewritten before.
+
+    Raises a RefusedError for an unknown construct, a BuildError if the compiler crashes, and the errors of `rewrite`.
+    """
+    source = cached_source(kernel, signature)
+    return Built.unpack(build_apart(kernel, signature, partial(make, source=source, rewrite=rewrite)))
+
+
+def make(kernel: Any, signature: tuple[Any, ...], source: Source, rewrite: Rewrite | None = None) -> bytes:
+    """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
+    return assemble(instrument(source.text, source.kernel, rewrite), source).pack()
+
+
+def assemble(made: Instrumented, source: Source) -> Built:
+    """Translate instrumented IR into machine code."""
+    code, tally = translate(made.text), translate(made.tally, optimised)
+    return Built(code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper,
+                 source.environment)  # fmt: skip

@@ -1,0 +1,145 @@
+"""Instruction faults: choice of instruction and bits, match of fault and function, and record of the injection."""
+
+import re
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import MODELS, InstructionFault, Model
+from mavfi.faults.levels.instruction.classify import FLOATING, INTEGER
+from mavfi.faults.levels.instruction.refusal import MismatchError
+from mavfi.faults.levels.instruction.table import Site
+from mavfi.faults.levels.instruction.variant import Report, Variant
+from mavfi.ir.build import name_of
+from mavfi.record import Injection
+
+DATA = (FLOATING, INTEGER)
+"""Value classes that feed neither addresses nor branches."""
+_FORMATS = {"double": "<d", "float": "<f", "half": "<e"}
+_LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
+"""Sign bit and lowest exponent bit."""
+
+
+def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
+    """Draw dynamic instructions of a whole flight, uniformly; returns call and index in the call, in draw order.
+
+    `counts` has the number of instructions of each call; those of several functions may be concatenated.
+    """
+    ends = np.cumsum(counts)
+    positions = random.integers(int(ends[-1]), size=n)
+    calls = np.searchsorted(ends, positions, side="right")
+    starts = ends - np.asarray(counts)
+    return [(int(call), int(position - starts[call])) for call, position in zip(calls, positions, strict=True)]
+
+
+def plan(
+    random: np.random.Generator, function: str, ir_sha256: str, site: Site, index: int, model: Model = "one_bit",
+    count: int = 2, **more: Any,
+) -> InstructionFault:  # fmt: skip
+    """Choose how the result of a dynamic instruction is changed.
+
+    Args:
+        random: Random stream of the fault.
+        function: Module and name of a user's own function; "" for one of a kernel, given by `more`.
+        ir_sha256: Digest of the IR.
+        site: The static instruction.
+        index: Dynamic index.
+        model: "one_bit", uniform; "bits": `count` distinct bits, or all if fewer; "random": any value; "zero".
+        count: Number of bits for "bits".
+        more: Further fields of the fault.
+
+    Raises:
+        BadInputError: Unknown model.
+    """
+    if model not in MODELS:
+        raise BadInputError(f"fault model {model!r}: not known; allowed: {', '.join(MODELS)}")
+    bits: tuple[int, ...] = ()
+    value = 0
+    if model in ("one_bit", "bits"):
+        drawn = random.choice(site.width, size=min(1 if model == "one_bit" else count, site.width), replace=False)
+        bits = tuple(sorted(int(bit) for bit in drawn))
+    elif model == "random":
+        value = int.from_bytes(random.bytes(-(-site.width // 8)), "little") & ((1 << site.width) - 1)
+    return InstructionFault(
+        function, ir_sha256, index, bits=bits, value=value, model=model, value_class=site.value_class,
+        stratum=stratum_of(site.kind, bits[0] if len(bits) == 1 else None), **more,
+    )  # fmt: skip
+
+
+def stratum_of(kind: str, bit: int | None) -> str:
+    """Class of a value's bit: "sign", "exponent" or "mantissa"; "other" for integers, pointers, or without a bit.
+
+    `kind` is an LLVM type; in a vector the bit index runs over its elements.
+    """
+    element = re.sub(r"<\d+ x (\w+)>", r"\1", kind)
+    if bit is None or element not in _LAYOUTS:
+        return "other"
+    sign, exponent = _LAYOUTS[element]
+    place = bit % (sign + 1)
+    return "sign" if place == sign else "exponent" if place >= exponent else "mantissa"
+
+
+def budget_for(total: int) -> int:
+    """Number of values after which a call counts as a hang, if it writes `total` without a fault."""
+    return 3 * total + 10_000
+
+
+def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
+    """Raise a MismatchError if a fault was drawn for another function or other machine code."""
+    if fault.function and fault.function != name_of(function):
+        raise MismatchError(f"fault in {fault.function}: given to {name_of(function)}")
+    if fault.ir_sha256 != variant.ir_sha256:
+        raise MismatchError(
+            f"fault in {fault.site}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
+            "source, numba or llvmlite differ"
+        )
+
+
+def injection_of(
+    fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
+) -> Injection:  # fmt: skip
+    """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
+
+    Its values are numbers of the instruction's type (signed integers); the details contain their bits as hexadecimal
+    text. `call` is the injected call, if not the planned one.
+    """
+    function = fault.entry or fault.function
+    if report is None:
+        details: dict[str, Any] = {"function": function, "replayable": True}
+        return Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
+    site, before, after = report.site, report.before, report.after
+    keep, flip = fault.masks
+    planned = (before & keep) ^ flip
+    details = {
+        "function": function, "replayable": report.planned or site.value_class in DATA,
+        "call": fault.call if call is None else call,
+        "index": fault.index, "block": site.block, "offset": site.offset, "opcode": site.opcode, "type": site.kind,
+        "width": site.width,
+        "value_class": site.value_class, "line_is_near": site.near,
+        "inlined": [f"{file}:{line}" for file, line in site.frames[1:]], "variable": site.variable or "",
+        "ir_sha256": fault.ir_sha256, "bits": list(fault.bits), "model": fault.model, "before_bits": hex(before),
+        "after_bits": hex(after),
+    }  # fmt: skip
+    if site.role:
+        details["role"] = site.role
+    return Injection(
+        fault.level, fault.site, time_s, fault.bit, _number(site, before), _number(site, after),
+        planned == after and not after >> site.width, site.file, site.line, details,
+    )  # fmt: skip
+
+
+def changed_nothing(report: Report | None) -> bool:
+    """Whether nothing changed: the index was not reached, or its value has no such bit."""
+    return report is None or not (report.before ^ report.after) & ((1 << report.site.width) - 1)
+
+
+def _number(site: Site, bits: int) -> float | int:
+    """Bits as a number of the instruction's type: floating point, or signed integer."""
+    if site.kind in _FORMATS:
+        layout = _FORMATS[site.kind]
+        return float(struct.unpack(layout, bits.to_bytes(struct.calcsize(layout), "little"))[0])
+    sign = 1 << (site.width - 1)
+    return bits if site.kind == "ptr" or site.width == 1 else (bits ^ sign) - sign

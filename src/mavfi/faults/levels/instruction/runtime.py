@@ -1,0 +1,411 @@
+"""Runtime of an instrumented kernel, which counts, resolves and injects: hand-written IR and its memory layout.
+
+A counter runs over the values that the kernel writes.  Each block first adds the number of its sites and compares with
+a threshold; only beyond it is `mavfi_slow` called, which acts according to the mode.  After the injection every block
+exceeds the threshold, and its slow copy checks every memory access.
+"""
+
+from enum import IntEnum
+
+from mavfi.faults.levels.instruction.arena import BASE, CONSTANTS, LINE, SIZE
+from mavfi.ir.forked import HANG_EXIT, WILD_EXIT
+
+
+class Control(IntEnum):
+    """Words of the control block `mavfi_control` (64 bits each), by index."""
+
+    COUNTER = 0  # values written so far
+    THRESHOLD = 1  # counter beyond which `mavfi_slow` is called
+    MODE = 2  # a `Mode`
+    TARGET = 3  # dynamic index of the fault (INJECT)
+    BUDGET = 4  # counter beyond which an injected call is a hang (INJECT)
+    INJECTED = 5  # 1 after the injection
+    REPORT = 6  # address of the report, see `REPORT_WORDS`
+    STOP = 7  # address of `_exit`
+    HISTOGRAM = 8  # address of the execution counts of all blocks (PROFILE, LOCATE)
+    TRACE = 9  # address of the executed blocks, in order (PROFILE)
+    TRACE_ROOM = 10  # largest length of the trace
+    TRACE_LENGTH = 11  # its present length
+    EVENTS = 12  # address of the wanted dynamic indices (RESOLVE), or executions by block (LOCATE)
+    EVENT_COUNT = 13  # number of wanted dynamic indices
+    NEXT_EVENT = 14  # position of the next wanted dynamic index
+    EVENT_BLOCKS = 15  # address of their blocks (RESOLVE), or of the next wanted execution of each block (LOCATE)
+    EVENT_OFFSETS = 16  # address of their offsets in these (RESOLVE), or of the indices where these start (LOCATE)
+    PLANNED = 17  # 1 if the call uses planned memory, see `arena`
+    FRAME = 18  # first free address for stack frames
+    HEAP = 19  # first free address for arrays
+
+
+class Mode(IntEnum):
+    """Behaviour beyond the threshold."""
+
+    INJECT = 0  # change one value, then check budget and memory accesses
+    PROFILE = 1  # count the executions of each block, and note their order
+    RESOLVE = 2  # find block and offset of dynamic indices
+    LOCATE = 3  # find the dynamic indices at which executions of blocks start
+
+
+WORDS = 32
+"""Size of the control block."""
+NEVER = 2**63 - 1
+"""A threshold or index that is never reached."""
+MASK_BYTES = 512
+"""Size of each of the masks `mavfi_keep` and `mavfi_flip`, and of the values before and after in the report."""
+REPORT_WORDS = 4
+"""The report begins with: injected?, block, offset, in planned memory?  Parents share it with forked children: it
+survives a crash."""
+REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
+
+
+def address(word: Control) -> str:
+    """Constant pointer to a word of the control block."""
+    return f"getelementptr (i8, ptr @mavfi_control, i64 {8 * word})"
+
+
+def _load(name: str, word: Control, kind: str = "i64") -> str:
+    return f"  %{name} = load volatile {kind}, ptr {address(word)}"
+
+
+def _store(value: str, word: Control) -> str:
+    return f"  store volatile i64 {value}, ptr {address(word)}"
+
+
+RUNTIME = f"""
+@mavfi_control = global [{WORDS} x i64] zeroinitializer, align 64
+@mavfi_keep = global [{MASK_BYTES} x i8] zeroinitializer, align 64
+@mavfi_flip = global [{MASK_BYTES} x i8] zeroinitializer, align 64
+@mavfi_unseen = global [{2 * MASK_BYTES} x i8] zeroinitializer, align 64
+define i64 @mavfi_slow(i64 %after, i64 %n, i64 %block) noinline {{
+entry:
+  %base = sub i64 %after, %n
+{_load("mode", Control.MODE)}
+  switch i64 %mode, label %inject [ i64 {Mode.PROFILE:d}, label %profile
+                                    i64 {Mode.RESOLVE:d}, label %resolve
+                                    i64 {Mode.LOCATE:d}, label %locate ]
+inject:
+{_load("done", Control.INJECTED)}
+  %before.it = icmp eq i64 %done, 0
+  br i1 %before.it, label %change, label %injected
+change:
+{_load("target", Control.TARGET)}
+  %offset = sub i64 %target, %base
+{_store("1", Control.INJECTED)}
+{_load("report", Control.REPORT, "ptr")}
+  store volatile i64 1, ptr %report
+  %report.block = getelementptr i64, ptr %report, i64 1
+  store volatile i64 %block, ptr %report.block
+  %report.offset = getelementptr i64, ptr %report, i64 2
+  store volatile i64 %offset, ptr %report.offset
+{_store("0", Control.THRESHOLD)}
+  ret i64 %offset
+injected:
+{_load("budget", Control.BUDGET)}
+  %over = icmp ugt i64 %after, %budget
+  br i1 %over, label %exhausted, label %located
+exhausted:
+{_load("stop", Control.STOP, "ptr")}
+  call void %stop(i32 {HANG_EXIT})
+  ret i64 -1
+profile:
+{_load("histogram", Control.HISTOGRAM, "ptr")}
+  %bin = getelementptr i64, ptr %histogram, i64 %block
+  %before = load i64, ptr %bin
+  %now = add i64 %before, 1
+  store i64 %now, ptr %bin
+{_load("length", Control.TRACE_LENGTH)}
+{_load("room", Control.TRACE_ROOM)}
+  %fits = icmp ult i64 %length, %room
+  br i1 %fits, label %note, label %profiled
+note:
+{_load("trace", Control.TRACE, "ptr")}
+  %entry.address = getelementptr i32, ptr %trace, i64 %length
+  %short = trunc i64 %block to i32
+  store i32 %short, ptr %entry.address
+  %longer = add i64 %length, 1
+{_store("%longer", Control.TRACE_LENGTH)}
+  br label %profiled
+profiled:
+  ret i64 -1
+resolve:
+{_load("count", Control.EVENT_COUNT)}
+{_load("events", Control.EVENTS, "ptr")}
+{_load("blocks", Control.EVENT_BLOCKS, "ptr")}
+{_load("offsets", Control.EVENT_OFFSETS, "ptr")}
+{_load("first", Control.NEXT_EVENT)}
+  br label %loop
+loop:
+  %i = phi i64 [ %first, %resolve ], [ %following, %record ]
+  %more = icmp ult i64 %i, %count
+  br i1 %more, label %look, label %finished
+look:
+  %event.address = getelementptr i64, ptr %events, i64 %i
+  %event = load i64, ptr %event.address
+  %here = icmp ult i64 %event, %after
+  br i1 %here, label %record, label %later
+record:
+  %block.address = getelementptr i64, ptr %blocks, i64 %i
+  store i64 %block, ptr %block.address
+  %place = sub i64 %event, %base
+  %offset.address = getelementptr i64, ptr %offsets, i64 %i
+  store i64 %place, ptr %offset.address
+  %following = add i64 %i, 1
+  br label %loop
+later:
+{_store("%i", Control.NEXT_EVENT)}
+{_store("%event", Control.THRESHOLD)}
+  ret i64 -1
+finished:
+{_store("%i", Control.NEXT_EVENT)}
+{_store(str(NEVER), Control.THRESHOLD)}
+  ret i64 -1
+locate:
+{_load("passed", Control.HISTOGRAM, "ptr")}
+  %pass.address = getelementptr i64, ptr %passed, i64 %block
+  %pass = load i64, ptr %pass.address
+  %next.pass = add i64 %pass, 1
+  store i64 %next.pass, ptr %pass.address
+{_load("cursors", Control.EVENT_BLOCKS, "ptr")}
+  %cursor.address = getelementptr i64, ptr %cursors, i64 %block
+  %cursor = load i64, ptr %cursor.address
+{_load("passes", Control.EVENTS, "ptr")}
+  %wanted.address = getelementptr i64, ptr %passes, i64 %cursor
+  %wanted = load i64, ptr %wanted.address
+  %now.wanted = icmp eq i64 %pass, %wanted
+  br i1 %now.wanted, label %found, label %located
+found:
+{_load("starts", Control.EVENT_OFFSETS, "ptr")}
+  %start.address = getelementptr i64, ptr %starts, i64 %cursor
+  store i64 %base, ptr %start.address
+  %next.cursor = add i64 %cursor, 1
+  store i64 %next.cursor, ptr %cursor.address
+  br label %located
+located:
+  ret i64 -1
+}}
+"""
+
+_HELD = 1 << 32
+"""Offset of reference counts: arrays that reach Python are never freed."""
+_HEADER = 64
+"""Bytes before an array, starting with Numba's `MemInfo`: references, destructor and its argument, data, size,
+allocator."""
+
+
+def _planned(yes: str, no: str) -> str:
+    return f"""{_load("planned", Control.PLANNED)}
+  %here = icmp ne i64 %planned, 0
+  br i1 %here, label %{yes}, label %{no}"""
+
+
+def _new(name: str, parameters: str) -> str:
+    """Memory of an array; null if the arena is full, which Numba turns into a MemoryError."""
+    return f"""
+define ptr @mavfi_{name}({parameters}) noinline {{
+entry:
+{_planned("place", "elsewhere")}
+place:
+  %whole = add i64 %size, {_HEADER}
+  %at = call ptr @mavfi_room(i64 %whole)
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %done, label %write
+write:
+  store i64 {_HELD + 1}, ptr %at
+  %destructor = getelementptr i8, ptr %at, i64 8
+  store i64 0, ptr %destructor
+  %argument = getelementptr i8, ptr %at, i64 16
+  store i64 0, ptr %argument
+  %data = getelementptr i8, ptr %at, i64 {_HEADER}
+  %data.address = getelementptr i8, ptr %at, i64 24
+  store ptr %data, ptr %data.address
+  %size.address = getelementptr i8, ptr %at, i64 32
+  store i64 %size, ptr %size.address
+  %allocator = getelementptr i8, ptr %at, i64 40
+  store i64 0, ptr %allocator
+  br label %done
+done:
+  ret ptr %at
+elsewhere:
+  %numbas = call ptr @{name}({parameters})
+  ret ptr %numbas
+}}
+"""
+
+
+_SYMBOLS = {
+    "NRT_Allocate": ("ptr", "i64"), "NRT_Free": ("void", "ptr"), "NRT_MemInfo_alloc": ("ptr", "i64"),
+    "NRT_MemInfo_alloc_aligned": ("ptr", "i64, i32"), "NRT_MemInfo_call_dtor": ("void", "ptr"),
+    "NRT_adapt_ndarray_from_python": ("i32", "ptr, ptr"),
+}  # fmt: skip
+"""Functions of Numba's runtime called by those below: result and parameters."""
+REPLACED = (
+    "NRT_Allocate", "NRT_Free", "NRT_MemInfo_alloc", "NRT_MemInfo_alloc_aligned", "NRT_adapt_ndarray_from_python",
+    "NRT_decref", "NRT_incref",
+)  # fmt: skip
+"""Functions of Numba's runtime that are replaced in kernels by ours, with the prefix `mavfi_`."""
+
+
+def declarations(text: str) -> str:
+    """Declarations of `_SYMBOLS` that a module lacks."""
+    return "\n".join(
+        f"declare {result} @{name}({parameters})"
+        for name, (result, parameters) in _SYMBOLS.items()
+        if f" @{name} (" not in text and f" @{name}(" not in text
+    )
+
+
+MEMORY = f"""
+define void @mavfi_check(ptr %pointer, i64 %size) noinline {{
+entry:
+{_load("planned", Control.PLANNED)}
+{_load("injected", Control.INJECTED)}
+  %both = and i64 %planned, %injected
+  %checked = icmp ne i64 %both, 0
+  %nothing = icmp eq i64 %size, 0
+  %wanted = select i1 %nothing, i1 false, i1 %checked
+  br i1 %wanted, label %test, label %fine
+test:
+  %address = ptrtoint ptr %pointer to i64
+  %offset = sub i64 %address, {BASE}
+  %last = sub i64 {SIZE}, %size
+  %large = icmp ugt i64 %size, {SIZE}
+  %beyond = icmp ugt i64 %offset, %last
+  %wild = or i1 %large, %beyond
+  br i1 %wild, label %stop, label %fine
+stop:
+{_load("end", Control.STOP, "ptr")}
+  call void %end(i32 {WILD_EXIT})
+  br label %fine
+fine:
+  ret void
+}}
+define void @mavfi_overflow(i64 %end) noinline {{
+entry:
+  %fits = icmp ule i64 %end, {CONSTANTS}
+  br i1 %fits, label %fine, label %stop
+stop:
+{_load("end.of.it", Control.STOP, "ptr")}
+  call void %end.of.it(i32 {WILD_EXIT})
+  br label %fine
+fine:
+  ret void
+}}
+define ptr @mavfi_room(i64 %size) noinline {{
+entry:
+{_load("heap", Control.HEAP)}
+  %more = add i64 %size, {LINE - 1}
+  %rounded = and i64 %more, -{LINE}
+  %left = sub i64 {BASE + SIZE}, %heap
+  %fits.rounded = icmp ule i64 %rounded, %left
+  %sane = icmp ule i64 %size, {SIZE}
+  %fits = and i1 %fits.rounded, %sane
+  br i1 %fits, label %take, label %none
+take:
+  %next = add i64 %heap, %rounded
+{_store("%next", Control.HEAP)}
+  %at = inttoptr i64 %heap to ptr
+  ret ptr %at
+none:
+  ret ptr null
+}}
+define ptr @mavfi_NRT_Allocate(i64 %size) noinline {{
+entry:
+{_planned("place", "elsewhere")}
+place:
+  %at = call ptr @mavfi_room(i64 %size)
+  ret ptr %at
+elsewhere:
+  %numbas = call ptr @NRT_Allocate(i64 %size)
+  ret ptr %numbas
+}}
+define void @mavfi_NRT_Free(ptr %at) noinline {{
+entry:
+{_planned("place", "elsewhere")}
+place:
+  call void @mavfi_reference(ptr %at)
+  ret void
+elsewhere:
+  call void @NRT_Free(ptr %at)
+  ret void
+}}
+define void @mavfi_reference(ptr %at) noinline {{
+entry:
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %fine, label %test
+test:
+  call void @mavfi_check(ptr %at, i64 {_HEADER})
+  br label %fine
+fine:
+  ret void
+}}
+{_new("NRT_MemInfo_alloc", "i64 %size")}
+{_new("NRT_MemInfo_alloc_aligned", "i64 %size, i32 %alignment")}
+define void @mavfi_NRT_incref(ptr %at) noinline {{
+entry:
+  call void @mavfi_reference(ptr %at)
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %done, label %count
+count:
+  %before = atomicrmw add ptr %at, i64 1 monotonic
+  br label %done
+done:
+  ret void
+}}
+define void @mavfi_NRT_decref(ptr %at) noinline {{
+entry:
+  call void @mavfi_reference(ptr %at)
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %done, label %count
+count:
+  %before = atomicrmw sub ptr %at, i64 1 acq_rel
+{_planned("place", "elsewhere")}
+place:
+  %unused = icmp eq i64 %before, {_HELD + 1}
+  br i1 %unused, label %look, label %done
+look:
+  %size.address = getelementptr i8, ptr %at, i64 32
+  %size = load i64, ptr %size.address
+  %more = add i64 %size, {_HEADER + LINE - 1}
+  %rounded = and i64 %more, -{LINE}
+  %address = ptrtoint ptr %at to i64
+  %end = add i64 %address, %rounded
+{_load("heap", Control.HEAP)}
+  %newest = icmp eq i64 %end, %heap
+  br i1 %newest, label %free, label %done
+free:
+{_store("%address", Control.HEAP)}
+  br label %done
+elsewhere:
+  %last = icmp eq i64 %before, 1
+  br i1 %last, label %destroy, label %done
+destroy:
+  call void @NRT_MemInfo_call_dtor(ptr %at)
+  br label %done
+done:
+  ret void
+}}
+define i32 @mavfi_NRT_adapt_ndarray_from_python(ptr %object, ptr %array) noinline {{
+entry:
+  %status = call i32 @NRT_adapt_ndarray_from_python(ptr %object, ptr %array)
+  %good = icmp eq i32 %status, 0
+  br i1 %good, label %look, label %done
+look:
+{_planned("detach", "done")}
+detach:
+  %held = load ptr, ptr %array
+  store ptr null, ptr %array
+  %parent = getelementptr i8, ptr %array, i64 8
+  store ptr null, ptr %parent
+  %none = icmp eq ptr %held, null
+  br i1 %none, label %done, label %release
+release:
+  %before = atomicrmw sub ptr %held, i64 1 acq_rel
+  %last = icmp eq i64 %before, 1
+  br i1 %last, label %destroy, label %done
+destroy:
+  call void @NRT_MemInfo_call_dtor(ptr %held)
+  br label %done
+done:
+  ret i32 %status
+}}
+"""
+"""Numba's runtime for kernels: a planned call allocates arrays in the arena, without Python's reference counts."""

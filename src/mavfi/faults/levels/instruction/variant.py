@@ -1,0 +1,291 @@
+"""The instrumented variant of one signature of a kernel, in memory: its modes, and the report of an injection.
+
+A variant has one control block, and all variants share one arena: not for several threads at once.
+"""
+
+import ctypes
+import mmap
+import os
+import weakref
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numba
+import numpy as np
+
+from mavfi.faults.levels.instruction.arena import FRAMES, arena, own
+from mavfi.faults.levels.instruction.build import Built, cached_build
+from mavfi.faults.levels.instruction.refusal import AllocationError
+from mavfi.faults.levels.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
+from mavfi.faults.levels.instruction.table import Site, Table
+from mavfi.faults.levels.instruction.tally import HISTOGRAM
+from mavfi.ir.build import Rewrite, Rewriting, check, environment_of, load_code, name_of
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Report of an injection.
+
+    Attributes:
+        site: The static instruction.
+        before: The bits of its result, as an integer.
+        after: The bits of the injected value.
+        planned: Whether the call used memory at planned addresses only: then its effect is the same everywhere.
+    """
+
+    site: Site
+    before: int
+    after: int
+    planned: bool
+
+
+class Passes:
+    """Wanted block executions: the k-th execution of a block in a call.
+
+    Attributes:
+        passed: Executions of each block so far. Shape (blocks,).
+        wanted: Wanted executions of each block in order, each list terminated by -1. Shape (m,).
+        cursors: Index in `wanted` of the next wanted execution of each block. Shape (blocks,).
+        starts: Dynamic index at which a wanted execution starts; -1 = not reached. Shape (m,).
+    """
+
+    def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
+        """For a kernel of `blocks` blocks: the wanted blocks, each with its execution number, from 0."""
+        ordered: dict[int, list[int]] = {}
+        for block, number in sorted(set(wanted)):
+            ordered.setdefault(block, []).append(number)
+        self.passed = np.zeros(blocks, np.int64)
+        self.cursors = np.zeros(blocks, np.int64)
+        passes, self._places = [-1], {}
+        for block, numbers in ordered.items():
+            self.cursors[block] = len(passes)
+            self._places.update({(block, number): len(passes) + i for i, number in enumerate(numbers)})
+            passes += [*numbers, -1]
+        self.wanted = np.array(passes, np.int64)
+        self.starts = np.full(len(passes), -1, np.int64)
+
+    def start(self, block: int, number: int) -> int:
+        """Dynamic index at which a wanted execution starts; -1 = not reached."""
+        return int(self.starts[self._places[block, number]])
+
+
+class Variant:
+    """Instrumented machine code with the kernel's arguments, which are modified as by a call."""
+
+    def __init__(self, built: Built, environment: Any) -> None:
+        self.table: Table = built.table
+        self.sizes = np.array(built.table.sizes(), np.int64)  # of the blocks
+        self.ir_sha256 = built.ir_sha256
+        self._built, self._environment = built, environment  # the code points to the environment
+        self._engine, self._function = self._load(built.code)
+        self._tally: tuple[Any, Any, ctypes.c_void_p] | None = None
+        self._control = self._array("mavfi_control", ctypes.c_int64, WORDS)
+        self._keep, self._flip = (
+            self._array(name, ctypes.c_uint8, MASK_BYTES) for name in ("mavfi_keep", "mavfi_flip")
+        )
+        arena()  # the code uses its addresses
+        self._owned = built.owned
+        self._constants = [
+            (constant.address, self._engine.get_global_value_address(_plain(constant.name)), constant.size)
+            for constant in built.constants
+        ]
+        self._reader = -1
+        self.own_report()
+        self._control[Control.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
+        self._set(Mode.INJECT, NEVER)
+
+    def _load(self, code: bytes) -> tuple[Any, Any]:
+        """Engine of an object file, and its function."""
+        return load_code(code, self._built.wrapper, self._built.environment, self._environment)
+
+    def own_report(self) -> None:
+        """Direct reports of later injections to this process; called by the reading process before it forks.
+
+        Forks share the memory, so that it survives a crashed child: two workers must not use their parent's report.
+        """
+        if self._reader == os.getpid():
+            return
+        self._reader = os.getpid()
+        report = np.frombuffer(mmap.mmap(-1, REPORT_BYTES), np.uint8)
+        self._injected = report[: 8 * REPORT_WORDS].view(np.int64)
+        self._values = report[8 * REPORT_WORDS :]
+        self._control[Control.REPORT] = report.ctypes.data
+
+    def _array(self, name: str, kind: Any, count: int) -> np.ndarray:
+        """A global of the machine code."""
+        return np.ctypeslib.as_array((kind * count).from_address(self._engine.get_global_value_address(name)))
+
+    def _set(self, mode: Mode, threshold: int) -> None:
+        control = self._control
+        control[Control.COUNTER] = control[Control.INJECTED] = control[Control.PLANNED] = 0
+        control[Control.FRAME] = FRAMES
+        for there, here, size in self._constants:
+            ctypes.memmove(there, here, size)
+        control[Control.MODE] = mode
+        control[Control.THRESHOLD] = threshold
+
+    def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
+        """Run with the given words of the control block."""
+        self._set(mode, threshold)
+        for name, word in words.items():
+            self._control[Control[name]] = word
+        try:
+            return self._function(None, args, None)
+        finally:
+            self._set(Mode.INJECT, NEVER)
+
+    def count(self, *args: Any) -> tuple[Any, int]:
+        """Run without a fault; returns the result and the number of values written."""
+        self._set(Mode.INJECT, NEVER)
+        result = self._function(None, args, None)
+        return result, int(self._control[Control.COUNTER])
+
+    def tally(self, *args: Any) -> tuple[Any, np.ndarray]:
+        """Run without a fault; returns the result and execution counts of blocks; faster than `profile`."""
+        if self._tally is None:
+            engine, function = self._load(self._built.tally)
+            place = ctypes.c_void_p.from_address(engine.get_global_value_address(HISTOGRAM))
+            self._tally = engine, function, place
+        _, function, place = self._tally
+        histogram = np.zeros(len(self.table.blocks), np.int64)
+        place.value = histogram.ctypes.data
+        return function(None, args, None), histogram
+
+    def written(self, times: np.ndarray) -> int:
+        """Number of values written, from the execution count of each block. Shape (blocks,)."""
+        return int(times @ self.sizes)
+
+    def profile(self, *args: Any, room: int = 0) -> tuple[Any, np.ndarray, np.ndarray]:
+        """Run without a fault; returns the result, execution counts of blocks, and the first `room` blocks in order."""
+        histogram = np.zeros(len(self.table.blocks), np.int64)
+        trace = np.zeros(max(room, 1), np.int32)
+        result = self._run(
+            Mode.PROFILE, 0, args, HISTOGRAM=histogram.ctypes.data, TRACE=trace.ctypes.data, TRACE_ROOM=room,
+            TRACE_LENGTH=0,
+        )  # fmt: skip
+        return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
+
+    def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
+        """Run without a fault; returns the result and the site of each dynamic index, None beyond the last."""
+        wanted = np.array(sorted(set(indices)), np.int64)
+        blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
+        result = self._run(
+            Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER, args, EVENTS=wanted.ctypes.data,
+            EVENT_COUNT=len(wanted), EVENT_BLOCKS=blocks.ctypes.data, EVENT_OFFSETS=offsets.ctypes.data, NEXT_EVENT=0,
+        )  # fmt: skip
+        sites = {
+            int(index): self.table.blocks[block][offset] if block >= 0 else None
+            for index, block, offset in zip(wanted, blocks, offsets, strict=True)
+        }
+        return result, [sites[index] for index in indices]
+
+    def locate(self, passes: Passes, *args: Any) -> Any:
+        """Run without a fault, and store in `passes` the dynamic indices at which wanted executions start."""
+        return self._run(
+            Mode.LOCATE, 0, args, HISTOGRAM=passes.passed.ctypes.data, EVENTS=passes.wanted.ctypes.data,
+            EVENT_BLOCKS=passes.cursors.ctypes.data, EVENT_OFFSETS=passes.starts.ctypes.data,
+        )  # fmt: skip
+
+    def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
+        """Run with one injection: the value at this dynamic index, from 0, becomes (value & keep) ^ flip.
+
+        A kernel that exceeds its budget of values ends the process with status `HANG_EXIT`, one that accesses memory
+        that it does not own with `WILD_EXIT`.
+        """
+        for memory, mask in ((self._keep, keep), (self._flip, flip)):
+            memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
+        placed = arena().place(args) if self._owned else None
+        self._injected[:] = (0, 0, 0, placed is not None)
+        if placed is None:
+            return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
+        words = {"TARGET": index, "BUDGET": budget, "PLANNED": 1, "HEAP": placed.heap}
+        try:
+            return own(self._run(Mode.INJECT, index, placed.args, **words))
+        except MemoryError:
+            pass  # the arena is full, not the machine
+        finally:
+            placed.take_back()
+        raise AllocationError("an array is too large")
+
+    def report(self) -> Report | None:
+        """Report of the last injection, here or in a forked child; None if the index was not reached."""
+        injected, block, offset, planned = self._injected.tolist()
+        if not injected:
+            return None
+        site = self.table.blocks[block][offset]
+        size = -(-site.width // 8)
+        before, after = (
+            int.from_bytes(self._values[first : first + size].tobytes(), "little") for first in (0, MASK_BYTES)
+        )
+        return Report(site, before, after, bool(planned))
+
+
+def _plain(name: str) -> str:
+    """The name of a global as used by the linker."""
+    return name[1:].strip('"')
+
+
+_variants: "weakref.WeakKeyDictionary[Any, dict[tuple[Any, ...], Variant]]" = weakref.WeakKeyDictionary()
+
+
+_LARGEST_INT = 1 << 63
+_types: dict[Any, Any] = {}
+_known: "weakref.WeakKeyDictionary[Any, dict[Any, Variant]]" = weakref.WeakKeyDictionary()
+"""Variants by what determines the types of their arguments: hashing Numba types takes longer than a short call."""
+
+
+def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Numba types of arguments; cached by what determines them, since Numba derives them again for each call."""
+    key = _key(args)
+    if key is None:
+        return tuple(numba.typeof(argument) for argument in args)  # type: ignore[no-untyped-call]
+    if key not in _types:
+        _types[key] = tuple(numba.typeof(argument) for argument in args)  # type: ignore[no-untyped-call]
+    return cast(tuple[Any, ...], _types[key])
+
+
+def _key(value: Any) -> Any:
+    """What determines the Numba type of a value; None = unknown."""
+    kind = type(value)
+    if kind is int and -_LARGEST_INT <= value < _LARGEST_INT:
+        return kind
+    if kind is np.ndarray:
+        return value.dtype, value.ndim, value.flags.num
+    if kind in (float, bool):
+        return kind
+    if isinstance(value, np.generic):
+        return kind, value.dtype
+    if isinstance(value, tuple):
+        parts = tuple(map(_key, value))
+        return None if None in parts else (kind, parts)
+    return None
+
+
+def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None = None) -> Variant:
+    """`variant_of` for the types of these arguments."""
+    if rewriting is not None:
+        signature = signature_of(args)
+        return variant_of(kernel, signature, rewriting(name_of(kernel), signature))
+    key, known = _key(args), _known.setdefault(kernel, {})
+    if key is None:
+        return variant_of(kernel, signature_of(args))
+    if key not in known:
+        known[key] = variant_of(kernel, signature_of(args))
+    return known[key]
+
+
+def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:
+    """The variant for a signature, built or loaded at its first use; a parent process loads it before it forks.
+
+    With `rewrite` it is the variant of the rewritten kernel, e.g. a protected one.
+
+    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler crashes.
+    """
+    check(kernel)
+    known = _variants.setdefault(kernel, {})
+    key = signature, b"" if rewrite is None else rewrite.key
+    if key not in known:
+        built = cached_build(kernel, signature, rewrite)
+        known[key] = Variant(built, environment_of(kernel, signature))
+    return known[key]

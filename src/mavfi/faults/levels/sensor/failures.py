@@ -1,0 +1,152 @@
+"""The failures of one vehicle, applied to everything that its sensors send and its motors receive."""
+
+import math
+
+import numpy as np
+
+from mavfi.faults.levels.sensor.fault import NULL, SensorFault
+from mavfi.faults.levels.sensor.signal import Signal
+from mavfi.numerics.elementary import cos, sin
+from mavfi.numerics.rotations import yaw_of
+from mavfi.record import Injection
+
+_STATE = {"gyro": slice(10, 13), "position": slice(0, 6)}
+_FORCE = {"accelerometer": slice(0, 3)}
+_IMU = _FORCE | {"gyro": slice(3, 6)}
+_FIX = {"position": slice(0, 3), "compass": slice(3, 4)}
+"""Places of a unit's values in the true state, the specific force, a sample of the IMU and a position fix."""
+_HEADING = 3
+
+
+class Failure:
+    """A fault of one device, with the proof of its activation.
+
+    Attributes:
+        fault: The fault.
+        injection: The first changed value; None = no reader has received one. Of a null fault, the first that passed.
+    """
+
+    def __init__(self, fault: SensorFault) -> None:
+        self.fault = fault
+        self.injection: Injection | None = None
+        self._signals: dict[str, Signal] = {}
+
+    def __call__(self, source: str, time_us: int, values: np.ndarray, spread: float | None = None) -> np.ndarray:
+        """A sample as readers receive it; sources of different noise have signals of their own."""
+        if source not in self._signals:
+            self._signals[source] = Signal(self.fault, spread)
+        found = self._signals[source](time_us, values)
+        if self.injection is None and found is not values:
+            self._note(time_us, values, found)
+        return found
+
+    def _note(self, time_us: int, values: np.ndarray, found: np.ndarray) -> None:
+        fault = self.fault
+        differs = (values != found) & ~(np.isnan(values) & np.isnan(found))
+        if not differs.any() and fault.kind != NULL:
+            return
+        place = int(differs.argmax())
+        lasts = "to the end" if math.isinf(fault.lasts_s) else f"for {fault.lasts_s:g} s"
+        self.injection = Injection(
+            fault.level, fault.site, time_us / 1e6, None, float(values[place]), float(found[place]), activated=True,
+            details={} if fault.kind == NULL else {"model": lasts},
+        )  # fmt: skip
+
+    def record(self) -> Injection:
+        """The injection, or that no reader received a changed value."""
+        fault = self.fault
+        time_s = fault.time_us / 1e6 if fault.has_site else 0.0
+        return self.injection or Injection(fault.level, fault.site, time_s, None, None, None, activated=False)
+
+
+class Failures:
+    """The failures of one vehicle; without any, every value passes as the same object.
+
+    Attributes:
+        active: The failures, in order of application.
+    """
+
+    def __init__(self) -> None:
+        self.active: list[Failure] = []
+
+    def begin(self, fault: SensorFault) -> Failure:
+        """Add a failure, which begins at its instant."""
+        self.active.append(Failure(fault))
+        return self.active[-1]
+
+    def end(self, unit: str, instance: int) -> bool:
+        """Remove the failures of a unit (instance 0: of all instances); returns whether there were any."""
+        ended = [f for f in self.active if f.fault.unit == unit and instance in (0, f.fault.instance)]
+        self.active = [failure for failure in self.active if failure not in ended]
+        return bool(ended)
+
+    def remove(self, failure: Failure) -> None:
+        """Remove one failure."""
+        self.active.remove(failure)
+
+    def state(self, time_us: int, odometry: np.ndarray) -> np.ndarray:
+        """The state that readers believe, as in `sim.simulator.Simulator.odometry`. Shape (13,)."""
+        found = self._changed("state", _STATE, time_us, odometry)
+        for failure in self._of("compass"):
+            heading = yaw_of(found[6:10])
+            measured = float(failure("state", time_us, np.array([heading]))[0])
+            if measured != heading:
+                found = found.copy()
+                found[6:10] = _turned(found[6:10], measured - heading)
+        return found
+
+    def force(self, time_us: int, force: np.ndarray) -> np.ndarray:
+        """Specific force, body frame (m/s^2). Shape (3,)."""
+        return self._changed("force", _FORCE, time_us, force)
+
+    def imu(self, time_us: int, sample: np.ndarray) -> np.ndarray:
+        """A sample of the IMU, as in `hosts.loop.plant.Plant.imu`. Shape (6,)."""
+        return self._changed("imu", _IMU, time_us, sample)
+
+    def fix(self, time_us: int, measured: np.ndarray) -> np.ndarray:
+        """A position fix, as in `hosts.loop.plant.Plant.position_fix`. Shape (4,)."""
+        found = self._changed("fix", _FIX, time_us, measured)
+        if found is not measured:
+            found[_HEADING] = math.remainder(found[_HEADING], 2.0 * math.pi)
+        return found
+
+    def ranges(self, time_us: int, ranges: np.ndarray, source: str = "image") -> np.ndarray:
+        """The ranges of a depth image (m). Shape (n,)."""
+        for failure in self._of("depth_camera"):
+            ranges = failure(source, time_us, ranges)
+        return ranges
+
+    def rotors(self, time_us: int, wanted: np.ndarray, max_thrust: float) -> np.ndarray:
+        """Commanded thrusts (N), of motors that can give `max_thrust`. Shape (4,)."""
+        for failure in self._of("motor"):
+            number = failure.fault.instance
+            own = slice(number - 1, number) if number else slice(None)
+            wanted = _with(wanted, own, failure("rotors", time_us, wanted[own], max_thrust))
+        return wanted
+
+    def _of(self, unit: str) -> list[Failure]:
+        return [failure for failure in self.active if failure.fault.unit == unit]
+
+    def _changed(self, source: str, places: dict[str, slice], time_us: int, values: np.ndarray) -> np.ndarray:
+        """Values with the changes of all failures that have a place in them."""
+        for failure in self.active:
+            place = places.get(failure.fault.unit)
+            if place is not None:
+                values = _with(values, place, failure(source, time_us, values[place]))
+        return values
+
+
+def _with(values: np.ndarray, place: slice, part: np.ndarray) -> np.ndarray:
+    """Values with a part replaced; unchanged values are returned as they are."""
+    if part.tobytes() == values[place].tobytes():
+        return values
+    found = values.copy()
+    found[place] = part
+    return found
+
+
+def _turned(quaternion: np.ndarray, angle: float) -> np.ndarray:
+    """The orientation turned about the world's z axis. Shape (4,)."""
+    w, x, y, z = map(float, quaternion)
+    c, s = float(cos(0.5 * angle)), float(sin(0.5 * angle))
+    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])

@@ -1,0 +1,207 @@
+"""State-level faults: one bit of one field of a published inter-kernel state, once or for a limited time.
+
+A field may also be the length of a list in the serialized state: a message with a wrong length can be lost.
+"""
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.levels.transit import is_length, with_length
+from mavfi.faults.sampling import stream
+from mavfi.faults.strata import WORD_BITS
+from mavfi.record import Injection
+from mavfi.states import STATES, State, StateSpec, find_state
+
+Number = float | int | bool
+
+
+def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tuple[State, Number, Number]:
+    """Flip one bit of one field in a copy of a state; returns the copy, and the field's value before and after.
+
+    Args:
+        state: A publication.
+        site: Field, and element if the field belongs to the elements (clamped to the existing ones).
+        bit: 0 = least significant bit of the field (IEEE 754 binary32 or binary64, two's complement); a flag has
+            bit 0 only; None = flip nothing.
+        width: Number of adjacent bits, starting at `bit`.
+
+    Raises:
+        BadInputError: The field has no such bit, or the state has no element.
+    """
+    bits = WORD_BITS[state.spec.find(site.field).dtype]
+    if bit is not None and not 0 <= bit <= bits - width:
+        raise BadInputError(f"{site}: no bit {bit + width - 1 if bit >= 0 else bit}; allowed: 0 to {bits - 1}")
+    changed, before, after, _ = _with_bits(state, site, mask_of(bit, width))
+    return changed, before, after
+
+
+def mask_of(bit: int | None, width: int) -> int:
+    """Mask of adjacent bits, starting at `bit`; None = no bit."""
+    return 0 if bit is None else ((1 << width) - 1) << bit
+
+
+def _with_bits(
+    state: State, site: FaultSite, mask: int, stuck: int | None = None
+) -> tuple[State, Number, Number, int]:  # fmt: skip
+    """A copy with masked bits of a field flipped, or set as in `stuck`; also value before and after, and new word."""
+    if is_length(state.spec, site.field):
+        raise BadInputError(f"{site}: is the length of a list; allowed: a field of the state")
+    changed = state.copy()
+    in_elements = state.spec.in_elements(site.field)
+    container = changed.elements if in_elements else changed.header
+    if len(container) == 0:
+        raise BadInputError(f"{site}: the state carries no {state.spec.element} to change")
+    row = min(site.element or 0, len(container) - 1) if in_elements else 0
+    before = container[site.field][row].item()
+    names = container.dtype.fields
+    assert names is not None  # states are structured arrays
+    start, size = row * container.dtype.itemsize + names[site.field][1], names[site.field][0].itemsize
+    raw = container.view(np.uint8)[start : start + size]
+    word = int.from_bytes(raw.tobytes(), "little")
+    word = (word & ~mask) | ((~word if stuck is None else stuck) & mask)
+    raw[:] = np.frombuffer(word.to_bytes(size, "little"), np.uint8)
+    return changed, before, container[site.field][row].item(), word
+
+
+class ActedOn:
+    """Selects the publications of one state that consumers act on: the same rule for drawing and injecting.
+
+    If `StateSpec.acted_on` names a counter, these are the publications in which it exceeds `last`, its value in the
+    previous publication; otherwise all.
+    """
+
+    def __init__(self, spec: StateSpec) -> None:
+        self._counter = spec.acted_on
+        self.last = 0
+
+    def __call__(self, state: State) -> bool:
+        """Whether consumers act on this publication, given the previous calls."""
+        if not self._counter:
+            return True
+        value = int(state.header[self._counter][0])
+        grew = value > self.last
+        self.last = value
+        return grew
+
+
+class CounterWatch:
+    """A tap without effect, in place of the injector, that tracks the counters needed by a later injector.
+
+    They are in `acted_on`, for the states of which consumers do not act on every publication.
+    """
+
+    spent = True
+
+    def __init__(self) -> None:
+        self.acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
+
+    def copy(self) -> "CounterWatch":
+        """An independent copy with the same counters."""
+        other = CounterWatch()
+        other.acted_on = {name: copy(acted_on) for name, acted_on in self.acted_on.items()}
+        return other
+
+    def same(self, other: object) -> bool:
+        """Whether both have the same latest counters."""
+        return isinstance(other, CounterWatch) and all(
+            acted_on.last == other.acted_on[name].last for name, acted_on in self.acted_on.items()
+        )
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """The publication itself."""
+        del time_us
+        acted_on = self.acted_on.get(state.spec.name)
+        if acted_on is not None:
+            acted_on(state)
+        return state
+
+    def finish(self) -> list[Injection]:
+        """No injection."""
+        return []
+
+
+class StateInjector:
+    """A tap that injects one fault, once or while it lasts; all other publications pass unchanged."""
+
+    def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
+        """Arm the fault; `watch` has tracked all earlier publications, None = there were none."""
+        self.injections: list[Injection] = []
+        self._fault = fault
+        self._spec = find_state(fault.where.state)
+        known = None if watch is None else watch.acted_on.get(self._spec.name)
+        self._acted_on = ActedOn(self._spec) if known is None else copy(known)
+        self._spec.find(fault.where.field)
+        self._in_elements = self._spec.in_elements(fault.where.field)
+        self._in_length = fault.of_length
+        self._armed = fault.has_site
+        self._since_us, self._stuck = 0, 0
+        self._seen, self._changed = 0, 0  # publications since the fault began, and number of changed ones
+
+    def copy(self) -> "StateInjector":
+        """An independent copy in the same state."""
+        other = copy(self)
+        other.injections, other._acted_on = list(self.injections), copy(self._acted_on)
+        return other
+
+    @property
+    def spent(self) -> bool:
+        """Whether all further publications will pass unchanged."""
+        return not self._armed
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """The publication itself, or a copy with a bit flipped or stuck, at the current time; None = lost."""
+        if state.spec is not self._spec or not self._armed:
+            return state
+        acted_on, empty = self._acted_on(state), self._in_elements and len(state.elements) == 0
+        if empty or (not self._seen and (not acted_on or time_us < self._fault.time_us)):
+            return state
+        if self._seen and not self._lasts(time_us):
+            return state
+        self._seen += 1
+        self._armed = self._seen < self._fault.times or self._fault.lasts_s > 0.0
+        return self._inject(state, time_us) if self._seen == 1 or self._hits() else state
+
+    def _lasts(self, time_us: int) -> bool:
+        fault = self._fault
+        self._armed = self._seen < fault.times or time_us - self._since_us <= 1e6 * fault.lasts_s
+        return self._armed
+
+    def _hits(self) -> bool:
+        """Whether an intermittent fault changes this publication: a function of the seed and its number."""
+        fault = self._fault
+        return fault.share == 1.0 or stream(fault.seed, "share", self._seen).random() < fault.share
+
+    def _inject(self, state: State, time_us: int) -> State | None:
+        fault, site, first = self._fault, self._fault.where, not self._changed
+        if self._in_elements:
+            # the list may be shorter than in the golden run; the record names the injected element
+            site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
+        mask, stuck = mask_of(fault.bit, fault.width), None if first else self._stuck
+        injected, before, after, word = (
+            with_length(state, site.field, mask, stuck) if self._in_length else _with_bits(state, site, mask, stuck)
+        )
+        self._changed += 1
+        if first:
+            self._since_us, self._stuck = time_us, word
+            activated = (injected is not None and injected.same_bits(state)) == (fault.bit is None)
+            injection = Injection(
+                fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated,
+                details={"lost": True} if injected is None else {},
+            )  # fmt: skip
+            self.injections.append(injection)
+        return injected
+
+    def finish(self) -> list[Injection]:
+        """The injection; a lasting one with its number of publications; not activated if none was changed."""
+        if self.injections and self._fault.lasting:
+            first = self.injections[0]
+            return [replace(first, details={**first.details, "publications": self._changed})]
+        if not self.injections:
+            fault = self._fault
+            time_s = fault.time_us / 1e6 if fault.has_site else 0.0
+            self.injections.append(Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False))
+        return self.injections

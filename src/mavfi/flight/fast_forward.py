@@ -1,0 +1,569 @@
+"""Fast-forward: flies the injected runs of one mission, under several detectors, and simulates common parts once.
+
+`FastForward.fly` returns bit for bit the results of `mavfi.flight.fly.fly`.  Four steps save work:
+
+1. Golden checkpoint: an injected run starts from the golden flight's last checkpoint before the fault.
+2. Convergence: at each checkpoint where plant, kernels and queue are those of a known flight, its remainder is reused.
+3. Replay to the first alarm: a detector without alarms has no effect.  Where the flight without it is known, the
+   detector only checks the publications of that flight; at its first alarm, simulation continues from the preceding
+   checkpoint.
+4. Shared flights after alarms: after an alarm, a flight may converge to one with the same fault under another detector,
+   and follows it between that detector's alarms.
+
+The last two are not done for a detector that takes part in flights without an alarm, see `takes_part`.
+Instruction faults use the same golden flights and the same convergence, see `hosts.local.forks`.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import MavfiError
+from mavfi.faults.fault import StateFault
+from mavfi.faults.levels.instruction import Resolving
+from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
+from mavfi.flight.assemble import install, new_loop, restarts_for
+from mavfi.flight.checkpoints import (
+    Checkpoint,
+    DetectorKeeper,
+    Instant,
+    can_save_kernels,
+    has_scratch,
+    is_at,
+    put,
+    take,
+)
+from mavfi.flight.counted_function import CountedFunction
+from mavfi.flight.golden_prefix import check_prefix
+from mavfi.flight.host import Flight
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.record import FlightLog, Profile
+from mavfi.sim.controller import is_rewindable
+from mavfi.states import State
+
+TICKS = {"dense": 50, "octree": 200}
+"""Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
+
+
+@dataclass(slots=True)
+class Share:
+    """Share of the flights that was simulated.
+
+    Attributes:
+        ticks: Control periods of all flights, of which `flown` were simulated; in those `shown`, a detector only
+            checked the publications of a known flight.
+        converged: Number of flights that converged to another one before their end.
+    """
+
+    flights: int = 0
+    ticks: int = 0
+    flown: int = 0
+    shown: int = 0
+    converged: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlownArm:
+    """Detector (None = none) and recovery policy of a flight; a name always stands for the same two."""
+
+    name: str = ""
+    detector: Detector | None = None
+    recovery: Recovery = INLINE
+
+
+NO_DETECTOR = FlownArm()
+
+
+def takes_part(detector: Detector | None, recovery: Recovery) -> bool:
+    """Whether a detector acts without an alarm, or answers one depending on earlier events other than its alarms.
+
+    It seals values before they are published, has unreadable ones sent again, has steps computed twice, or waits for
+    answers and restarts nodes.  Otherwise it has no effect up to its first alarm, and the publications of a flight are
+    all that it needs.
+    """
+    if detector is None:
+        return False
+    if recovery.remembers or recovery.resends:
+        return True
+    return detector.seals or bool(detector.duplicates)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """A completed flight.
+
+    Attributes:
+        log: Its log.
+        rows: Rows of the log.
+        publications: Publications with their instants (us), in order; empty if it has no checkpoints.
+        checkpoints: Checkpoints by number of rows before them.
+        end: Its end.
+    """
+
+    log: FlightLog
+    rows: list[np.ndarray]
+    publications: list[tuple[State, int]]
+    checkpoints: dict[int, Checkpoint]
+    end: Checkpoint
+
+    def before(self, time_us: int) -> int:
+        """Number of rows of the last checkpoint before an instant (us); 0 if there is none."""
+        return max((rows for rows in self.checkpoints if rows * CONTROL_PERIOD_US < time_us), default=0)
+
+    def pieces(self, rows: int) -> Iterator[tuple[Checkpoint, Checkpoint]]:
+        """Pairs of consecutive checkpoints from `rows` on, up to the end."""
+        later = [self.checkpoints[number] for number in sorted(self.checkpoints) if number >= rows]
+        return pairwise([*later, self.end])
+
+    def is_silent(self, rows: int) -> bool:
+        """Whether its own detector, if there is one, raises no alarm before the checkpoint after the one at `rows`."""
+        here, there = next(self.pieces(rows))
+        return len(here.alarms) == len(there.alarms)
+
+
+class Branch:
+    """A flight in progress that reuses parts of known flights of its mission.
+
+    Args:
+        forward: All flights of the mission.
+        arm: Detector and recovery policy of this flight.
+        others: Known flights that it may follow: the golden flight without a detector, and those with the same fault.
+        own_golden: The golden flight of its arm; None = this one is it.
+        keeps_checkpoints: Whether it takes checkpoints, and so records publications: other flights may follow it.
+        keeps_publications: Whether it records publications.
+
+    Attributes:
+        loop: The loop that flies it.
+        keeps_checkpoints: As above.
+        publications: Recorded publications, with their instants (us).
+        comparable: Whether checkpoints contain everything in which it may differ from the known flights.
+    """
+
+    def __init__(
+        self, forward: "FastForward", arm: FlownArm, others: Sequence[Track] = (), own_golden: Track | None = None, *,
+        keeps_checkpoints: bool = False, keeps_publications: bool = False,
+    ) -> None:  # fmt: skip
+        self.loop: Loop = forward.loop
+        self.publications: list[tuple[State, int]] = []
+        self.comparable: Callable[[], bool] = lambda: True
+        self._forward, self._arm = forward, arm
+        self._others, self._own_golden = others, own_golden
+        self.keeps_checkpoints = keeps_checkpoints
+        self._keeps_publications = keeps_checkpoints or keeps_publications
+        self._checkpoints: dict[int, Checkpoint] = {}
+        self._has_simulated = False
+        self._log: FlightLog | None = None
+
+        # Remove what the previous flight has left in the loop.
+        self.loop.status, self.loop.verify = None, None
+        self.loop.taps.detector, self.loop.taps.seal, self.loop.taps.again = None, None, None
+        self.loop.taps.recorders.clear()
+        if self._keeps_publications:
+            self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
+
+        # Attach the detector.
+        self._detector = None if arm.detector is None else DetectorKeeper(arm.detector)
+        self._restarts = None if arm.detector is None else restarts_for(self.loop, arm.recovery)
+        self._tap = self._new_tap()
+
+    def _new_tap(self) -> Any:  # noqa: ANN401 - the tap of the detector; None = there is no detector
+        if self._detector is None:
+            return None
+        return install(self.loop, self._detector.content, self._arm.recovery, self._restarts)
+
+    def _detector_memory(self) -> Any:  # noqa: ANN401
+        """The memory of detector and recovery; None = there is no detector."""
+        if self._detector is None:
+            return None
+        return self._detector.save(), self._tap.memory.copy()
+
+    def restore_detector(self, saved: Any) -> None:  # noqa: ANN401
+        """Restore the memory of detector and recovery, if there is a detector, from a checkpoint."""
+        if self._detector is None:
+            return
+        detector_memory, recovery_memory = saved
+        self._detector.restore(detector_memory)
+        self._tap = self._new_tap()  # restoring may have replaced the detector
+        self._tap.memory = recovery_memory.copy()
+
+    def _has_detector_memory(self, checkpoint: Checkpoint) -> bool:
+        """Whether detector and recovery remember the same as at a checkpoint of a flight of this arm."""
+        if self._detector is None:
+            return True
+        detector_memory, recovery_memory = checkpoint.detector
+        return self._detector.same(detector_memory) and bool(self._tap.memory.same(recovery_memory))
+
+    # ---- the record -------------------------------------------------------------------------------------------------
+    def begin_empty(self) -> None:
+        """Start with the record of a flight before take-off."""
+        record = self.loop.record
+        record.rows, record.events, record.alarms = [], [], []
+        record.set_counts([0] * len(record.counts()))
+
+    def begin(self, track: Track, start: Checkpoint) -> None:
+        """Start with another flight's record up to a checkpoint; the loop itself does not move."""
+        record = self.loop.record
+        record.rows = track.rows[: start.rows]
+        record.events = track.log.events[: start.events]
+        record.alarms = list(start.alarms)
+        record.set_counts(start.counts)
+        self.publications = track.publications[: start.publications]
+        if self._restarts is not None:
+            for state, now in self.publications:
+                self._restarts.keep(state, now)
+
+    def store_checkpoint(self, instant: Instant) -> None:
+        """Store a checkpoint at the current number of rows."""
+        self._checkpoints[len(self.loop.record.rows)] = self._checkpoint(instant)
+
+    def store_checkpoints_from_now_on(self) -> None:
+        """Take checkpoints at all further instants for them."""
+        self.keeps_checkpoints = True
+
+    def _checkpoint(self, instant: Instant | None) -> Checkpoint:
+        record, injector = self.loop.record, self.loop.taps.injector
+        assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
+        return Checkpoint(
+            instant, len(record.rows), len(record.events), len(self.publications), tuple(record.alarms),
+            record.counts(), injector.copy(), self._detector_memory(),
+        )  # fmt: skip
+
+    def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
+        """Append another flight's record between two of its checkpoints; the loop itself does not move."""
+        record, log = self.loop.record, track.log
+        record.rows += track.rows[here.rows : there.rows]
+        record.events += log.events[here.events : there.events]
+        record.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
+        if self._keeps_publications:
+            self.publications += track.publications[here.publications : there.publications]
+        counts = zip(record.counts(), here.counts, there.counts, strict=True)
+        record.set_counts(count + after - before for count, before, after in counts)
+        if there is track.end:
+            self._log = self.loop.log(log.status, log.meta["rejected_commands"])
+        elif self.keeps_checkpoints:
+            self.store_checkpoint(there.here)
+
+    def append_rest(self, track: Track, rows: int) -> None:
+        """Reuse the remainder of another flight."""
+        self._forward.share.converged += 1
+        if self.keeps_checkpoints:
+            for here, there in track.pieces(rows):
+                self._append(track, here, there)
+        else:
+            self._append(track, track.checkpoints[rows], track.end)
+
+    # ---- replay -----------------------------------------------------------------------------------------------------
+    def follow(self, track: Track, rows: int, *, loop_is_there: bool = False) -> None:
+        """Reuse another flight, to its end, to an alarm of its own detector, or to the first one on its publications.
+
+        `loop_is_there`: the loop is at the checkpoint at `rows`.
+        """
+        for here, there in track.pieces(rows):
+            if self._detector is None:
+                self.append_rest(track, here.rows)
+                return
+            if self._own_golden is not None and self._continues_as_golden(here):
+                self.append_rest(self._own_golden, here.rows)
+                return
+            memory = self._detector_memory()
+            if len(there.alarms) > len(here.alarms) or self._raises_alarm(track, here, there):
+                # Simulate this piece again, from its start: the alarm changes the flight.
+                self.restore_detector(memory)
+                if not (loop_is_there and here.rows == rows):
+                    put(self.loop, here.here)
+                return
+            self._forward.share.shown += there.rows - here.rows
+            if not self._has_simulated or isinstance(self.loop.taps.injector, CounterWatch):
+                self.loop.taps.injector = there.injector.copy()  # else it has the record of this flight's injection
+            self._append(track, here, there)
+
+    def append_unless_alarm(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
+        """Reuse a flight without a detector between two of its checkpoints; False, without effect, at an alarm."""
+        if self._detector is None or self._raises_alarm(track, here, there):
+            return False
+        self._append(track, here, there)
+        return True
+
+    def _raises_alarm(self, track: Track, here: Checkpoint, there: Checkpoint) -> bool:
+        """Whether the detector raises an alarm on publications of another flight, or fails on one.
+
+        In the latter case it is called again in the simulated flight, which may disable it.
+        """
+        assert self._detector is not None  # precondition
+        if self._tap.gave_up:
+            return False
+        detector, watched_states = self._detector.content, self.loop.taps.watched
+        for state, now in track.publications[here.publications : there.publications]:
+            if watched_states is not None and state.spec.name not in watched_states:
+                continue
+            try:
+                if detector.check(state, now) is not None:
+                    return True
+                detector.accept(state, now)
+            except Exception:  # noqa: BLE001 - any exception of a user's detector
+                return True
+        return False
+
+    def _continues_as_golden(self, here: Checkpoint) -> bool:
+        """Whether the remainder from a checkpoint of another flight equals that of the golden flight of this arm."""
+        golden = None if self._own_golden is None else self._own_golden.checkpoints.get(here.rows)
+        if golden is None or golden.instant is not here.instant:
+            return False
+        return self._is_settled() and self._has_detector_memory(golden)
+
+    # ---- simulation -------------------------------------------------------------------------------------------------
+    def fly(self) -> Track:
+        """Continue to the end; simulate where no known flight can be reused."""
+        loop, record, pitch = self.loop, self.loop.record, self._forward.pitch
+        while self._log is None:
+            self._has_simulated = True
+            rows = len(record.rows)
+            loop.run((rows // pitch + 1) * pitch)
+            self._forward.share.flown += len(record.rows) - rows
+            if loop.status is None:
+                self._arrive_at_checkpoint()
+            else:
+                self._log = loop.flight().log
+        loop.taps.recorders.clear()
+        return Track(self._log, record.rows, self.publications, self._checkpoints, self._checkpoint(None))
+
+    def _arrive_at_checkpoint(self) -> None:
+        """Take a checkpoint if others may start here; reuse a known flight if the current state has converged to it."""
+        rows = len(self.loop.record.rows)
+        track = self._converged() if self._is_settled() and self.comparable() else None
+        if self.keeps_checkpoints:
+            if track is None:
+                # Instruction faults are injected after golden checkpoints: these need the work arrays of kernels, too.
+                instant = take(self.loop, scratch=self._forward.scratch and self._own_golden is None)
+            else:
+                instant = track.checkpoints[rows].here
+            self.store_checkpoint(instant)
+        if track is None:
+            return
+        if track is self._own_golden:
+            self.append_rest(track, rows)
+        elif not takes_part(self._arm.detector, self._arm.recovery):
+            self.follow(track, rows, loop_is_there=True)
+
+    def _is_settled(self) -> bool:
+        """Whether injector and recovery have no further effect."""
+        injector = self.loop.taps.injector
+        return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
+
+    def _converged(self) -> Track | None:
+        """A known flight in the current state that can be followed from here; None = none."""
+        loop, rows = self.loop, len(self.loop.record.rows)
+        compared: dict[int, bool] = {}  # several flights share an instant
+        for track in (*self._others, self._own_golden):
+            here = None if track is None else track.checkpoints.get(rows)
+            if track is None or here is None or not here.injector.spent:
+                continue  # the other flight's injection is still pending
+            if track is self._own_golden and not self._has_detector_memory(here):
+                continue
+            if track is not self._own_golden and not track.is_silent(rows):
+                continue
+            if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(here.injector):
+                continue
+            if id(here.instant) not in compared:
+                compared[id(here.instant)] = is_at(loop, here.here)
+            if compared[id(here.instant)]:
+                return track
+        return None
+
+
+class FastForward:
+    """All flights of one mission; `share` counts the simulated part.
+
+    Attributes:
+        loop: The loop of all flights; its record counts the calls of `functions`, and checkpoints contain the counts.
+        functions: The functions of its kernels, at whose calls flights can fork, by name.
+        supported: Whether checkpoints can contain the mission's kernels.
+        scratch: Whether checkpoints contain the work arrays of kernels, so that faults in instructions can be injected
+            after them: if that is requested, and all of these can be saved.
+        watched: Whether injected runs are flown with detectors as well: these continue from checkpoints of injected
+            runs without one, which otherwise have none.
+        pitch: Control periods between two checkpoints.
+
+    Raises:
+        BadInputError: The scenario cannot be flown.
+        MavfiError: It uses a flight controller whose state is not part of a checkpoint.
+    """
+
+    def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
+        if not is_rewindable(scenario.flight_controller):
+            raise MavfiError(f"flights with the flight controller {scenario.flight_controller} are not fast-forwarded")
+        self.functions = {
+            field.name: CountedFunction(field.name, getattr(PLAIN, field.name)) for field in fields(PLAIN)
+        }
+        table = PLAIN.instrumented(tuple(self.functions), lambda name, _: self.functions[name])
+        self.loop = new_loop(scenario, rewindable=True, functions=table)
+        self.loop.watch_losses()
+        for function in self.functions.values():
+            function.attach(self.loop)
+        self.supported = can_save_kernels(self.loop)
+        self.scratch = scratch and has_scratch(self.loop)
+        self.watched = True
+        self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
+        self.share = Share()
+        self._take_off: Instant | None = None
+        self._golden: dict[str, Track] = {}
+        self._profile: Profile | None = None
+        self._latest_fault: StateFault | None = None
+        self._same_fault: dict[str, Track] = {}
+
+    def fly(
+        self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
+        recovery: Recovery = INLINE,
+    ) -> Flight:  # fmt: skip
+        """Fly, reusing known parts; only the golden flight without a detector has a profile.
+
+        Args:
+            fault: The fault; None = golden flight.
+            detector: The detector, initialized at the start of each flight; None = none.
+            arm: Name of the detector's arm; each name must always denote the same detector and recovery policy.
+            recovery: The recovery policy.
+        """
+        flown_arm = FlownArm(arm, detector, recovery)
+        with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
+            track = self.golden(flown_arm) if fault is None else self._with_fault(fault, flown_arm)
+        self.share.flights += 1
+        self.share.ticks += len(track.rows)
+        return Flight(track.log, self._profile if fault is None and detector is None else None)
+
+    # ---- golden flights ---------------------------------------------------------------------------------------------
+    def golden(self, arm: FlownArm = NO_DETECTOR) -> Track:
+        """The golden flight of an arm, flown on first use."""
+        if arm.name not in self._golden:
+            if arm.detector is None or takes_part(arm.detector, arm.recovery):
+                self._golden[arm.name] = self._simulated(arm)
+            else:
+                self._golden[arm.name] = self._replayed(arm)
+        return self._golden[arm.name]
+
+    def _simulated(self, arm: FlownArm) -> Track:
+        """A golden flight from take-off; the one without a detector leaves the profile."""
+        loop, plain = self.loop, self._golden.get("")
+        branch = Branch(self, arm, [] if plain is None else [plain], keeps_checkpoints=True)
+        loop.taps.injector = CounterWatch()
+        if self._take_off is None:
+            loop.begin()
+            self._take_off = take(loop, scratch=self.scratch)
+        put(loop, self._take_off)
+        branch.begin_empty()
+        if arm.detector is not None:
+            arm.detector.start()
+        branch.store_checkpoint(self._take_off)
+        loop.record.publications.wanted = arm.detector is None
+        track = branch.fly()
+        self._profile = loop.record.publications.profile() or self._profile
+        loop.record.publications.wanted = False
+        return track
+
+    def _replayed(self, arm: FlownArm) -> Track:
+        """The golden flight with a detector that acts on alarms alone."""
+        assert arm.detector is not None  # the other one is simulated
+        plain = self.golden()
+        branch = Branch(self, arm, [plain], keeps_checkpoints=True)
+        arm.detector.start()
+        branch.begin(plain, plain.checkpoints[0])
+        self.loop.taps.injector = CounterWatch()
+        branch.store_checkpoint(plain.checkpoints[0].here)
+        branch.follow(plain, 0)
+        return branch.fly()
+
+    # ---- flights with faults in states ------------------------------------------------------------------------------
+    def _with_fault(self, fault: StateFault, arm: FlownArm) -> Track:
+        """The injected run; the one without a detector is kept for the other arms."""
+        if arm.detector is None and "" in self._tracks(fault):
+            return self._tracks(fault)[""]
+        return self._injected(fault, arm)
+
+    def _tracks(self, fault: StateFault) -> dict[str, Track]:
+        """The injected runs that others may follow, by arm; those of the latest fault are kept."""
+        if self._latest_fault != fault:
+            self._latest_fault, self._same_fault = fault, {}
+        return self._same_fault
+
+    def _injected(self, fault: StateFault, arm: FlownArm) -> Track:
+        # Start from the golden flight of the arm at its last checkpoint before the fault.
+        own_golden = self.golden(arm)
+        rows = own_golden.before(fault.time_us)
+        start = own_golden.checkpoints[rows]
+        assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
+        injector = StateInjector(fault, start.injector)
+        if takes_part(arm.detector, arm.recovery):
+            branch = Branch(self, arm, own_golden=own_golden)
+            return self._fly_on(branch, own_golden, rows, injector)
+
+        # If nothing has happened so far, the run without a detector is identical up to the first alarm.
+        plain_golden, without_detector = self.golden(), None
+        is_plain_start = rows in plain_golden.checkpoints and start.instant is plain_golden.checkpoints[rows].instant
+        if arm.detector is not None and is_plain_start and not injector.spent:
+            without_detector = self._with_fault(fault, NO_DETECTOR)
+        others = [plain_golden]
+        if arm.detector is not None:
+            others = [track for track in (*self._tracks(fault).values(), plain_golden) if track.checkpoints]
+        branch = Branch(self, arm, others, own_golden, keeps_checkpoints=self.watched)
+        track = self._fly_on(branch, own_golden, rows, injector, without_detector)
+        self._tracks(fault)[arm.name] = track
+        return track
+
+    def _fly_on(
+        self, branch: Branch, own_golden: Track, rows: int, injector: StateInjector,
+        without_detector: Track | None = None,
+    ) -> Track:  # fmt: skip
+        """Fly from a golden checkpoint, along the run without a detector as far as that is the same."""
+        start = own_golden.checkpoints[rows]
+        branch.begin(own_golden, start)
+        self.loop.taps.injector = injector
+        branch.restore_detector(start.detector)
+        if injector.spent:  # the fault has no site
+            branch.append_rest(own_golden, rows)
+        elif without_detector is not None:
+            branch.follow(without_detector, rows)
+        else:
+            put(self.loop, start.here)
+            if branch.keeps_checkpoints:
+                branch.store_checkpoint(start.here)
+        return branch.fly()
+
+    # ---- counting and resolving of instructions ---------------------------------------------------------------------
+    @contextmanager
+    def instrumented(self, functions: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
+        """Call these in the place of functions of the kernels; results must be the same, bit for bit."""
+        with ExitStack() as stack:
+            for name, function in functions.items():
+                stack.enter_context(self.functions[name].replaced(function))
+            yield
+
+    def resolve(self, functions: Mapping[str, Resolving]) -> None:
+        """Repeat the golden flight without a detector from the checkpoints before wanted calls to these.
+
+        Raises:
+            MavfiError: Two golden flights differ.
+        """
+        golden, loop = self.golden(), self.loop
+        count_places = {name: list(loop.record.calls).index(name) for name in functions}  # calls come first in counts
+        with self.instrumented(functions), np.errstate(all="ignore"):
+            for here, there in golden.pieces(0):
+                calls = {name: range(here.counts[place], there.counts[place]) for name, place in count_places.items()}
+                if not any(function.is_wanted(calls[name]) for name, function in functions.items()):
+                    continue
+                Branch(self, NO_DETECTOR).begin(golden, here)
+                loop.taps.injector = here.injector.copy()
+                put(loop, here.here)
+                for name, function in functions.items():
+                    function.continue_at(calls[name].start)
+                while loop.status is None and any(
+                    function.is_wanted(calls[name]) for name, function in functions.items()
+                ):
+                    loop.run(len(loop.record.rows) + 1)
+                check_prefix(loop, golden.log)

@@ -1,0 +1,655 @@
+"""Forked execution of instruction faults: injected runs branch off one golden flight at the injected calls.
+
+The golden flight runs plain kernels.  At an injected call it waits while a forked child executes the call with the
+fault and completes the flight.  If the child crashes, hangs or raises, a second child continues from the same instant
+under the mission's policy for dead nodes (`hosts.loop.restarts`); by default as in a ROS graph: the node's result is
+lost, and the node returns with initialized memory after the restart latency.  If protected code detects the fault, the
+second child computes the step again, see `hosts.local.protected`.  The golden flight then continues to the next
+injected call.
+
+How the golden flight comes to the injected calls is the `Start`: from take-off, or from the last golden checkpoint
+before each call, where children also end as soon as they converge to a known flight (`hosts.local.fast_forward`).
+The records are the same.
+
+A false alarm of a detector before the fault causes recomputations, which shift the call numbers: the sampled call may
+then end before the instruction's index, or have a narrower value there; so may one of a protected kernel, whose latency
+is longer, if the fault was drawn in plain code.  With a detector or protection, the fault is therefore injected into
+the first call at or after the sampled one that has such a bit, as a state fault is injected into the first publication
+at or after its instant.
+"""
+
+import pickle
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn
+
+import numpy as np
+
+from mavfi.detectors.custom import split_noting_calls
+from mavfi.detectors.detector import Detector, part_of
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.hardening.of_mission import check_flown
+from mavfi.extras.hardening.protected import alarm_of, is_detection, paired, rewriting_of
+from mavfi.faults.fault import InstructionFault
+from mavfi.faults.levels.instruction import Ended, ForkPoint, MismatchError
+from mavfi.faults.levels.instruction.arena import arena, own
+from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault
+from mavfi.faults.levels.instruction.variant import Variant, variant_for
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.case import DETECTED, WAITING, Case, ChildReport, Output, Published, case_of, flight_of
+from mavfi.flight.checkpoints import fill, put
+from mavfi.flight.counted_function import CountedFunction, Taken
+from mavfi.flight.fast_forward import NO_DETECTOR, Branch, FastForward, FlownArm, Track
+from mavfi.flight.golden_prefix import check_prefix, fly_until
+from mavfi.flight.host import Flight
+from mavfi.flight.loop import Loop
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.restarts import Restarts
+from mavfi.ir.forked import WALL_CLOCK
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.memory import copied, same
+from mavfi.record import FlightLog
+from mavfi.sim.controller import is_rewindable
+from mavfi.states import DETECTORS, State
+
+TIMEOUT = 60.0
+"""Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
+MAP_FUNCTIONS = frozenset({"insert_scan", "collect", "update_voxels", "apply_updates"})
+"""Functions that write maps."""
+_ATTEMPTS = 3
+"""Attempts under this limit: each finds the code that the previous child compiled in the cache."""
+
+
+# ---- flights of one mission -----------------------------------------------------------------------------------------
+@dataclass(frozen=True, slots=True)
+class InjectedFlights:
+    """Injected runs with instruction faults.
+
+    Attributes:
+        golden: The error-free flight; the injected runs share its pipeline.
+        flights: One run per fault, in order.  `log.kernel` is the effect on the kernel; after a crash, hang or
+            exception, the log is that of the flight under the mission's policy for dead nodes.
+    """
+
+    golden: Flight
+    flights: list[Flight]
+
+
+def fly_instruction_faults(
+    scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
+    golden: Flight | None = None, recovery: Recovery = INLINE,
+) -> InjectedFlights:  # fmt: skip
+    """Fly one mission with each of several instruction faults, all forked from one golden flight from take-off.
+
+    Args:
+        scenario: The mission.
+        faults: See `mavfi.campaign.samplers.instruction`.
+        detector: The detector; None = none.
+        golden: The golden flight with this detector, if known: the golden flight here then stops after the last
+            injection.
+        recovery: The recovery policy for the detector's alarms.
+
+    Raises:
+        MismatchError: A fault was sampled for different machine code.
+        BadInputError: The scenario cannot be flown, or the mission lacks the kernel.
+        MavfiError: `golden` differs from the golden flight flown here.
+    """
+    cases = [case_of(fault, scenario, detector) for fault in faults]
+    start = FromTakeOff(scenario, cases, detector, recovery, flies_whole_golden=golden is None)
+    Forks(start, cases).fly()
+    if golden is None:
+        golden = start.golden
+        assert golden is not None  # a whole golden flight was requested
+        check_flown(scenario.protection)
+    else:
+        check_prefix(start.loop, golden.log)
+    return InjectedFlights(golden, [flight_of(case, golden) for case in cases])
+
+
+def fly_with_publications(
+    scenario: Scenario, fault: InstructionFault, detector: Detector | None = None, recovery: Recovery = INLINE
+) -> tuple[Flight, list[Published]]:
+    """Fly one mission with an instruction fault; also returns its publications, in order.
+
+    Raises the errors of `fly_instruction_faults`.
+    """
+    case = case_of(fault, scenario, detector)
+    start = FromTakeOff(scenario, [case], detector, recovery, records=True)
+    Forks(start, [case]).fly()
+    assert start.golden is not None and start.publications is not None  # requested
+    check_flown(scenario.protection)
+    publications = start.publications  # of the golden flight: the injected run may have ended as equal to it
+    if case.report is not None and case.report.published is not None:
+        publications = case.report.published
+    return flight_of(case, start.golden), publications
+
+
+@dataclass(frozen=True, slots=True)
+class InjectedRuns:
+    """Injected runs of an arm, in the order of the faults, and of other arms as far as they follow from them.
+
+    `watched` has the latter by arm and by number of the fault.
+    """
+
+    flights: list[Flight]
+    watched: dict[str, dict[int, Flight]]
+
+
+def fly_from_checkpoints(
+    forward: FastForward, faults: Sequence[InstructionFault], golden: Flight, arm: FlownArm = NO_DETECTOR,
+    watched: Sequence[FlownArm] = (),
+) -> InjectedRuns:  # fmt: skip
+    """Fly one mission with each of several faults in instructions of its kernels, from golden checkpoints.
+
+    Args:
+        forward: All flights of this mission, with scratch.
+        faults: As for `fly_instruction_faults`; none in a detector.
+        golden: The golden flight of the arm.
+        arm: Detector and recovery policy.
+        watched: Arms of the same mission with detectors, if this one has none.
+
+    Raises:
+        MismatchError: A fault was sampled for different machine code.
+        BadInputError: The mission lacks the kernel.
+        MavfiError: Two golden flights differ.
+    """
+    cases = [case_of(fault, forward.loop.scenario, arm.detector) for fault in faults]
+    with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
+        start = FromCheckpoints(forward, arm, golden, watched)
+        Forks(start, cases).fly()
+    return InjectedRuns([flight_of(case, golden) for case in cases], start.followed(cases))
+
+
+# ---- forks ----------------------------------------------------------------------------------------------------------
+@dataclass(slots=True)
+class Child:
+    """The task of a forked process.
+
+    Attributes:
+        point: The fork.
+        case: The fault.
+        dead: Whether it is the second child of a fault: the node of the kernel is about to die, or to repeat its step.
+        call_same: Whether result and arguments of the injected call are bit-identical to the golden ones.
+        planned: Whether the injected call could write its own memory only.
+        comparable: Whether, moreover, all differences from the golden flight are in results and memory of kernels, so
+            that the flights are the same from an instant at which these are.
+        output: Output of the injected step.
+    """
+
+    point: ForkPoint
+    case: Case
+    dead: bool
+    call_same: bool = False
+    planned: bool = True
+    comparable: bool = True
+    output: Output | None = None
+
+
+class Forks:
+    """Injected runs that fork off a golden flight.
+
+    Args:
+        start: How the golden flight comes to the injected calls.
+        cases: The faults, in order; they hold the results after `fly`.
+
+    Attributes:
+        child: Task of this process if it is a forked child; None = it flies the golden flight.
+    """
+
+    def __init__(self, start: "Start", cases: Sequence[Case]) -> None:
+        self.cases = cases
+        self.child: Child | None = None
+        self._start, self._loop, self._detector = start, start.loop, start.detector
+        self._rewriting = rewriting_of(start.loop.scenario)
+        self._calls_may_shift = start.detector is not None or self._rewriting is not None
+        self._awaited: dict[str, list[Case]] = {}  # cases whose golden output is still to come, by kernel
+
+    def fly(self) -> None:
+        """Fly the golden flight past all injected calls; does not return in children, which report and exit."""
+        try:
+            with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
+                self._start.fly(self)
+        except BaseException:
+            if self.child is None:
+                raise
+            with self.child.point.guard():
+                raise
+
+    def waiting(self) -> list[Case]:
+        """Cases that have not been injected, and can be."""
+        return [case for case in self.cases if case.fault.has_site and case.how == WAITING]
+
+    def is_done(self) -> bool:
+        """Whether the golden flight may end: all cases and golden outputs are known.  Never true in a child."""
+        return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
+
+    # ---- in the golden flight ---------------------------------------------------------------------------------------
+    def intercept(
+        self, entry: str, call: int, function: Callable[..., Any], args: tuple[Any, ...]
+    ) -> Taken | None:  # fmt: skip
+        """Fork at an injected call; the call is made with the fault in children, as usual in the golden flight."""
+        if self.child is not None:
+            return None
+        for case in self.cases:
+            if case.call == call and case.fault.entry == entry:
+                taken = self._inject(case, function, args)
+                if taken is not None:
+                    return taken
+        return None
+
+    def _inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> Taken | None:
+        # 1. Find the fault in the code of this call; if calls have shifted, it may be in a later one.
+        variant = variant_for(function, args, self._rewriting)
+        fault = self._fault_in(case.fault, variant, function, args)
+        if fault is None:
+            case.call += 1
+            return None
+
+        # 2. A child makes the call with the fault, and completes the flight.
+        variant.own_report()
+        case.time_us = self._loop.now
+        ended = self._fork(case, dead=False)
+        if ended is None:
+            return Taken(self._injected_call(variant, fault, function, args))
+        case.value = variant.report()
+        _settle(case, ended)
+        if case.how == WAITING:
+            return None
+
+        # 3. If it died, or the fault was detected, a second child continues without the result of the call.
+        if case.how != "done":
+            ended = self._fork(case, dead=True)
+            if ended is None:
+                if not case.kernel and self._detector is not None:
+                    down_us = round(1e6 * case.fault.restart_s)
+                    self._start.restarts().detector_dies(self._detector, self._loop.now, down_us)
+                return Taken(function(*args))
+            case.report = _report_of(ended)
+
+        # 4. The effect on the kernel is judged by the golden output of the same step.
+        if case.kernel:
+            self._awaited.setdefault(case.kernel, []).append(case)
+        return None
+
+    def _fault_in(
+        self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]
+    ) -> InstructionFault | None:
+        """The fault in the code of a call: itself, or its counterpart in protected code.
+
+        None if call numbers may have shifted, and this call has other types, ends before the index, or lacks the bit.
+
+        Raises:
+            MismatchError: The fault was drawn for other machine code.
+        """
+        if not self._calls_may_shift:
+            check_fault(fault, variant, function)
+            return fault
+        try:
+            if self._rewriting is not None and fault.ir_sha256 != variant.ir_sha256:
+                plain = variant_for(function, args)
+                if fault.ir_sha256 == plain.ir_sha256:
+                    fault = paired(fault, plain, variant, args)
+            check_fault(fault, variant, function)
+        except (MismatchError, IndexError):
+            return None
+        return fault if _has_bit(variant, fault, args) else None
+
+    def _fork(self, case: Case, *, dead: bool) -> Ended | None:
+        """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
+        for _ in range(_ATTEMPTS):
+            point = ForkPoint()
+            ended = split_noting_calls(point, TIMEOUT)
+            if ended is None:
+                self.child, self._loop.forked = Child(point, case, dead), True
+            if ended is None or ended.detail != WALL_CLOCK:
+                break
+        return ended
+
+    def stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
+        """After a step: store the output of an injected one; end the node of one that died, repeat a detected one."""
+        child = self.child
+        if child is None:
+            for case in self._awaited.pop(kernel.name, ()):
+                case.golden = Output.of(kernel, states)
+            return
+        if child.case.kernel != kernel.name:
+            return
+        if not child.dead:
+            if child.output is None:
+                child.output = Output.of(kernel, states)
+            return
+        child.dead = False
+        if child.case.how == DETECTED:
+            self._loop.record.alarms.append(alarm_of(kernel, states, now))
+            self._start.restarts().recompute(kernel.name, now, states)
+        else:
+            self._start.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
+
+    # ---- in a child -------------------------------------------------------------------------------------------------
+    def _injected_call(
+        self, variant: Variant, fault: InstructionFault, function: Any, args: tuple[Any, ...]
+    ) -> Any:  # fmt: skip
+        """The call with the fault; a child whose data equals the golden data ends here, as its remainder is golden."""
+        child = self.child
+        assert child is not None  # called in children only
+
+        # The error-free call, on copies of the arguments.
+        placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
+        copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
+        golden = own((function(*copies), copies))  # the injected call reuses the arena
+        before = own(args)
+
+        # The call with the fault.
+        try:
+            result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
+        except SystemError as error:
+            if not is_detection(error):
+                raise
+            self._end(ChildReport(None, None, call_same=False, detected=True))
+        child.call_same = same((result, args), golden)
+
+        # The flight need not be completed if the fault missed, or changed nothing.
+        report = variant.report()
+        child.planned = report is not None and report.planned
+        child.comparable = child.planned and _is_contained(fault.entry, before, golden[1], args)
+        if self._calls_may_shift and changed_nothing(report):
+            self._end(ChildReport(None, None, call_same=True, missed=True))
+        if child.call_same and report is not None and (report.planned or report.site.value_class in DATA):
+            self._end(ChildReport(None, None, call_same=True))
+        return result
+
+    def report(self, log: FlightLog, watched: Mapping[str, FlightLog] | None = None) -> NoReturn:
+        """End this child with the log of its flight, and those with detectors, by arm, as far as they are known."""
+        assert self.child is not None  # called in children only
+        child, publications = self.child, self._start.publications
+        self._end(ChildReport(log, child.output, child.call_same, published=publications, watched=watched or {}))
+
+    def _end(self, report: ChildReport) -> NoReturn:
+        assert self.child is not None  # called in children only
+        self.child.point.finish(pickle.dumps(report))
+
+
+def _report_of(ended: Ended) -> ChildReport:
+    if ended.how != "done":
+        raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
+    report: ChildReport = pickle.loads(ended.payload)
+    return report
+
+
+def _settle(case: Case, ended: Ended) -> None:
+    """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
+    case.how, case.detail = ended.how, ended.detail
+    if ended.how != "done":
+        return
+    case.report = _report_of(ended)
+    if case.report.missed:
+        case.call, case.how, case.report = case.call + 1, WAITING, None
+    elif case.report.detected:
+        case.how, case.detail = DETECTED, ""
+
+
+def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:
+    """Whether a call reaches the instruction's index with a value that has such a bit; without forking."""
+    _, (site,) = variant.resolve([fault.index], *copied(args))
+    keep, flip = fault.masks
+    return site is not None and (flip | ~keep) % (1 << site.width) != 0
+
+
+def _is_contained(entry: str, before: Any, golden: Any, injected: Any) -> bool:
+    """Whether a call changed no argument that checkpoints do not compare, other than as without the fault.
+
+    They compare the memory of kernels.  Inputs are not memory, so they must be as before; of maps they compare the
+    cells, but not their stamps and counters.
+    """
+    if isinstance(golden, tuple):
+        return all(_is_contained(entry, *parts) for parts in zip(before, golden, injected, strict=True))
+    return same(golden, injected) or (entry not in MAP_FUNCTIONS and not same(before, golden))
+
+
+# ---- how the golden flight comes to the injected calls --------------------------------------------------------------
+class Start(ABC):
+    """Flies the golden flight past all injected calls.
+
+    Attributes:
+        loop: The loop of the golden flight.
+        detector: Its detector; None = none.
+        publications: Publications so far, with their instants (us), in order; None = not recorded.
+    """
+
+    loop: Loop
+    detector: Detector | None = None
+    publications: list[Published] | None = None
+
+    @abstractmethod
+    def restarts(self) -> Restarts:
+        """Restarts of the loop's nodes; called in a child whose node dies."""
+
+    @abstractmethod
+    def fly(self, forks: Forks) -> None:
+        """Let functions fork at their calls, and fly; in a child, complete its flight and report."""
+
+
+class FromTakeOff(Start):
+    """Flies the golden flight from take-off, once for all faults.
+
+    Args:
+        scenario: The mission.
+        cases: The faults; those in detectors are allowed.
+        detector: The detector; None = none.
+        recovery: The recovery policy for its alarms.
+        flies_whole_golden: Whether the golden flight is flown to its end; otherwise it stops after the last injection.
+        records: Whether to record publications.
+
+    Attributes:
+        golden: The golden flight; None = it stopped before its end.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, or its flight cannot be forked.
+    """
+
+    def __init__(
+        self, scenario: Scenario, cases: Sequence[Case], detector: Detector | None = None, recovery: Recovery = INLINE,
+        *, flies_whole_golden: bool = True, records: bool = False,
+    ) -> None:  # fmt: skip
+        if not is_rewindable(scenario.flight_controller):
+            text = "faults in instructions fork the flight, which this controller does not allow; allowed: cascade"
+            raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
+        self.golden: Flight | None = None
+        self.detector = detector
+        self._flies_whole_golden = flies_whole_golden
+        self._functions: list[CountedFunction] = []
+
+        # Count the calls of all functions with faults, in kernels and detectors.
+        faults = [case.fault for case in cases if case.fault.has_site]
+        entries = tuple(dict.fromkeys(fault.entry for fault in faults if fault.kernel not in DETECTORS))
+        self.loop = new_loop(scenario, functions=PLAIN.instrumented(entries, self._counted))
+        for source in {fault.kernel for fault in faults if fault.kernel in DETECTORS}:
+            part = part_of(detector, source)
+            entries_of_source = {fault.entry for fault in faults if fault.kernel == source}
+            part.instrument({entry: self._counted(entry, part.compiled[entry]) for entry in entries_of_source})
+        for function in self._functions:
+            function.attach(self.loop)
+
+        watch(self.loop, detector, recovery)
+        if records:
+            self.publications = []
+            self.loop.taps.recorders.append(self._record)
+        self._restarts = Restarts(self.loop, scenario.dead_node)
+
+    def _counted(self, entry: str, function: Callable[..., Any]) -> CountedFunction:
+        self._functions.append(CountedFunction(entry, function))
+        return self._functions[-1]
+
+    def _record(self, state: State, now: int) -> None:
+        assert self.publications is not None  # this is a recorder only then
+        self.publications.append((state.copy(), now))
+
+    def restarts(self) -> Restarts:
+        """See `Start.restarts`."""
+        return self._restarts
+
+    def fly(self, forks: Forks) -> None:
+        """See `Start.fly`."""
+        for function in self._functions:
+            function.intercept = forks.intercept
+        self.loop.after_step.append(forks.stepped)
+        try:
+            self.golden = fly_until(self.loop, lambda: not self._flies_whole_golden and forks.is_done())
+        finally:
+            for source in DETECTORS:
+                part = part_of(self.detector, source)
+                if part is not None:
+                    part.instrument({})
+        if forks.child is not None:
+            assert self.golden is not None  # `is_done` is never true in a child
+            forks.report(self.golden.log)
+
+
+class FromCheckpoints(Start):
+    """Starts at the golden flight's last checkpoint before each injected call; arguments as of `fly_from_checkpoints`.
+
+    An injected run with a detector equals the one without up to its first alarm.  So the child of the run without a
+    detector shows its publications to the detectors of the other arms, too, and continues these runs at the checkpoint
+    before an alarm.  A run is flown on its own if its golden flight differs before the fault, or at an alarm before the
+    first checkpoint after the fault, or at any alarm if checkpoints do not contain what the fault changed.
+
+    Raises:
+        MavfiError: The golden flight of the checkpoints differs from `golden`.
+    """
+
+    def __init__(self, forward: FastForward, arm: FlownArm, golden: Flight, watched: Sequence[FlownArm]) -> None:
+        self.loop, self.detector = forward.loop, arm.detector
+        self._forward, self._arm = forward, arm
+        self._branch: Branch | None = None
+        self._golden, self._plain_golden = forward.golden(arm), forward.golden()
+        if self._golden.log.digest() != golden.log.digest():
+            raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+        # All golden flights are flown before the forks, so that children have them.
+        self._watched = watched
+        self._watched_golden = {other.name: forward.golden(other) for other in watched}
+
+    def restarts(self) -> Restarts:
+        """See `Start.restarts`; they know all publications since take-off."""
+        assert self._branch is not None  # it flies
+        restarts = Restarts(self.loop, self.loop.scenario.dead_node)
+        for state, now in self._branch.publications:
+            restarts.keep(state, now)
+        return restarts
+
+    def fly(self, forks: Forks) -> None:
+        """See `Start.fly`."""
+        with self._forking(forks):
+            while waiting := forks.waiting():
+                rows = min(self._checkpoint_before(self._golden, case) for case in waiting)
+                if self._branch is None or rows > len(self.loop.record.rows):
+                    self._check_prefix()
+                    self._branch = self._jump(forks, rows)
+                    fill(self.loop, {case.kernel for case in waiting})
+                elif self.loop.status is not None:
+                    break  # no call with such a bit came any more
+                self.loop.run(len(self.loop.record.rows) + 1)
+                if forks.child is not None:
+                    self._complete(forks, forks.child)
+            self._check_prefix()
+
+    @contextmanager
+    def _forking(self, forks: Forks) -> Iterator[None]:
+        """Let functions fork at their calls."""
+        functions = [self._forward.functions[case.fault.entry] for case in forks.waiting()]
+        for function in functions:
+            function.intercept = forks.intercept
+        self.loop.after_step.append(forks.stepped)
+        try:
+            yield
+        finally:
+            self.loop.after_step.remove(forks.stepped)
+            self.loop.taps.recorders.clear()
+            for function in functions:
+                function.intercept = None
+
+    def _checkpoint_before(self, golden: Track, case: Case) -> int:
+        """Number of rows of the last checkpoint before the injected call."""
+        place = list(self.loop.record.calls).index(case.fault.entry)  # calls come first in the counts
+        return max(rows for rows, checkpoint in golden.checkpoints.items() if checkpoint.counts[place] <= case.call)
+
+    def _jump(self, forks: Forks, rows: int) -> Branch:
+        """Continue the golden flight at a checkpoint."""
+        golden, start = self._golden, self._golden.checkpoints[rows]
+        branch = Branch(self._forward, self._arm, [self._plain_golden], golden, keeps_publications=True)
+        branch.comparable = lambda: forks.child is not None and forks.child.comparable and not self.loop.down
+        branch.begin(golden, start)
+        self.loop.taps.injector = start.injector.copy()
+        branch.restore_detector(start.detector)
+        put(self.loop, start.here)
+        return branch
+
+    def _check_prefix(self) -> None:
+        """Raise a MavfiError if the flight so far differs from the golden flight."""
+        if self._branch is not None:
+            check_prefix(self.loop, self._golden.log)
+
+    # ---- in a child: arms with detectors ----------------------------------------------------------------------------
+    def _complete(self, forks: Forks, child: Child) -> NoReturn:
+        """Fly to the end, then under the detectors of the other arms, and report."""
+        assert self._branch is not None  # it flies
+        if not (child.planned and self._watched):
+            forks.report(self._branch.fly().log)
+        if child.comparable and child.case.how == WAITING:  # else checkpoints do not contain all: a node has died, e.g.
+            self._branch.store_checkpoints_from_now_on()
+        track, logs = self._branch.fly(), {}
+        for arm in self._watched:
+            with suppress(Exception, SystemExit):  # the run is then flown on its own, where the error counts
+                log = self._under_detector(track, child.case, arm)
+                if log is not None:
+                    logs[arm.name] = log
+        forks.report(track.log, logs)
+
+    def _under_detector(self, track: Track, case: Case, arm: FlownArm) -> FlightLog | None:
+        """The log of a completed flight of this child under the detector of an arm; None = it must be flown."""
+        golden, plain = self._watched_golden[arm.name], self._plain_golden
+        rows = self._checkpoint_before(plain, case)
+        if not self._is_plain(golden, rows):
+            return None
+        start = golden.checkpoints[rows]
+        branch = Branch(self._forward, arm, [track, plain], golden)
+        branch.begin(golden, start)
+        branch.restore_detector(start.detector)
+        first = min(track.checkpoints, default=None)
+        there = track.end if first is None else track.checkpoints[first]
+        if not branch.append_unless_alarm(track, plain.checkpoints[rows], there):
+            return None
+        if first is not None:
+            self.loop.taps.injector = there.injector.copy()
+            branch.follow(track, first)
+        return branch.fly().log
+
+    def followed(self, cases: Sequence[Case]) -> dict[str, dict[int, Flight]]:
+        """Runs of the other arms that are known, by arm and by number of the case."""
+        flights: dict[str, dict[int, Flight]] = {arm.name: {} for arm in self._watched}
+        for number, case in enumerate(cases):
+            report = case.report
+            if report is None or changed_nothing(case.value):  # with a detector, a later call may have such a bit
+                continue
+            for name, golden in self._watched_golden.items():
+                if report.log is None and self._ends_as_golden(case, golden):
+                    flights[name][number] = flight_of(case, Flight(golden.log))
+                elif name in report.watched:
+                    watched_case = replace(case, report=replace(report, log=report.watched[name]))
+                    flights[name][number] = flight_of(watched_case, Flight(golden.log))
+        return flights
+
+    def _ends_as_golden(self, case: Case, golden: Track) -> bool:
+        """Whether a call without effect is the same one in an arm with a detector: the flight is golden then."""
+        rows = self._checkpoint_before(self._plain_golden, case)
+        before = [alarm for alarm in golden.log.alarms if round(1e6 * alarm.time_s) <= case.time_us]
+        return self._is_plain(golden, rows) and len(before) == len(golden.checkpoints[rows].alarms)
+
+    def _is_plain(self, golden: Track, rows: int) -> bool:
+        """Whether a golden flight with a detector has the state, and the calls, of the one without at a checkpoint."""
+        plain, here = self._plain_golden.checkpoints[rows], golden.checkpoints.get(rows)
+        calls = len(self.loop.record.calls)  # these come first in the counts
+        return here is not None and here.instant is plain.instant and here.counts[:calls] == plain.counts[:calls]

@@ -1,0 +1,149 @@
+"""Injection of faults into persistent memory, as the first action of the loop at the fault's instant.
+
+Targets are kernels and, in flights with a detector, the detector.  A kernel or detector that subsequently
+raises an exception terminates its node, under the mission's policy for dead nodes.
+"""
+
+from collections.abc import Callable
+from typing import Any, cast
+from weakref import proxy
+
+import numpy as np
+
+from mavfi.detectors.detector import Detector, part_of
+from mavfi.errors import BadInputError, machine_failure
+from mavfi.faults.fault import RESTART_S, MemoryFault
+from mavfi.flight.loop import Loop
+from mavfi.flight.restarts import Restarts
+from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.words import change, words_of
+from mavfi.record import Injection, KernelEffect
+from mavfi.states import DETECTORS, WATCHING, State
+
+_ACTION = "memory_fault"
+_RESTART_US = round(1e6 * RESTART_S)
+_ANSWERS: dict[str, Callable[[], Any]] = {
+    "receive": bool, "step": list, "rollback": lambda: None, "again": lambda: None, "stop": list, "abandon": list,
+}  # fmt: skip
+"""Return value of each method of a kernel that has crashed."""
+_CHECKS: dict[str, Callable[[], Any]] = {"check": lambda: None, "accept": lambda: None}
+"""Return value of each method of a detector that has crashed."""
+
+
+class DetectorMemory(Remembers):
+    """The memory of a detector, as that of a kernel: all of it is in arrays."""
+
+    def __init__(self, part: Any) -> None:  # noqa: ANN401 - a detector with `arrays`
+        self.memory, self.keepers = Memory(), (part,)
+
+
+def memory_of(loop: Loop, target: str, detector: Detector | None = None) -> Remembers | None:
+    """What holds the memory of a target at this instant; None = the mission has no such target, or its node is dead.
+
+    Args:
+        loop: The flight.
+        target: A kernel, or one of `states.WATCHING`.
+        detector: The detector of the flight.
+    """
+    if target not in WATCHING:
+        return None if target in loop.down else cast("Remembers | None", loop.kernels.get(target))
+    part = None if loop.taps.detector is None else part_of(detector, target)
+    return None if part is None else DetectorMemory(part)
+
+
+def flip_bit(word: np.ndarray, bit: int | None) -> None:
+    """Flip a bit of a word of shape (1,), in place; bit 0 is the least significant, None leaves it unchanged."""
+    if bit is not None:
+        raw = word.copy()
+        raw.view(np.uint8)[bit // 8] ^= np.uint8(1 << bit % 8)
+        word[:] = raw
+
+
+class MemoryInjector:
+    """Injector tap of a flight that has not started; publications pass unchanged.
+
+    Args:
+        loop: The flight.
+        fault: The fault.
+        detector: The detector of the flight.
+
+    Attributes:
+        effect: How the kernel or detector crashed after the fault; None = it did not.
+    """
+
+    spent = True
+
+    def __init__(self, loop: Loop, fault: MemoryFault, detector: Detector | None = None) -> None:
+        self._loop, self._fault, self._detector = proxy(loop), fault, detector  # the loop owns this object
+        self._restarts = Restarts(loop, loop.scenario.dead_node)
+        self._injection: Injection | None = None
+        self.effect: KernelEffect | None = None
+        if fault.has_site:
+            loop.actions[_ACTION] = self._inject
+            loop.at(fault.time_us, _ACTION)
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """The unchanged publication."""
+        del time_us
+        return state
+
+    def _inject(self, now: int) -> None:
+        fault, loop = self._fault, self._loop
+        holder = memory_of(loop, fault.kernel, self._detector)
+        if holder is None:
+            return  # the memory does not exist at this instant
+        types = {words.dtype for words in words_of(holder) if words.name == fault.field}
+        if types - {fault.dtype}:
+            raise BadInputError(f"fault in {fault.site}: dtype {fault.dtype!r}; allowed: {', '.join(sorted(types))}")
+        values = change(holder, fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit))
+        if values is not None:
+            self._injection = Injection(fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True)
+            self._guard()
+
+    def _guard(self) -> None:
+        """Make exceptions of a kernel or detector terminate its node instead of the flight."""
+        target = self._fault.kernel
+        part: Any = part_of(self._detector, target) if target in DETECTORS else self._loop.kernels[target]
+        for name, answer in (_CHECKS if target in DETECTORS else _ANSWERS).items():
+            if hasattr(part, name):
+                setattr(part, name, self._guarded(getattr(part, name), answer))
+
+    def _guarded(self, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            try:
+                return method(*arguments)
+            except Exception as error:  # any exception type: the memory is corrupted
+                if machine_failure(error):
+                    raise
+                if memory_of(self._loop, self._fault.kernel, self._detector) is not None:
+                    self.effect = KernelEffect("exception", f"{type(error).__name__}: {error}", None)
+                    self._die()
+                return answer()
+
+        return call
+
+    def _die(self) -> None:
+        target, now = self._fault.kernel, self._loop.now
+        if self._detector is not None and target in DETECTORS:
+            self._restarts.detector_dies(self._detector, now, _RESTART_US)
+        else:
+            self._restarts.die(target, now, _RESTART_US)
+
+    def release(self) -> None:
+        """Remove the guard of a detector, which outlives the flight."""
+        part = part_of(self._detector, self._fault.kernel) if self._fault.kernel in DETECTORS else None
+        if part is not None:
+            for name in _CHECKS:
+                vars(part).pop(name, None)
+
+    @property
+    def injections(self) -> list[Injection]:
+        """The injection so far."""
+        return [] if self._injection is None else [self._injection]
+
+    def finish(self) -> list[Injection]:
+        """The injection; if the word did not exist, a record of the missed activation."""
+        fault = self._fault
+        time_s = fault.time_us / 1e6 if fault.has_site else 0.0
+        missed = Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False)
+        return [self._injection or missed]

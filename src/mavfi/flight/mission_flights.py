@@ -1,0 +1,282 @@
+"""In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full.
+
+What is fast-forwarded is decided before a flight, by what can be saved in a checkpoint: the plant (the simulator, with
+a flight controller that is `rewindable`), the kernels, and the detector.  Faults in states start from checkpoints, and
+so do faults in instructions of kernels if the work arrays of these can be saved, too.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.custom import is_custom
+from mavfi.detectors.detector import Detector, part_of
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.faults.levels.instruction import Resolving
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.checkpoints import can_save_detector
+from mavfi.flight.compose import resolve
+from mavfi.flight.fast_forward import FastForward, FlownArm, takes_part
+from mavfi.flight.fly import LocalFault, fly
+from mavfi.flight.forks import InjectedRuns, fly_from_checkpoints, fly_instruction_faults
+from mavfi.flight.golden_prefix import check_prefix, fly_until
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
+from mavfi.flight.plant import MakePlant
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.sim.controller import is_rewindable
+from mavfi.sim.simulator import Simulator
+from mavfi.states import DETECTORS
+
+
+class LocalHost:
+    """The deterministic in-process host.
+
+    Args:
+        make_plant: Constructs another vehicle in its world than the simulator.
+
+    Attributes:
+        make_plant: Constructs the vehicle in its world.
+        supports_fast_forward: Whether the vehicle can be saved, restored and forked.  If not, all flights start from
+            take-off, and faults in instructions, whose runs are forked, are refused.
+    """
+
+    name = "local"
+    levels = frozenset({"state", "memory", "instruction", "sensor"})
+    deterministic = True
+    flies = True
+    in_process = True
+
+    def __init__(self, make_plant: MakePlant | None = None) -> None:
+        self.make_plant: MakePlant = Simulator if make_plant is None else make_plant
+        self.supports_fast_forward = make_plant is None
+
+    def resolve(self, spec: MissionSpec) -> Scenario:
+        """See `Host.resolve`."""
+        return resolve(spec)
+
+    def check(self) -> None:
+        """See `Host.check`; there are no prerequisites."""
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
+        """See `Host.mission`."""
+        return LocalFlights(self, arms, fast_forward=fast_forward)
+
+
+@dataclass(frozen=True, slots=True)
+class _InstructionRun:
+    """A run with a fault in an instruction; `number` is its index among the requested runs."""
+
+    number: int
+    fault: InstructionFault
+
+
+class LocalFlights(ArmFlights):
+    """The flights of one mission; see `MissionFlights`."""
+
+    def __init__(self, host: LocalHost, arms: Mapping[str, ArmSetup], *, fast_forward: bool) -> None:
+        super().__init__(host, arms)
+        self._local_host = host
+        self._fast_forward = fast_forward and host.supports_fast_forward
+        self._forwards: dict[str, FastForward] = {}  # by key of the scenario
+        self._can_save_detector: dict[str, bool] = {}  # by arm
+        self._has_watched_runs = True
+        self._expects_instruction_faults = False
+
+    @contextmanager
+    def _forwarding(self, arm: str) -> Iterator[FastForward | None]:
+        """The fast-forward of an arm's mission; None = flights of this arm start from take-off.
+
+        It is shared by all arms of the same scenario, and discarded after an exception, which may have ended a flight
+        half-way.
+        """
+        scenario = self._arms[arm].scenario
+        if not (self._fast_forward and is_rewindable(scenario.flight_controller)):
+            yield None
+            return
+        key = scenario.key()
+        if key not in self._forwards:
+            self._forwards[key] = FastForward(scenario, scratch=self._expects_instruction_faults)
+        forward = self._forwards[key]
+        if not (forward.supported and self._saves_detector(arm)):
+            yield None
+            return
+        forward.watched = self._has_watched_runs
+        try:
+            yield forward
+        except BaseException:
+            self._forwards.pop(key, None)
+            raise
+
+    def _saves_detector(self, arm: str) -> bool:
+        """Whether checkpoints can contain the detector of an arm."""
+        if arm not in self._can_save_detector:
+            self._can_save_detector[arm] = can_save_detector(self._detector(arm))
+        return self._can_save_detector[arm]
+
+    # ---- golden flights, and faults in states, memory, sensors and motors -------------------------------------------
+    def _fly(self, arm: str, fault: LocalFault | None, *, profile: bool = False) -> Flight:
+        """Fly one run, fast-forwarded if possible.
+
+        Excluded are null faults, whose purpose is to exercise the injector; faults in memory, sensors and motors, which
+        checkpoints do not contain; and golden flights whose checkpoints nothing would start from.
+        """
+        setup, detector = self._arms[arm], self._detector(arm)
+        if fault is None:
+            # Faults in instructions follow, from take-off if the detector takes part.
+            may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
+        else:
+            may_forward = isinstance(fault, StateFault) and fault.bit is not None
+        if may_forward and isinstance(fault, StateFault | None):
+            with self._forwarding(arm) as forward:
+                if forward is not None:
+                    return forward.fly(fault, detector, _name_of(arm, detector), setup.recovery)
+        return fly(
+            setup.scenario,
+            fault,
+            detector,
+            recovery=setup.recovery,
+            profile=profile,
+            make_plant=self._local_host.make_plant,
+            observers=setup.observers,
+        )
+
+    # ---- counting and resolving of instructions ---------------------------------------------------------------------
+    def count_instructions(self, arm: str, functions: Mapping[str, Callable[..., Any]]) -> Flight:
+        """Fly the golden flight of an arm with instrumented functions of its kernels and detector, by name.
+
+        Without a detector or protection it takes the checkpoints, unless they have been taken already.
+        """
+        setup, detector = self._arms[arm], self._detector(arm)
+        self._expects_instruction_faults = True
+        takes_checkpoints = (
+            detector is None and setup.scenario.protection is None and setup.scenario.key() not in self._forwards
+        )
+        if takes_checkpoints:
+            with self._forwarding(arm) as forward:
+                if forward is not None:
+                    with forward.instrumented(functions):
+                        self._golden[arm] = Flight(forward.fly().log)
+                    return self._golden[arm]
+        with _instrumented(detector, functions) as table:
+            self._golden[arm] = fly(setup.scenario, None, detector, recovery=setup.recovery, functions=table)
+        return self._golden[arm]
+
+    def resolve_instructions(self, arm: str, functions: Mapping[str, Resolving]) -> None:
+        """Repeat as much of a golden flight that was counted as is needed to resolve instructions of its calls.
+
+        Raises:
+            MavfiError: Two golden flights differ.
+        """
+        setup, detector = self._arms[arm], self._detector(arm)
+        if detector is None and setup.scenario.protection is None:
+            with self._forwarding(arm) as forward:
+                if forward is not None:
+                    forward.resolve(functions)
+                    return
+        with _instrumented(detector, functions) as table, np.errstate(all="ignore"):
+            loop = new_loop(setup.scenario, functions=table)
+            watch(loop, detector, setup.recovery)
+            fly_until(loop, lambda: all(function.done for function in functions.values()))
+        check_prefix(loop, self._golden[arm].log)
+
+    # ---- injected runs ----------------------------------------------------------------------------------------------
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
+        """See `MissionFlights.injected`: faults in instructions come last, by arm, those of kernels before others."""
+        self._has_watched_runs = any(self._arms[arm].make_detector is not None for arm, _ in runs)
+        in_kernels: dict[str, list[_InstructionRun]] = {}
+        in_detectors: dict[str, list[_InstructionRun]] = {}
+        others = []
+        for number, (arm, fault) in enumerate(runs):
+            if not isinstance(fault, InstructionFault):
+                others.append(number)
+            elif fault.kernel in DETECTORS:
+                in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
+            else:
+                in_kernels.setdefault(arm, []).append(_InstructionRun(number, fault))
+        for place, flight in one_by_one([runs[number] for number in others], self._fly_injected):
+            yield others[place], flight
+
+        # Arms without a detector are flown first: runs of arms with one may follow from theirs.
+        known: dict[tuple[str, InstructionFault], Flight] = {}
+        for arm, batch in (*in_kernels.items(), *in_detectors.items()):
+            yield from ((run.number, known[arm, run.fault]) for run in batch if (arm, run.fault) in known)
+            unknown = [run for run in batch if (arm, run.fault) not in known]
+            yield from self._fly_batch(arm, unknown, in_kernels.keys() | in_detectors.keys(), known)
+
+    def _fly_batch(
+        self, arm: str, batch: Sequence[_InstructionRun], arms: Collection[str],
+        known: dict[tuple[str, InstructionFault], Flight],
+    ) -> Iterator[tuple[int, Flight | Exception]]:  # fmt: skip
+        """Flights of a batch with faults in instructions; those of other arms that follow from them become `known`."""
+        if not batch:
+            return
+        faults = [run.fault for run in batch]
+        try:
+            injected = self._fly_instruction_faults(arm, faults, arms)
+        except Exception as error:  # noqa: BLE001 - ends only the run that raised it
+            if len(batch) == 1:
+                yield batch[0].number, error
+                return
+            for run in batch:
+                yield from self._fly_batch(arm, [run], arms, known)
+            return
+        for other_arm, flights in injected.watched.items():
+            known.update({(other_arm, faults[place]): flight for place, flight in flights.items()})
+        yield from ((run.number, flight) for run, flight in zip(batch, injected.flights, strict=True))
+
+    def _fly_instruction_faults(
+        self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
+    ) -> InjectedRuns:
+        setup, detector, golden = self._arms[arm], self._detector(arm), self._golden.get(arm)
+        if not self._local_host.supports_fast_forward:
+            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, sensor, in this world")
+        in_detector = any(fault.kernel in DETECTORS for fault in faults)
+        if golden is not None and not in_detector and not takes_part(detector, setup.recovery):
+            with self._forwarding(arm) as forward:
+                if forward is not None and forward.scratch:
+                    flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
+                    return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
+        flights = fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery).flights
+        return InjectedRuns(flights, {})
+
+    def _watched_arms(self, plain: str, arms: Collection[str]) -> list[FlownArm]:
+        """Arms that differ from one without a detector by a detector alone, and can be fast-forwarded.
+
+        A custom detector is not called in the other arm's flights: it could end these.
+        """
+        watched: list[FlownArm] = []
+        if self._detector(plain) is not None:
+            return watched
+        for arm in arms:
+            setup, detector = self._arms[arm], self._detector(arm)
+            if detector is None or arm not in self._golden or takes_part(detector, setup.recovery):
+                continue
+            if is_custom(detector):
+                continue
+            if setup.scenario.key() == self._arms[plain].scenario.key() and self._saves_detector(arm):
+                watched.append(FlownArm(arm, detector, setup.recovery))
+        return watched
+
+
+def _name_of(arm: str, detector: Detector | None) -> str:
+    """Name of an arm in a `FastForward`: without a detector, flights of all arms of a scenario are the same."""
+    return "" if detector is None else arm
+
+
+@contextmanager
+def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> Iterator[KernelFunctions]:
+    """Function table of the kernels with instrumented functions; the detector uses those of its own meanwhile."""
+    parts = [part for part in (part_of(detector, source) for source in DETECTORS) if part is not None]
+    for part in parts:
+        part.instrument({name: function for name, function in functions.items() if name in part.compiled})
+    of_kernels = {field.name for field in fields(KernelFunctions)}
+    try:
+        yield PLAIN.instrumented(tuple(of_kernels.intersection(functions)), lambda name, _: functions[name])
+    finally:
+        for part in parts:
+            part.instrument({})

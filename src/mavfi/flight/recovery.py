@@ -1,0 +1,379 @@
+"""Recovery: `DetectorTap` connects a detector to a flight, and carries out what `decide.decide` selects.
+
+Coupling `inline`: the detector is a gate.  A rejected value is withheld, the kernel's memory is restored, and its step
+is repeated at once; the result is published and accepted, even if it is the same value.  With `same_twice: escalate` it
+is checked again: a rule violated twice on the same inputs indicates corrupted node memory, and the node is restarted.
+With `grain: message` the producer's copy is retransmitted first, which repairs a value corrupted in transit; a value
+that was computed incorrectly is rejected again and then recomputed.  A message that its consumers cannot read is
+retransmitted whatever the detector is, since the transport knows of it.  If a restart does not help, a degraded mode
+replaces all further commands, see `degraded`.
+
+Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
+of the alarm, so the kernel is restored at its next step: at the next control period for planning and control, at the
+next image for perception, at the next IMU sample for the state estimator.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+from weakref import proxy
+
+from mavfi.detectors.custom import NotedCalls, is_custom
+from mavfi.detectors.detector import Alarm, Detector, checked_alarm
+from mavfi.errors import machine_failure
+from mavfi.extras.bench.sealed import DIFFERENT
+from mavfi.flight.decide import (
+    MAX_ALARMS,
+    MAX_UNCHANGED,
+    PATH,
+    WAYPOINT,
+    Action,
+    Awaited,
+    History,
+    Origin,
+    PathDeadline,
+    Rejection,
+    Response,
+    decide,
+    decide_overdue,
+)
+from mavfi.flight.degraded import HoldPosition
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.plugins import plugin_failure, reason
+from mavfi.record import CRASHED, LIMITED, SILENCED, AlarmRecord
+from mavfi.states import PPC_STAGES, STATES, Stage, State, StateSpec
+
+if TYPE_CHECKING:
+    from mavfi.flight.loop import Loop
+
+COMMAND = "control.command"
+UNREADABLE = "unreadable"
+"""Source of the alarm on a message that its consumers cannot read."""
+
+
+class _Disabled:
+    """In the place of a detector that has been disabled after an exception: it sees nothing and raises no alarm."""
+
+    def check(self, state: State, time_us: int) -> None:
+        """Never called: recovery asks a disabled detector no more."""
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Drops the value."""
+
+    def seal(self, state: State, time_us: int) -> None:
+        """Drops the value."""
+
+
+class DetectorTap:
+    """Connects a detector to a loop as a tap, and carries out the response to its alarms.
+
+    It is stateful only if its policy `remembers`, or limits recomputations; its state is `memory`.
+
+    Args:
+        loop: The flight.
+        detector: The detector.
+        policy: The recovery policy.
+        restart: Restarts the node of a kernel; arguments: kernel, instant (us), down time (us).
+
+    Attributes:
+        memory: What it remembers between alarms.
+        alarm: The alarm on the last value, None = none.
+        action: The response to it.
+        seals: Whether it needs each value before injection, as sent by the producer.
+        states: Names of the states that it needs to see; None = all.
+    """
+
+    def __init__(
+        self, loop: "Loop", detector: Detector, policy: Recovery = INLINE,
+        restart: Callable[[str, int, int], None] = lambda *_: None,
+    ) -> None:  # fmt: skip
+        self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
+        self._detector, self._policy, self._restart = detector, policy, restart
+        self._is_custom = is_custom(detector)
+        # looked up at each call, since a memory fault replaces the methods of a detector in flight
+        self._calls: Any = NotedCalls(detector) if self._is_custom else detector
+        self._detector_seals = detector.seals
+        self.seals = self._detector_seals or policy.resends
+        self._hold = HoldPosition(loop.scenario.v_max) if policy.degrades else None
+        self._deadline = PathDeadline(policy.answer_s, loop.scenario.autopilot) if policy.answer_s else None
+        self.states = self._needed_states(detector.states)
+        self.memory = History()
+        self.alarm: Alarm | None = None
+        self.action: Action | None = None
+        self._sent: State | None = None
+
+    def _needed_states(self, detector_states: Collection[str] | None) -> frozenset[str] | None:
+        """States that detector and recovery need to see; None = all."""
+        if detector_states is None:
+            return None
+        needed = {WAYPOINT, *detector_states}  # the answer to a request for another way-point
+        if self._deadline is not None:
+            needed |= PathDeadline.states
+        if self._hold is not None:
+            needed |= {COMMAND} | HoldPosition.states
+        return frozenset(needed)
+
+    def begin(self) -> None:
+        """Initialize the detector at the start of a flight."""
+        self._calls.start()
+
+    @property
+    def gave_up(self) -> bool:
+        """Whether the detector is called no more."""
+        return isinstance(self._calls, _Disabled)
+
+    def seal(self, state: State, now: int) -> None:
+        """Keep a copy of a value as sent by its producer, and let the detector seal it."""
+        self._sent = state
+        if self._detector_seals:
+            try:
+                self._calls.seal(state, now)
+            except Exception as error:  # noqa: BLE001 - of a custom detector
+                self.give_up(error, now)
+
+    # ---- publications -----------------------------------------------------------------------------------------------
+    def __call__(self, state: State, now: int) -> State | None:
+        """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
+        awaited = self._loop.awaited.pop(state.spec.name, None)
+        self.alarm = self.action = None
+        if self._hold is not None:
+            if state.spec.name in HoldPosition.states:
+                self._hold.note(self.memory.hold, state)
+            if self.memory.degraded:
+                return self._hold.command(self.memory.hold, state) if state.spec.name == COMMAND else state
+
+        alarm, is_checked = None, self._is_checked(awaited, now)
+        if is_checked:
+            try:
+                alarm = self._calls.check(state, now)
+                if alarm is None:
+                    self._calls.accept(state, now)
+            except Exception as error:  # noqa: BLE001 - of a custom detector
+                self.give_up(error, now)
+                alarm, is_checked = None, False
+            if alarm is None and is_checked and awaited is None:  # almost always
+                if self._deadline is not None:
+                    self._watch_deadline(state, now)
+                return state
+        return self._settle(state, now, alarm, awaited, is_accepted=is_checked and alarm is None)
+
+    def _is_checked(self, awaited: Awaited | None, now: int) -> bool:
+        """Whether the detector is asked about a value."""
+        if self.memory.silenced:
+            return False
+        if awaited is not None and not self._policy.escalates:
+            return False
+        return not (self._policy.limits and self.memory.has_counted(MAX_UNCHANGED, now))
+
+    def _settle(
+        self, state: State, now: int, alarm: Alarm | None, awaited: Awaited | None, *, is_accepted: bool
+    ) -> State | None:
+        """Respond to an alarm on a value, or let it pass; returns the value to publish, None = it is withheld.
+
+        Args:
+            state: The value.
+            now: Instant (us).
+            alarm: The alarm on it; None = none, or the detector was not asked.
+            awaited: The recomputation of which it is the result; None = it is that of a regular step.
+            is_accepted: Whether the detector has already recorded it.
+        """
+        action = self._choose(alarm, state.spec, now, awaited)
+        # A value that consumers receive in spite of an alarm, or without a check, is one that the detector records.
+        if not is_accepted and (action is None or not self._policy.gates):
+            self._record_published(state, now)
+        if awaited is not None:
+            self._note_outcome(awaited, state)
+        if action is None:
+            if self._deadline is not None:
+                self._watch_deadline(state, now)
+            return state
+        self._respond_to(state.spec, state, now)
+        is_replaced = action.kind is Response.HOLD and state.spec.name == COMMAND
+        return None if action.withholds or is_replaced else state
+
+    def _record_published(self, state: State, now: int) -> None:
+        """Pass a published value to the detector that it has not accepted itself."""
+        try:
+            self._calls.accept(state, now)
+        except Exception as error:  # noqa: BLE001 - of a custom detector
+            self.give_up(error, now)
+
+    def lost(self, state: State, now: int) -> bool:
+        """Respond to a message that its consumers cannot read; False = there is no response.
+
+        Args:
+            state: The producer's copy.
+            now: Instant (us).
+        """
+        spec = state.spec
+        if spec.stage not in PPC_STAGES or self.memory.degraded:
+            return False
+        awaited = self._loop.awaited.pop(spec.name, None)
+        self.alarm = self.action = None
+        alarm = None
+        if not self.memory.silenced and (awaited is None or self._policy.escalates):
+            alarm = Alarm(UNREADABLE, spec.stage.value, score=DIFFERENT, fields=(spec.name,), hard=True)
+        action = self._choose(alarm, spec, now, awaited)
+        if awaited is not None:
+            self._note_outcome(awaited, None)
+        if action is None:
+            return False
+        self._respond_to(spec, None, now)
+        return True
+
+    def give_up(self, error: Exception, now: int) -> None:
+        """Disable a custom detector that raised an exception after the injection; raises any other exception.
+
+        It may have assumed what no longer holds after the injection.
+        """
+        if not (self._is_custom and self._loop.injected) or machine_failure(error):
+            raise error
+        if not self.memory.silenced:
+            self._silence(now, CRASHED, {"how": plugin_failure(error) or reason(error)})
+        self._calls = _Disabled()
+
+    # ---- decisions --------------------------------------------------------------------------------------------------
+    def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: Awaited | None) -> Action | None:
+        """Select the response to an alarm on a value of state `spec`; it is also in `action`, with its `alarm`."""
+        if alarm is None:
+            return None
+        self.alarm = alarm  # even if checking it raises: another process may report it
+        alarm = checked_alarm(self._detector, alarm)
+        self.action = decide(Rejection(alarm, spec, self._origin(awaited), now), self.memory, self._policy)
+        if alarm.hard and self._policy.degrades:
+            self.memory.extend_series(now)
+        self.alarm = None if self.action is None else alarm
+        return self.action
+
+    def _origin(self, awaited: Awaited | None) -> Origin:
+        """What produced a value; any action other than a retransmission counts as a recomputation."""
+        if awaited is None:
+            return Origin.STEP
+        if self._loop.record.alarms[awaited.alarm_index].action == Response.RESEND:
+            return Origin.RESENT
+        return Origin.RECOMPUTED
+
+    def _watch_deadline(self, state: State, now: int) -> None:
+        """Monitor the deadline of the path that answers a collision alarm; restart the planner's node on a miss."""
+        deadline, policy = self._deadline, self._policy
+        assert deadline is not None  # the caller checks it
+        if state.spec.name not in deadline.states:
+            return
+        planner_is_down = policy.degrades and STATES[PATH].writer in self._loop.down
+        waited_s = deadline.overdue(self.memory.path_wait, state, now, planner_is_down=planner_is_down)
+        if waited_s is None:
+            return
+        action = decide_overdue(self.memory, policy)
+        if action is None:
+            return
+        alarm = Alarm("deadline", Stage.PLANNING, score=waited_s / policy.answer_s, hard=True)
+        self._record_alarm(alarm, action, state.spec, now)
+        self._execute(action, state, now)
+
+    # ---- responses --------------------------------------------------------------------------------------------------
+    def _respond_to(self, spec: StateSpec, rejected: State | None, now: int) -> None:
+        """Record and execute the response to the alarm on a value; `rejected`: the value, None = it is unreadable."""
+        assert self.alarm is not None and self.action is not None  # precondition
+        if self._policy.limits or (self.alarm.hard and self._policy.restarts):
+            self._count_alarm(self.action, now)
+        self._record_alarm(self.alarm, self.action, spec, now)
+        self._execute(self.action, rejected, now)
+
+    def _count_alarm(self, action: Action, now: int) -> None:
+        """Count an alarm against the detector; disable one with too many of them as faulty."""
+        limits, record = self._policy.limits, self._loop.record
+        self.memory.count_alarm(now, skips_waypoint=limits and action.kind is Response.ABANDON)
+        if limits and self.memory.has_counted(MAX_UNCHANGED, now):
+            record.note(now, LIMITED, {"alarms": MAX_UNCHANGED})
+        if self.memory.has_counted(MAX_ALARMS, now):
+            self._silence(now, SILENCED, {"alarms": MAX_ALARMS})
+
+    def _silence(self, now: int, kind: str, data: dict[str, object]) -> None:
+        """Ask the detector no more in this flight."""
+        self.memory.silenced = True
+        self._loop.record.note(now, kind, data)
+
+    def _record_alarm(self, alarm: Alarm, action: Action, spec: StateSpec, now: int) -> None:
+        """Add an alarm to the flight's record; its outcome may become known later."""
+        self._loop.record.alarms.append(record_of(alarm, action, spec.name, now))
+
+    def _note_outcome(self, awaited: Awaited, state: State | None) -> None:
+        """Record the outcome of a recomputation, given the response to its result (None = an unreadable one)."""
+        alarms = self._loop.record.alarms
+        if alarms[awaited.alarm_index].action not in (Response.RECOMPUTE, Response.RESEND):
+            return
+        if self.action is not None or state is None:
+            outcome = "rejected"
+        elif awaited.rejected is not None and state.same_bits(awaited.rejected):
+            outcome = "accepted"
+        else:
+            outcome = "repaired"
+        alarms[awaited.alarm_index] = replace(alarms[awaited.alarm_index], outcome=outcome)
+        if outcome == "repaired" and self.memory.counted_us and self._policy.confirms:
+            self.memory.counted_us.pop()  # a repaired value confirms the alarm
+
+    def _execute(self, action: Action, rejected: State | None, now: int) -> None:
+        """Carry out an action; its alarm is the last one in the record."""
+        match action.kind:
+            case Response.HOLD:
+                assert self._hold is not None  # the mode is configured
+                self._hold.begin(self.memory.hold)
+                self.memory.degraded = True
+            case Response.RESTART:
+                self._restart(action.kernel, now, self.memory.down_time())
+                self.memory.restarts_left -= 1
+            case Response.RESEND:
+                self._await_result(action, rejected)
+                self._resend(action, now)
+            case _:
+                self._await_result(action, rejected)
+                self._request(action, now)
+
+    def _await_result(self, action: Action, rejected: State | None) -> None:
+        """Recognize the next value of the awaited state as the result of an action."""
+        if action.awaited:
+            self._loop.awaited[action.awaited] = Awaited(rejected, len(self._loop.record.alarms) - 1)
+
+    def _resend(self, action: Action, now: int) -> None:
+        """Retransmit the producer's copy of the value."""
+        assert self._sent is not None  # `seal` precedes the check
+        producers_copy = self._sent.copy()  # another object: a detector may remember this one
+        if action.withholds:
+            self._loop.deliver(producers_copy, now)
+        else:
+            self._loop.at(now, "resend", producers_copy)  # consumers first receive the current value
+
+    def _request(self, action: Action, now: int) -> None:
+        """Request a recomputation, another way-point or a stop: at once, or with an observer at the next step."""
+        loop = self._loop
+        if not self._policy.gates:
+            if action.kernel:
+                loop.requests[action.kernel] = action
+            return
+        if action.kind is Response.RECOMPUTE and action.withholds and STATES[action.awaited].writer in loop.busy:
+            return  # an alarm on another of its states has already requested this recomputation
+        is_only_charged = not action.kernel or (not action.awaited and action.kernel in loop.busy)
+        if is_only_charged:
+            loop.charge(action)
+        else:
+            loop.recompute(action, now)
+
+
+def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRecord:
+    """The record of an alarm, before its outcome is known."""
+    if action.kind is Response.RESTART:
+        outcome = "restarted"
+    elif action.awaited:
+        outcome = "replaced"
+    else:
+        outcome = "accepted"
+    return AlarmRecord(
+        1e-6 * time_us,
+        alarm.source,
+        state,
+        alarm.stage,
+        alarm.score,
+        tuple(alarm.fields),
+        action.kind.value,
+        outcome,
+    )

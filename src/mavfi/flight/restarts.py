@@ -1,0 +1,169 @@
+"""Node crashes and restarts under the mission's policy (`dead_node`).
+
+- `end`: the mission ends at the crash and counts as failed.
+- `fresh`: the step in progress is lost; after a down time the node restarts with initialized memory and receives the
+  whole map and the last message of each state that it reads from other nodes.
+- `readback`: as `fresh`, and it also receives the last alarm if the way-point in force does not answer that yet, and
+  reads back its own last outputs as consumers received them (`Kernel.resume`).
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from weakref import proxy
+
+from mavfi.detectors.detector import Detector
+from mavfi.faults.levels.state_injector import ActedOn
+from mavfi.flight.decide import WAYPOINT
+from mavfi.flight.loop import Loop
+from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.taps import Tap
+from mavfi.mission import DeadNode, MissionStatus
+from mavfi.pipeline.kernel import Kernel
+from mavfi.states import PERIODIC, STATES, State, in_node
+
+CHANGES = "perception.map_update"
+"""State that carries increments instead of whole values: a restarted node receives all of them."""
+
+
+class Restarts:
+    """Terminates and restarts the nodes of a flight under a policy; constructed before the flight starts."""
+
+    def __init__(self, loop: Loop, policy: DeadNode = "fresh") -> None:
+        self._loop = proxy(loop)  # the loop owns this object
+        self._policy = policy
+        self._latest: dict[str, State] = {}
+        self._updates: list[State] = []
+        self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
+        self._alarms: dict[str, State] = {}
+        loop.taps.recorders.append(self.keep)
+        self._back = f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
+        loop.actions[self._back] = self._restart
+        loop.actions["again"] = self._again
+
+    def keep(self, state: State, now: int) -> None:
+        """Note a publication as consumers receive it: what a restarted node receives depends on all of them."""
+        name = state.spec.name
+        self._latest[name] = state
+        if name == CHANGES:
+            self._updates.append(state)
+        if name in self._acted_on and self._acted_on[name](state):
+            self._alarms[name] = state
+
+    def die(self, kernel: str, now: int, after_us: int) -> None:
+        """Terminate the node of a kernel at this instant.
+
+        Args:
+            kernel: The kernel in whose step the node crashes.
+            now: Current instant (us).
+            after_us: Down time until the restart (us).
+        """
+        if self._policy == "end":
+            self._loop.status = MissionStatus.NODE_DIED
+        elif kernel not in self._loop.down:  # else the restart is scheduled already
+            self._lose(kernel)
+            self._loop.at(now + after_us, self._back, kernel)
+
+    def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
+        """Terminate the detector at this instant; publications pass unchecked and the flight continues.
+
+        It restarts with initialized memory after the down time and receives the last publication of each state, as any
+        restarted node.  Policy `end`: it does not return.
+
+        Args:
+            detector: The detector.
+            now: Instant (us).
+            after_us: Down time (us).
+        """
+        taps = self._loop.taps
+        tap, taps.detector = taps.detector, None
+        if self._policy != "end":
+            self._loop.actions["detector back"] = partial(self._detector_returns, detector, tap)
+            self._loop.at(now + after_us, "detector back")
+
+    def _detector_returns(self, detector: Detector, tap: Tap | None, now: int) -> None:
+        """Initialize a detector, pass it the last publication of each state, and install its tap again."""
+        try:
+            detector.start()
+            for name in STATES:  # in data-flow order
+                if name in self._latest:
+                    detector.accept(self._latest[name], now)
+        except Exception as error:
+            if not isinstance(tap, DetectorTap):
+                raise
+            tap.give_up(error, now)
+        self._loop.awaited.clear()  # recomputations finished during the down time
+        self._loop.taps.detector = tap
+
+    def _lose(self, kernel: str) -> None:
+        loop, names = self._loop, in_node(kernel)
+        loop.down.update(names)
+        for name in names:
+            loop.busy[name] = None
+            loop.requests.pop(name, None)
+        for state in list(loop.awaited):
+            if STATES[state].writer in names:
+                del loop.awaited[state]  # the recomputation died with the node: its next publication is checked
+
+    # ---- repetition of the step -------------------------------------------------------------------------------------
+    def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
+        """Publish the results of a kernel's repeated step one latency later, under any policy."""
+        loop, cost = self._loop, self._loop.latency[name]
+        if cost <= 0:
+            return  # a result without latency is published as in the error-free case
+        loop.record.recompute_us[loop.kernels[name].stage.value] += cost
+        loop.busy[name] = None
+        loop.down.add(name)
+        loop.at(now + cost, "again", name, list(states))
+
+    def _again(self, now: int, name: str, states: list[State]) -> None:
+        loop = self._loop
+        loop.down.discard(name)
+        waiting = loop.busy.pop(name)
+        loop.finish(loop.kernels[name], states, now, loop.latency[name])
+        if name in loop.busy:
+            loop.busy[name] = waiting
+        elif waiting is not None and loop.kernels[name].receive(waiting, now) and name not in PERIODIC:
+            loop.start(loop.kernels[name], now)
+
+    # ---- restart ----------------------------------------------------------------------------------------------------
+    def _restart(self, now: int, kernel: str) -> None:
+        loop, names = self._loop, in_node(kernel)
+        fresh = loop.renew(kernel)
+        if not fresh:
+            return
+        for name in names:
+            loop.kernels[name] = fresh[name]
+            loop.down.discard(name)
+            loop.busy.pop(name, None)
+        for state, readers in loop.readers.items():
+            loop.readers[state] = [loop.kernels[reader.name] for reader in readers]
+        for name in names:
+            self._resume(loop.kernels[name], now)
+
+    def _resume(self, kernel: Kernel, now: int) -> None:
+        taken = kernel.resume(self._latest, now) if self._policy == "readback" else ()
+        due, node = False, in_node(kernel.name)
+        for name in kernel.reads:
+            if STATES[name].writer in node or name in taken:
+                continue  # own outputs and node-internal states: replaying them would execute an outdated path
+            for state in self._messages(name):
+                due = kernel.receive(state, now) or due
+        if self._loop.marks:
+            kernel.mark()  # a recomputation of the current step must not undo the retransmitted inputs
+        if due and kernel.name not in PERIODIC:
+            self._loop.start(kernel, now)
+
+    def _messages(self, name: str) -> list[State]:
+        """Messages of a state that a restarted node receives."""
+        if name == CHANGES:
+            return self._updates
+        latest, alarm = self._latest.get(name), self._alarms.get(name)
+        messages = [] if latest is None else [latest]
+        if self._policy == "readback" and alarm is not None and alarm is not latest and self._unanswered(alarm):
+            messages.insert(0, alarm)
+        return messages
+
+    def _unanswered(self, alarm: State) -> bool:
+        """Whether the way-point in force carries a lower sequence number than an alarm."""
+        waypoint, counter = self._latest.get(WAYPOINT), alarm.spec.acted_on
+        return waypoint is None or int(waypoint.header[counter][0]) < int(alarm.header[counter][0])

@@ -1,0 +1,149 @@
+"""Failures of sensors and motors in a flight: at the flight controller's inputs and outputs, and in publications."""
+
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault
+from mavfi.faults.levels.sensor.failures import Failures
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.loop import Loop
+from mavfi.flight.taps import InTurn
+from mavfi.record import Injection
+from mavfi.sim.controller import Controller
+from mavfi.states import State, floats
+
+_OWN_CONTROLLER = "cascade"
+
+
+class FailingController:
+    """A flight controller that reads failing sensors and commands failing motors.
+
+    Args:
+        controller: The controller.
+        failures: Failures of the vehicle.
+        max_thrust: Of a rotor (N).
+        since_us: Time of the failures at the controller's time 0.
+    """
+
+    rewindable = False
+
+    def __init__(self, controller: Controller, failures: Failures, max_thrust: float, since_us: int = 0) -> None:
+        self._controller, self._failures, self._max_thrust = controller, failures, max_thrust
+        self._since_us, self.period_us = since_us, controller.period_us
+
+    def rotors(self, time_us: int, setpoint: np.ndarray, odometry: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """See `Controller.rotors`."""
+        failures, now = self._failures, self._since_us + time_us
+        wanted = self._controller.rotors(
+            time_us, setpoint, failures.state(now, odometry), failures.force(now, force)
+        )  # fmt: skip
+        return failures.rotors(now, wanted, self._max_thrust)
+
+    def save(self) -> bytes:
+        """See `Controller.save`."""
+        return self._controller.save()
+
+    def restore(self, saved: bytes) -> None:
+        """See `Controller.restore`."""
+        self._controller.restore(saved)
+
+    def close(self) -> None:
+        """See `Controller.close`."""
+        self._controller.close()
+
+
+class SensorInjector:
+    """Injector tap of a flight that has not started: changes the publications of sensors, and the flight controller.
+
+    An image carries the pose that its readers believe, as with an estimator.
+
+    Raises:
+        BadInputError: Nothing in this flight reads the device.
+    """
+
+    spent = True
+
+    def __init__(self, loop: Loop, fault: SensorFault) -> None:
+        check_read(fault.unit, loop.scenario.flight_controller, loop.scenario.localization.kind)
+        plant: Any = loop.plant
+        self._plant, self._estimating = plant, loop.sensors.estimating
+        self._failures = Failures()
+        self._failure = self._failures.begin(fault)
+        if hasattr(plant, "controller"):
+            limit = loop.scenario.vehicle.max_rotor_thrust
+            plant.controller = FailingController(plant.controller, self._failures, limit)
+        elif fault.unit == "motor":
+            raise BadInputError(f"fault in {fault.site}: the motors are the server's; allowed with --world: sensors")
+
+    @property
+    def injections(self) -> list[Injection]:
+        """The injection so far."""
+        return [] if self._failure.injection is None else [self._failure.injection]
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """The publication, with the values of failing sensors."""
+        failures = self._failures
+        match state.spec.name:
+            case "sensor.odometry":
+                return _with_header(state, failures.state(time_us, floats(state.header, 13)))
+            case "sensor.imu":
+                return _with_header(state, failures.imu(time_us, floats(state.header, 6)))
+            case "sensor.position":
+                return _with_header(state, failures.fix(time_us, floats(state.header, 4)))
+            case "sensor.depth":
+                return self._image(state, time_us)
+        return state
+
+    def _image(self, state: State, time_us: int) -> State:
+        pose, ranges = floats(state.header, 7), state.elements["range"]
+        if not self._estimating:
+            believed = self._failures.state(time_us, self._plant.odometry)
+            if believed is not self._plant.odometry:
+                pose = np.concatenate([believed[:3], believed[6:10]])
+        seen = _with_header(state, pose)
+        found = self._failures.ranges(time_us, ranges)
+        if found is not ranges:
+            seen = seen.copy()
+            seen.elements["range"] = found
+        return seen
+
+    def finish(self) -> list[Injection]:
+        """The injection, or a record that it was not activated."""
+        return [self._failure.record()]
+
+
+def _with_header(state: State, values: np.ndarray) -> State:
+    """The state, or a copy with other leading numbers in its header."""
+    own = floats(state.header, len(values))
+    if own.tobytes() == values.tobytes():
+        return state
+    seen = state.copy()
+    floats(seen.header, len(values))[:] = values
+    return seen
+
+
+def check_read(unit: str, flight_controller: str, localization: str) -> None:
+    """Check that something in a mission reads a device.
+
+    Raises:
+        BadInputError: Nothing does.
+    """
+    if unit == "accelerometer" and flight_controller == _OWN_CONTROLLER and localization == "truth":
+        raise BadInputError(
+            "fault in accelerometer: localization truth and our flight controller do not read it; "
+            "allowed: localization estimator, or flight_controller betaflight"
+        )
+
+
+def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:
+    """Install the injector of a sensor fault in a flight that has not started; returns whether the fault is one.
+
+    An injector that the flight already has receives what readers of the failing sensor do.
+    """
+    if not isinstance(fault, SensorFault):
+        return False
+    own, other = SensorInjector(loop, fault), loop.taps.injector
+    loop.taps.injector = own if other is None else InTurn(own, other)
+    return True

@@ -1,0 +1,103 @@
+"""Taps of every published state, in a fixed order: injector, detector, recorders."""
+
+from collections.abc import Callable, Set
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from mavfi.record import Injection
+from mavfi.states import State
+
+Tap = Callable[[State, int], State | None]
+"""Maps a publication and the instant (us) to the value to publish; None = withheld."""
+Recorder = Callable[[State, int], None]
+"""Receives each value as consumers will, and the instant (us)."""
+
+
+class Injector(Protocol):
+    """The injector tap, applied first."""
+
+    @property
+    def spent(self) -> bool:
+        """Whether all injections are complete, so that further values pass unchanged."""
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """The value to publish; None = lost."""
+
+    def finish(self) -> list[Injection]:
+        """All injections of the flight."""
+
+
+class InTurn:
+    """Two injectors as one: the second receives what the first leaves.
+
+    Args:
+        first: Applied first.
+        second: Applied to its result.
+    """
+
+    def __init__(self, first: Injector, second: Injector) -> None:
+        self._first, self._second = first, second
+
+    @property
+    def spent(self) -> bool:
+        """See `Injector.spent`."""
+        return self._first.spent and self._second.spent
+
+    @property
+    def injections(self) -> list[Injection]:
+        """Those so far."""
+        return [one for injector in (self._first, self._second) for one in getattr(injector, "injections", ())]
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """See `Injector`."""
+        seen = self._first(state, time_us)
+        return None if seen is None else self._second(seen, time_us)
+
+    def finish(self) -> list[Injection]:
+        """See `Injector`."""
+        return self._first.finish() + self._second.finish()
+
+
+@dataclass(slots=True)
+class Taps:
+    """The taps of one flight, in order of application.
+
+    Attributes:
+        injector: None = no injection.
+        detector: None = no detector.
+        recorders: Called in list order.
+        watched: Names of the states that the detector receives; None = all.
+        seal: Receives each value before injection, as sent by the producer; None = unused.
+        again: Receives each value that the injector loses, and returns whether there is a response; it belongs to the
+            detector's tap, and is down with it.  None = unused.
+        lost: Receives each such value without a response; None = unused.
+    """
+
+    injector: Injector | None = None
+    detector: Tap | None = None
+    recorders: list[Recorder] = field(default_factory=list)
+    watched: Set[str] | None = None
+    seal: Recorder | None = None
+    again: Callable[[State, int], bool] | None = None
+    lost: Recorder | None = None
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """The value that consumers receive; None = none."""
+        seen: State | None = state
+        if self.seal is not None:
+            self.seal(state, time_us)
+        if self.injector is not None:
+            seen = self.injector(state, time_us)
+            if seen is None:
+                self._lose(state, time_us)
+        if self.detector is not None and seen is not None and (self.watched is None or seen.spec.name in self.watched):
+            seen = self.detector(seen, time_us)
+        if seen is not None:
+            for record in self.recorders:
+                record(seen, time_us)
+        return seen
+
+    def _lose(self, state: State, time_us: int) -> None:
+        answered = self.detector is not None and self.again is not None and self.again(state, time_us)
+        if not answered and self.lost is not None:
+            self.lost(state, time_us)

@@ -1,1 +1,0 @@
-"""Protection of compiled kernels: which instructions are duplicated, and the transformation of their IR."""

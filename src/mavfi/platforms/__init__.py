@@ -1,1 +1,0 @@
-"""Modelled computers: latencies charged as simulated time."""

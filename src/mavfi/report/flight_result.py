@@ -1,0 +1,120 @@
+"""A requested flight with its golden run, and its results as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from mavfi.outcomes import Effect, QoF, effect_of, quality_of
+from mavfi.record import COLUMNS, FlightRecord, record_of
+
+if TYPE_CHECKING:
+    import polars
+
+    from mavfi.faults.fault import Fault
+    from mavfi.flight.host import Flight
+    from mavfi.mission import MissionStatus, Scenario
+    from mavfi.record import FlightLog
+
+
+@dataclass(frozen=True, repr=False)
+class FlightResult:
+    """A flight, with its golden run for comparison.
+
+    Attributes:
+        scenario: The mission.
+        flight: The requested flight.
+        golden: Its golden run with the same detector; None = the flight itself is golden.
+        fault: The injected fault; None = no fault.
+        detector: Name and profile, e.g. "gaussian (paper)"; "" = no detector.
+        unwatched: The flight with the same fault, without the detector and its mission keys; None without a detector or
+            a fault, and for faults in the detector itself.
+    """
+
+    scenario: Scenario
+    flight: Flight
+    golden: Flight | None = None
+    fault: Fault | None = None
+    detector: str = ""
+    unwatched: Flight | None = None
+
+    def __repr__(self) -> str:
+        mission = f"{self.scenario.environment.name}, seed {self.scenario.seed}"
+        fault = f"{self.effect.label} by a fault in {self.fault.site}" if self.fault and self.effect else "golden"
+        return f"<FlightResult: {mission}, {fault}, {self.status.name} after {self.quality.flight_time_s:.2f} s>"
+
+    @property
+    def log(self) -> FlightLog:
+        """Log of the flight."""
+        return self.flight.log
+
+    @property
+    def status(self) -> MissionStatus:
+        """Final status of the mission."""
+        return self.flight.log.status
+
+    @cached_property
+    def record(self) -> FlightRecord:
+        """Record of the flight, as in a ledger."""
+        return self.flight.record()
+
+    @cached_property
+    def golden_record(self) -> FlightRecord | None:
+        """Record of the golden run, as in a ledger; None if the flight itself is golden."""
+        return None if self.golden is None else self.golden.record()
+
+    @property
+    def quality(self) -> QoF:
+        """Flight time, energy, distance."""
+        return quality_of(self.record)
+
+    @property
+    def frame(self) -> polars.DataFrame:
+        """The flight as a data frame: one row per control tick, columns as in `flight_log.COLUMNS`."""
+        import polars
+
+        return polars.DataFrame(self.log.rows, schema=list(COLUMNS))
+
+    @property
+    def effect(self) -> Effect | None:
+        """Effect of the fault on the flight; None if the flight itself is golden."""
+        return None if self.golden_record is None else effect_of(self.golden_record, self.record)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, the output of `mavfi fly --json`.
+
+        Returns:
+            status, status_text, flight_time_s, energy_j, distance_m, battery_used, digest, injections, alarms, replans,
+            events (counts by kind), the mission (environment, seed, autopilot, platform, planner, map, vehicle, v_max,
+            wind, localization, detector, start, goal, course_m, time_limit_s), fault, effect, kernel (effect of the
+            injected call), golden (results of the golden run), and without_detector (results of the flight with the
+            same fault, without the detector).  The last five are null for a golden flight, kernel also for faults of
+            other levels, without_detector also without a detector.
+        """
+        log, scenario = self.flight.log, self.scenario
+        return {
+            **_figures(self.flight.log, self.record),
+            "injections": [injection.to_json() for injection in log.injections],
+            "alarms": [alarm.to_json() for alarm in log.alarms],
+            "replans": self.record.replans, "events": dict(self.record.events),
+            "environment": scenario.environment.name, "seed": scenario.seed, "autopilot": scenario.autopilot.name,
+            "platform": scenario.platform.name, "planner": scenario.planner.name, "map": scenario.map.kind,
+            "vehicle": scenario.vehicle.name, "v_max": scenario.v_max, "wind": scenario.wind.gust,
+            "localization": scenario.localization.kind, "detector": self.detector,
+            **{key: log.meta[key] for key in ("start", "goal", "course_m", "time_limit_s")},
+            "fault": None if self.fault is None else self.fault.to_json(),
+            "effect": None if self.effect is None else self.effect.label,
+            "kernel": None if log.kernel is None else asdict(log.kernel),
+            "golden": None if self.golden is None or self.golden_record is None
+            else _figures(self.golden.log, self.golden_record),
+            "without_detector": None if self.unwatched is None
+            else _figures(self.unwatched.log, record_of(self.unwatched.log)),
+        }  # fmt: skip
+
+
+def _figures(log: FlightLog, record: FlightRecord) -> dict[str, Any]:
+    return {
+        "status": log.status.label, "status_text": log.status.value, **asdict(quality_of(record)),
+        "digest": record.digest,
+    }  # fmt: skip

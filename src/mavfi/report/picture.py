@@ -1,0 +1,335 @@
+"""Picture of a flight in plan and side view: obstacles, map, paths, fault and alarms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib.patheffects as effects
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.transforms import offset_copy
+from scipy.spatial import cKDTree
+
+from mavfi.kernels.perception.clearance import OCCUPIED
+from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
+from mavfi.report import style
+from mavfi.report.explain import around
+from mavfi.report.text import change, lost
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Flight
+    from mavfi.sim.environments import World
+
+NEAR = 3.0
+"""Approximate horizontal distance from the path within which the side view shows obstacles (m)."""
+_MARGIN = 2.0
+_SCAN_MARGIN = 5.0
+_WIDTH = 11.0
+_HANDLE, _LETTER, _ROW = 0.62, 0.066, 0.22
+"""Approximate sizes of a legend entry: handle, letter, row (in)."""
+_TITLE_SIZE, _TITLE_LENGTH = 12.0, 100
+"""Size of the title (pt), and its length from which it is set smaller, to fit."""
+_SIDE_STRETCH = 1.6
+"""Vertical exaggeration of the side view."""
+_SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
+_DARK_EDGE: dict[str, Any] = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
+_HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
+
+
+Views = tuple[tuple[Axes, int], tuple[Axes, int]]
+"""Plan view and side view: axes, and index of the coordinate on the vertical axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """A path, or markers of one kind.
+
+    `points`: shape (n, 3), finite; `look`: keywords of `Axes.plot`; `lift`: upward offset of the markers (pt).
+    """
+
+    label: str
+    points: np.ndarray
+    look: dict[str, Any]
+    lift: float = 0.0
+
+
+def draw_flight(
+    path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
+) -> Path:
+    """Draw a flight and its map, with its golden run and the flight with the same fault and a detector, if given.
+
+    Args:
+        path: File to write: .png, .svg or .pdf.
+        flight: The flight.
+        golden: The golden run.
+        recovered: The flight with the same fault and a detector.
+        detector: Name of the detector of `recovered` or, if that is None, of `flight`; "" = none.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    courses = _courses(flight, golden, recovered, detector)
+    with style.house_style():
+        lower, upper = _limits(flight.world, courses)
+        marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
+        rows = _legend_rows([*(course.label for course in courses), *(mark.label for mark in marks)])
+        figure, views = _axes(lower, upper, rows)
+        _draw_world(views, flight.world, courses[-1 if recovered is None else -2].points)
+        known = _draw_map(views, flight, (lower, upper))
+        for axes, index in views:
+            for course in courses:
+                axes.plot(course.points[:, 0], course.points[:, index], **course.look)
+        handles = [*map(_line, courses), *_draw_marks(figure, views, marks)]
+        _label(figure, views, flight, _endings(courses, [golden, flight, recovered]))
+        _legend(figure, handles, rows, known, flight.world)
+        for axes, index in views:
+            axes.set_xlim(lower[0], upper[0])
+            axes.set_ylim(lower[index], upper[index])
+        return style.write(figure, path)
+
+
+def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Drawn]:
+    courses = []
+    if golden is not None:
+        thin = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
+        wide = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}  # visible even if all three paths coincide
+        look = thin if recovered is None else wide
+        courses.append(_Drawn("golden run", positions(golden), look))
+    injected = bool(flight.log.injections)
+    watched = "" if recovered is not None or not detector else f"detector {detector}"
+    label = " and ".join(part for part in ("with the fault" if injected else "", watched) if part) or "flight"
+    look = {"color": style.ORANGE, "linewidth": 3.6} if injected else {"color": style.BLUE, "linewidth": 2.6}
+    courses.append(_Drawn(label, positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
+    if recovered is not None:
+        look = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
+        label = f"with the fault and detector {detector}".rstrip()
+        courses.append(_Drawn(label, positions(recovered), look))
+    return courses
+
+
+def positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
+    """Finite positions of the vehicle, at all or the given instants. Shape (n, 3)."""
+    points = flight.log.columns("x", "y", "z")
+    if times is not None:
+        points = points[np.minimum(np.searchsorted(flight.log.column("time"), times), len(points) - 1)]
+    kept: np.ndarray = points[np.isfinite(points).all(axis=1)]
+    return kept
+
+
+def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the displayed volume: the arena or, in a scan, the surroundings of the paths."""
+    points = np.concatenate([course.points for course in courses] + [world.start[None], world.goal[None]])
+    points = np.clip(points, world.arena_lower - FLY_AWAY_MARGIN, world.arena_upper + FLY_AWAY_MARGIN)
+    low, high = points.min(axis=0), points.max(axis=0)
+    if world.is_voxels:
+        lower = np.maximum(low - _SCAN_MARGIN, world.arena_lower)
+        upper = np.minimum(high + _SCAN_MARGIN, world.arena_upper)
+        return lower, upper
+    return np.minimum(world.arena_lower, low - _MARGIN), np.maximum(world.arena_upper, high + _MARGIN)
+
+
+def _legend_rows(labels: list[str]) -> int:
+    """Number of rows of the legend (one or two), from the lengths of the labels."""
+    inches = sum(_HANDLE + _LETTER * len(label) for label in (*labels, "obstacle", "occupied in the map"))
+    return 1 if inches < _WIDTH - 0.8 else 2
+
+
+def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Views]:
+    """Create a figure with two views of equal x scale, below a legend of `rows` rows."""
+    left, right, top, between, bottom = 0.6, 0.15, 1.17 + _ROW * (rows - 1), 0.62, 0.5
+    extent = upper - lower
+    inch = (_WIDTH - left - right) / extent[0]
+    plan, elevation = inch * extent[1], inch * extent[2] * _SIDE_STRETCH
+    height = top + plan + between + elevation + bottom
+    figure = Figure(figsize=(_WIDTH, height))
+    width = (_WIDTH - left - right) / _WIDTH
+    side = figure.add_axes((left / _WIDTH, bottom / height, width, elevation / height))
+    above = figure.add_axes((left / _WIDTH, (bottom + elevation + between) / height, width, plan / height))
+    return figure, ((above, 1), (side, 2))
+
+
+def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
+    if world.is_voxels:
+        _draw_scan(views, world, course)
+        return
+    every = np.ones(len(world.lower), bool)
+    for (axes, index), kept in zip(views, (every, near_boxes(world, course)), strict=True):
+        boxes = [
+            Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
+            for low, high in zip(world.lower[kept], world.upper[kept], strict=True)
+        ]
+        axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    views[1][0].axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
+
+
+def near_boxes(world: World, course: np.ndarray) -> np.ndarray:
+    """Mask of the boxes within about `NEAR` of the path, horizontally. Shape (boxes,), bool."""
+    points = course[:: max(1, len(course) // 500), :2]
+    below = world.lower[:, None, :2] - points[None]
+    beyond = points[None] - world.upper[:, None, :2]
+    distance = np.linalg.norm(np.maximum(np.maximum(below, beyond), 0.0), axis=2)
+    near: np.ndarray = distance.min(axis=1, initial=np.inf) < NEAR + 1.0
+    return near
+
+
+def _draw_scan(views: Views, world: World, course: np.ndarray) -> None:
+    """Draw solid voxels at the median flight height (plan view) and along the path (side view)."""
+    shape = np.array(world.occupied.shape)
+    end = world.origin + shape * world.resolution
+    cells = np.clip(((course - world.origin) / world.resolution).astype(int), 0, shape - 1)
+    middle = int(np.median(cells[:, 2]))
+    plan = np.asarray(world.occupied[:, :, max(0, middle - 1) : middle + 2].any(axis=2))
+    columns = np.arange(shape[0])
+    order = np.argsort(cells[:, 0], kind="stable")
+    rows = np.interp(columns, cells[order, 0], cells[order, 1]).round().astype(int)
+    elevation: np.ndarray = world.occupied[columns, rows, :]
+    for (axes, index), solid in zip(views, (plan, elevation), strict=True):
+        extent = (world.origin[0], end[0], world.origin[index], end[index])
+        _shade(axes, solid, extent, _SOLID, 1)
+
+
+def _shade(
+    axes: Axes, cells: np.ndarray, extent: tuple[float, float, float, float], colour: str, order: int,
+    alpha: float = 1.0,
+) -> None:  # fmt: skip
+    """Colour the cells that are true; shape (columns, rows)."""
+    image = np.zeros((cells.shape[1], cells.shape[0], 4))
+    image[..., :3] = to_rgb(colour)
+    image[..., 3] = alpha * cells.T
+    axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", aspect="auto", zorder=order)
+
+
+def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Draw the occupied voxels of the planner's final map; return whether there are any."""
+    clearance: Any = getattr(flight.pipeline.get("planner"), "clearance_map", None)
+    if clearance is None:
+        return False
+    grid = clearance.grid
+    ix, iy, iz = np.nonzero(clearance.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
+    corner, shape = np.array([grid.x0, grid.y0, grid.z0]), np.array([grid.nx, grid.ny, grid.nz])
+    centres = corner + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
+    lower, upper = limits
+    centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
+    course = positions(flight)[::10]
+    if flight.world.is_voxels:  # slices as for the world: the full map of a corridor would hide everything
+        from_above = centres[np.abs(centres[:, 2] - np.median(course[:, 2])) < 1.5 * grid.resolution]
+        from_side = centres[_distance(centres, course) < grid.resolution]
+    else:
+        from_above = centres[centres[:, 2] > grid.resolution]  # without the ground, which would hide everything as well
+        from_side = from_above[_distance(from_above, course) < NEAR]
+    end = corner + shape * grid.resolution
+    for (axes, index), points in zip(views, (from_above, from_side), strict=True):
+        seen = np.zeros((shape[0], shape[index]), bool)
+        cells = ((points - corner) * grid.inverse).astype(int)
+        seen[cells[:, 0], cells[:, index]] = True
+        _shade(axes, seen, (corner[0], end[0], corner[index], end[index]), _MAP, 2, alpha=0.55)
+    return len(centres) > 0
+
+
+def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
+    """Horizontal distance of points from a path (m). Shapes (n, 3), (k, 3) -> (n,)."""
+    if len(course) == 0 or len(points) == 0:
+        return np.full(len(points), np.inf)
+    found: np.ndarray = cKDTree(course[:, :2]).query(points[:, :2])[0]
+    return found
+
+
+def _marks(flight: Flight) -> list[_Drawn]:
+    """Markers of start, goal, injections, and the end of a failed flight."""
+    log, world = flight.log, flight.world
+    marks = [
+        _Drawn("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
+        _Drawn("goal", world.goal[None], {"marker": "s", "markersize": 9, "color": style.INK}),
+    ]
+    times = [injection.time_s for injection in log.injections if injection.activated]
+    if times:
+        look = {"marker": "*", "markersize": 17, "color": style.AMBER, **_DARK_EDGE}
+        marks.append(_Drawn("injection", positions(flight, times), look))
+    if log.status is not MissionStatus.SUCCESS:
+        look = {"marker": "X", "markersize": 11, "color": style.ORANGE}
+        marks.append(_Drawn(log.status.words, positions(flight)[-1:], look))
+    return marks
+
+
+def _alarm_marks(flight: Flight) -> list[_Drawn]:
+    """Markers of alarms: filled within a second of the injection, otherwise hollow."""
+    near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
+    kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
+    look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
+    return [
+        _Drawn(label, positions(flight, times), look | {"color": fill}, lift=14.0)
+        for label, times, fill in kinds
+        if times
+    ]
+
+
+def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2D]:
+    """Draw markers in both views; return their legend entries."""
+    handles = []
+    for mark in marks:
+        look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
+        for axes, index in views:
+            lifted = offset_copy(axes.transData, figure, y=mark.lift, units="points")
+            axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, transform=lifted, **look)
+        handles.append(Line2D([], [], label=mark.label, **{**look, "markersize": 0.7 * look["markersize"] + 1.5}))
+    return handles
+
+
+def _label(figure: Figure, views: Views, flight: Flight, title: str) -> None:
+    (above, _), (side, _) = views
+    scenario = flight.log.meta["scenario"]
+    height, size = figure.get_figheight(), min(_TITLE_SIZE, _TITLE_SIZE * _TITLE_LENGTH / len(title))
+    figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=size, fontweight="bold", va="center")
+    below = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
+    for injection in flight.log.injections:
+        if injection.activated and injection.bit is not None:
+            before, after = change(injection.before, injection.after, digits=4)
+            what = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
+            what += lost(injection)
+            below = f"{below}   ·   {what}"
+    figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
+    above.set_ylabel("y (m)")
+    side.set_ylabel("z (m)")
+    side.set_xlabel("x (m)")
+    above.text(0, 1.012, "from above", transform=above.transAxes, color=style.GREY, va="bottom")
+    shown = "along the path" if flight.world.is_voxels else "obstacles near the path"
+    heights = f"from the side: {shown}; heights × {_SIDE_STRETCH:g}"
+    side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
+
+
+def _endings(courses: list[_Drawn], flights: list[Flight | None]) -> str:
+    """How each flight ended, by its label in the legend."""
+    shown = zip(courses, (flight for flight in flights if flight is not None), strict=True)
+    return " · ".join(f"{course.label}: {_ending(flight)}" for course, flight in shown)
+
+
+def _ending(flight: Flight) -> str:
+    """How and when a flight ended."""
+    success = flight.log.status is MissionStatus.SUCCESS
+    return f"{'goal' if success else flight.log.status.words} at {flight.log.column('time')[-1]:.1f} s"
+
+
+def _line(course: _Drawn) -> Line2D:
+    """Legend entry of a path."""
+    look = {key: course.look[key] for key in ("color", "linewidth", "linestyle") if key in course.look}
+    return Line2D([], [], label=course.label, **look)
+
+
+def _legend(figure: Figure, handles: list[Any], rows: int, known: bool, world: World) -> None:
+    """Draw the legend above both views."""
+    handles = [*handles, Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle")]
+    if known:
+        handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))
+    height = figure.get_figheight()
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.66 / height),
+        ncols=-(-len(handles) // rows), fontsize=8.5, handlelength=1.6, columnspacing=1.3, borderpad=0,
+        handletextpad=0.6, borderaxespad=0,
+    )  # fmt: skip

@@ -1,0 +1,183 @@
+"""Formatting of numbers and sentences, shared by all reports."""
+
+import struct
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import EventRate, Rate
+from mavfi.analysis.table import (
+    ESTIMATE,
+    PER_HOUR,
+    PERCENT,
+    PERCENT_TEST,
+    POINTS,
+    POINTS_TEST,
+    RATE,
+    SIGNED,
+    SMALL,
+    TIMES_TEST,
+    Cell,
+    Column,
+    Table,
+)
+from mavfi.record import Injection
+
+ABSENT = "—"
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """A share as per cent."""
+    return ABSENT if share is None else f"{100 * share:.{digits}f} %"
+
+
+def signed_percent(share: float | None) -> str:
+    """A relative change as per cent."""
+    return ABSENT if share is None else f"{100 * share:+z.1f} %"
+
+
+def _small_percent(share: float) -> str:
+    """A share as per cent with three significant digits."""
+    return f"{100 * share:.3g} %"
+
+
+def _interval(found: Rate) -> str:
+    return "" if found.low is None or found.high is None else f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
+
+
+def _p(found: Any) -> str:
+    return "" if found.p_value is None else f" p = {found.p_value:.2g}"
+
+
+def rate(found: Rate | float | None) -> str:
+    """A rate in per cent with its interval and n: "93.3 [78.7, 98.2] 28/30"; a weighted rate has no count: "n=30".
+
+    A float is a published rate: "93.3".
+    """
+    if isinstance(found, float):
+        return f"{100 * found:.1f}"
+    if found is None or found.rate is None:
+        return ABSENT
+    count = f"n={found.n}" if found.successes is None else f"{found.successes}/{found.n}"
+    return f"{100 * found.rate:.1f} {_interval(found)} {count}"
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A number without a unit."""
+    return ABSENT if value is None else f"{value:.{digits}f}"
+
+
+def _per_hour(found: EventRate) -> str:
+    return ABSENT if found.per_hour is None else f"{found.per_hour:.1f} [{found.low:.1f}, {found.high:.1f}]"
+
+
+FORMS: dict[str, Callable[[Any], str]] = {
+    RATE: rate,
+    PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),
+    "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
+    POINTS: lambda found: f"{100 * (found.rate or 0.0):+z.1f} {_interval(found)}",
+    POINTS_TEST: lambda found: f"{100 * found.rate:+z.1f} {_interval(found)}{_p(found)}",
+    PERCENT_TEST: lambda found: f"{percent(found.rate)} {_interval(found)}{_p(found)}",
+    TIMES_TEST: lambda found: f"{found.rate:.2f}× [{found.low:.2f}, {found.high:.2f}]{_p(found)}",
+    SIGNED: signed_percent,
+    "signed points": lambda share: f"{100 * share:+z.1f}",
+    SMALL: _small_percent,
+    PER_HOUR: _per_hour,
+    ESTIMATE: lambda found: f"{found.value:.1e} [{found.low:.1e}, {found.high:.1e}]",
+    "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
+}
+"""Formatter by display format; other formats are "number", optionally with a Python format and a unit."""
+
+
+def cell(value: Cell, form: str) -> str:
+    """Format a cell in the display format of its column; text is returned unchanged."""
+    if value is None:
+        return ABSENT
+    if isinstance(value, str):
+        return value
+    if form in FORMS:
+        return FORMS[form](value)
+    kind, _, rest = form.partition(" ")
+    digits, _, unit = rest.partition(" ")
+    return f"{value:{digits}}{unit and ' ' + unit}" if kind == "number" and digits else str(value)
+
+
+def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
+    """Visible columns of a table, and their cells as text."""
+    places = [place for place, column in enumerate(table.columns) if not column.hidden]
+    columns = [table.columns[place] for place in places]
+    return columns, [[cell(row[place], table.columns[place].form) for place in places] for row in table.rows]
+
+
+def lost(injection: Injection) -> str:
+    """What is added to the values of an injection after which a message cannot be read."""
+    return ", message lost" if injection.details.get("lost") else ""
+
+
+def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:
+    """Format two values so that they differ: with `digits` digits, else in full, else with their bits."""
+    pairs = list(zip(_forms(before, digits), _forms(after, digits), strict=True))
+    return next((pair for pair in pairs if pair[0] != pair[1]), pairs[0])
+
+
+def _forms(value: object, digits: int) -> tuple[str, str, str]:
+    """A value rounded, in full, and with its bits, which distinguish NaNs."""
+    if isinstance(value, float):
+        return f"{value:.{digits}g}", repr(value), f"{value} (0x{struct.pack('>d', value).hex()})"
+    return str(value), str(value), str(value)
+
+
+def header(campaign: Mapping[str, Any]) -> list[str]:
+    """Header lines of a report: campaign (from `analysis.about.describe`), progress, digest, versions, caveats."""
+    lines = [
+        campaign["title"], *campaign["lines"],
+        f"{campaign['done']} of {campaign['total']} runs done · digest {short(campaign['digest'])}…",
+        " · ".join(versions(campaign)),
+    ]  # fmt: skip
+    if campaign["on_design_seeds"]:
+        lines.append("Flown on design seeds: no figure for publication.")
+    if campaign["done"] < campaign["total"]:
+        lines.append("Not complete: what follows is of the runs that are done.")
+    return lines
+
+
+def short(digest: str) -> str:
+    """The digits of a digest that are shown, at the end of a study and in README.md alike."""
+    return digest[:16]
+
+
+def versions(campaign: Mapping[str, Any]) -> list[str]:
+    """Versions of the packages that determine the bits of a flight, mavfi first."""
+    ordered = sorted(campaign["versions"].items(), key=lambda item: item[0] != "mavfi")
+    return [f"{name} {version}" for name, version in ordered]
+
+
+def differing_null_runs(runs: Runs) -> list[str]:
+    """Ids of the null runs that differ from their golden runs."""
+    return [row["run_id"] for row in runs.null if row["effect"] != "masked"]
+
+
+def null_line(runs: Runs) -> str:
+    """Line on whether the null runs equal their golden runs."""
+    count, differing = len(runs.null), differing_null_runs(runs)
+    if not count:
+        return "Null runs: none flown."
+    if not differing:
+        return f"Null runs: all {count} with an empty mask have the digest of their golden runs."
+    return f"Null runs: {len(differing)} of {count} DIFFER from their golden runs: {', '.join(differing)}"
+
+
+def checks(runs: Runs) -> list[str]:
+    """Lines on the null runs and, if there are any, on runs that could not be judged (a defect)."""
+    unknown = runs.where(judged=False)["run_id"]
+    lines = [null_line(runs)]
+    if unknown:
+        lines.append(f"Unknown: {len(unknown)} runs could not be judged: {', '.join(unknown[:5])}")
+    return lines
+
+
+def markdown_grid(headings: Sequence[str], rows: Iterable[Iterable[str]], left: int | None = None) -> str:
+    """A Markdown table; columns behind the first `left` are aligned to the right, None = none."""
+    count = len(headings) if left is None else left
+    lines = [headings, ["---"] * count + ["---:"] * (len(headings) - count), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)

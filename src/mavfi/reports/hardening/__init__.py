@@ -1,1 +1,0 @@
-"""The hardening advice and its certificate: text, tables and a page."""

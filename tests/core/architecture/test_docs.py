@@ -1,0 +1,113 @@
+"""The documentation keeps up with the code."""
+
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from mavfi.cli.commands import app
+from mavfi.detectors.registry import detector_names
+from mavfi.dropped import OPTIONS
+from tests.core.architecture.source import ROOT
+from tools import build_pages, results
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCS = ROOT / "docs"
+
+
+def text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_written_pages_say_what_the_code_says():
+    stale = [path.name for path, content in build_pages.pages().items() if text(path) != content]
+    assert stale == [], "run `make docs`"
+
+
+@pytest.mark.parametrize(
+    "page", sorted([*(DOCS / "generated").glob("*.md"), *(DOCS / "results").glob("*.md")]), ids=lambda page: page.name
+)
+def test_generated_pages_name_the_command_that_writes_them(page):
+    command = r"(<!-- Written by `make ([a-z-]+)(?: NAME=([a-z-]+))?(?: SCALE=paper)?`; do not edit\. -->)\n\n# "
+    banner, target, name = re.match(command, text(page)).groups()
+    assert f"\n{target}: " in text(ROOT / "Makefile"), banner
+    assert name is None or name == page.stem and name in {*results.CAMPAIGNS, *results.MODULES}, banner
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda page: page.name)
+def test_a_page_of_results_links_all_of_its_tables(page):
+    tables = {path.relative_to(page.parent).as_posix() for path in (results.TABLES / page.stem).glob("*.csv")}
+    if page.stem != "study":  # copied from the study, which writes its tables beside it
+        assert tables and tables <= set(re.findall(r"\]\(([^)#]+)", text(page)))
+
+
+def test_every_detector_is_listed():
+    listed = [line.split("|")[1] for line in text(DOCS / "detectors.md").splitlines() if line.startswith("| `")][1:]
+    assert sorted(name for cell in listed for name in re.findall(r"`([^`]+)`", cell)) == sorted(detector_names())
+
+
+def test_every_page_is_listed():
+    listed = set(re.findall(r"\]\(([^)#]+)", text(DOCS / "README.md")))
+    pages = {
+        path.relative_to(DOCS).as_posix()
+        for folder in (DOCS, DOCS / "generated", DOCS / "results")
+        for path in folder.glob("*.md")
+    }
+    assert pages - {"README.md"} <= listed
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page):
+    targets = re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text(page))
+    local = [target for target in targets if "://" not in target]
+    assert [target for target in local if not (page.parent / target).exists()] == []
+
+
+PRESENT = [page for page in PAGES if page.name != "CHANGELOG.md"]
+"""Pages of what there is; the changelog names what there was."""
+
+
+@pytest.mark.parametrize("page", PRESENT, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_make_targets_that_are_named_exist(page):
+    targets = set(re.findall(r"^([a-z-]+):", text(ROOT / "Makefile"), flags=re.MULTILINE))
+    named = set(re.findall(r"`make ([a-z-]+)", text(page))) | set(
+        re.findall(r"^ *make ([a-z-]+)", text(page), re.MULTILINE)
+    )
+    assert named - targets == set()
+
+
+def commands_of(page):
+    """Every `mavfi ...` of a page, in blocks and in the text, as words."""
+    shown = re.findall(r"^ {4}(?:\.venv/bin/|\$FLIGHT/join )?mavfi (.+)$", text(page), re.MULTILINE)
+    shown += re.findall(r"`(?:\.venv/bin/)?mavfi ([^`]+)`", text(page))
+    return [re.sub(r"\s+#.*$", "", command).split() for command in shown]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_commands_that_are_named_exist(page):
+    program = typer.main.get_command(app)
+    for words in commands_of(page):
+        command = program
+        while words and words[0] in getattr(command, "commands", {}):
+            command = command.commands[words.pop(0)]
+        assert command is not program, f"mavfi {' '.join(words)}"
+        known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        options = {word.partition("=")[0] for word in words if re.match(r"--[a-z]", word)}
+        everywhere = {option for parameter in program.params for option in parameter.opts} | {"--help"}
+        if page.name == "CHANGELOG.md":
+            everywhere |= {name.split()[-1] for name in OPTIONS}  # what earlier versions had
+        assert options <= known | everywhere, f"{command.name}: {options - known}"
+
+
+def test_decisions_are_numbered_without_gaps_and_say_their_status():
+    records = sorted((DOCS / "adr").glob("*.md"))
+    assert [int(record.name[:4]) for record in records] == list(range(1, len(records) + 1))
+    for record in records:
+        assert "Status:" in text(record) and "## Consequences" in text(record), record.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_no_page_names_a_folder_of_the_machine_that_wrote_it(page):
+    assert re.findall(rf"{re.escape(str(ROOT))}|(?<![\w.~>)])/(?:tmp|home|root|work|Users)/\w[^\s:]*", text(page)) == []

@@ -1,0 +1,84 @@
+"""Who asks which kind of experiment this is: samplers, hosts and views, and few others, each with its reason."""
+
+import ast
+from itertools import chain
+from types import NoneType
+
+import pytest
+
+from mavfi.faults.fault import LEVELS
+from tests.core.architecture.source import dotted, modules
+
+HOMES = ("campaign/samplers/", "flight/", "analysis/", "extras/")
+"""Samplers draw faults of a level, hosts inject them, views show them."""
+KINDS = {f"{level.capitalize()}{what}" for level in LEVELS for what in ("Fault", "Request", "Sampling")}
+"""Classes of a fault, of the request for one, and of a campaign's draws."""
+ASKED = {"level", "scheme", "host", "kernels"}
+"""Attributes and names which say what kind of experiment this is."""
+ALLOWED = {
+    "campaign/config.py": 1,  # the identity of ledgers at instruction level keeps a key of earlier versions
+    "campaign/warm_up.py": 2,  # each instrumented kernel is machine code of its own, compiled ahead
+    "cli/fly.py": 3,  # options before the slow imports: instrumented code, nodes that can die, flights that fork
+    "cli/observing.py": 1,  # a forked flight has no observer
+}
+"""Questions elsewhere, by module; fewer is fine, lower the number then."""
+
+
+def names_a_level(node: ast.AST) -> bool:
+    """Whether this is the level with which the text of a fault begins, as in "state:planning.waypoint.x"."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value.partition(":")[0] in LEVELS
+    return isinstance(node, ast.Attribute) and node.attr == "level"
+
+
+def asks(node: ast.AST) -> bool:
+    """Whether an expression asks for the level of a fault, the scheme of its draw or the kind of host."""
+    if isinstance(node, ast.Call) and dotted(node.func) == "isinstance":
+        return any(dotted(part).rpartition(".")[2] in KINDS for part in ast.walk(node.args[1]))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "startswith":
+        return any(map(names_a_level, chain.from_iterable(map(ast.walk, node.args))))
+    if isinstance(node, ast.MatchClass):
+        return dotted(node.cls) in KINDS
+    if not isinstance(node, ast.Compare):
+        return False
+    sides = [node.left, *node.comparators]
+    against = [isinstance(side, ast.Constant) and isinstance(side.value, str | NoneType) for side in sides]
+    named = [dotted(side).rpartition(".")[2] in ASKED for side in sides]
+    return (any(against) and any(named)) or sum(named) > 1
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["fault.level == 'state'", "kernels is None", "isinstance(fault, StateFault)", "'node' != campaign.host",
+     "sampling.scheme == 'groups'", "one.level == RegisterFault.level", "isinstance(x, str | InstructionRequest)",
+     "isinstance(campaign.sampling, InstructionSampling)", "isinstance(one, config.SensorSampling)",
+     "fault.startswith('instruction')", "(fault or '').startswith(('instruction:', 'memory:'))",
+     "text.startswith(f'{SensorFault.level}:')", "fault.startswith('state:planning.waypoint')"],
+)  # fmt: skip
+def test_a_question_is_recognised(code):
+    assert any(map(asks, ast.walk(ast.parse(code))))
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["level > limit", "fault.bit == 3", "isinstance(fault, str)", "site is None", "name.startswith('statement')",
+     "isinstance(search, SamplingSearch)"],
+)  # fmt: skip
+def test_other_questions_are_none(code):
+    assert not any(map(asks, ast.walk(ast.parse(code))))
+
+
+def test_every_class_of_a_fault_and_of_a_draw_is_known():
+    classes = {node.name for tree in modules().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+    draws = {name for name in classes if name.endswith("Sampling")}
+    assert draws == {f"{level.capitalize()}Sampling" for level in LEVELS}
+    assert {kind.__name__ for kind in LEVELS.values()} | draws <= KINDS
+
+
+def test_only_samplers_hosts_and_views_ask_what_kind_of_experiment_this_is():
+    found = {
+        name: number
+        for name, tree in modules().items()
+        if not name.startswith(HOMES) and (number := sum(map(asks, ast.walk(tree))))
+    }
+    assert found == ALLOWED

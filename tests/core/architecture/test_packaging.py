@@ -1,0 +1,70 @@
+"""The lock file pins what pyproject.toml asks for, and says nothing about the machine on which it was made."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+from hatchling.builders.wheel import WheelBuilder
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import mavfi
+from mavfi.extras.ros.ros1 import finder
+from tests.core.architecture.source import PACKAGE, ROOT, imports, modules
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+LOCK = [
+    line
+    for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    if line and not line.startswith("#")
+]
+
+
+@pytest.mark.parametrize("line", LOCK)
+def test_every_line_of_the_lock_is_a_name_and_one_version(line):
+    assert re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.!+-]+", line)
+
+
+@pytest.mark.parametrize("wanted", PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"])
+def test_the_lock_satisfies_every_requirement(wanted):
+    requirement = Requirement(wanted)
+    pinned = {canonicalize_name(name): version for name, version in (line.split("==") for line in LOCK)}
+    assert requirement.specifier.contains(pinned[canonicalize_name(requirement.name)])
+
+
+def test_the_version_is_in_the_changelog_and_the_citation():
+    assert f"## [{mavfi.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"version: {mavfi.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_the_wheel_has_what_html_pages_inline():
+    folder = PACKAGE / "report" / "html"
+    wanted = {path for path in folder.rglob("*") if path.suffix in (".j2", ".js", ".css", ".LICENSE")}
+    builder = WheelBuilder(str(ROOT))
+    packed = {Path(included.path) for included in builder.recurse_included_files()}
+    assert len(wanted) > 10 and wanted <= packed
+
+
+def test_whatever_is_imported_is_asked_for():
+    extras = PROJECT["optional-dependencies"]
+    used = ("airsim", "cluster", "bench", "live", "logs", "mavlink")
+    wanted_for_all = [*PROJECT["dependencies"], *(wanted for name in used for wanted in extras[name])]
+    asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
+    of_clients = "extras/airsim/runner.py"  # runs in the Python of a client program
+    imported = {name.split(".")[0] for path, tree in modules().items() if path != of_clients for name in imports(tree)}
+    homes = {"foxglove": ["foxglove-sdk"], **packages_distributions()}  # of extras that may not be installed here
+    of_ros = finder.ALLOWED | set(finder.GENERATED)  # Debian's, wanted by one package alone: see test_code.py
+    foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})
+    known = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
+    assert {name for name, own in known.items() if not own & asked} == set()
+
+
+def test_only_the_dask_executor_needs_the_extra_and_only_when_it_is_used():
+    needing = {name for name, tree in modules().items() if any("distributed" in found for found in imports(tree))}
+    assert needing == {"campaign/executors/dask.py"}
+    code = "import sys, mavfi.cli, mavfi.extras.dask.executor; print('distributed' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

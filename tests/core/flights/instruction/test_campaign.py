@@ -1,0 +1,189 @@
+"""Campaigns of faults in instructions: the same ledger for any workers and after a stop; arms, shares, replays."""
+
+import html
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import pytest
+
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.replay import replay
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import Store
+from mavfi.cli import run
+from mavfi.outcomes import DUE
+from mavfi.record import plain
+
+pytestmark = pytest.mark.slow
+
+DIED = {effect.label for effect in DUE}
+
+
+def campaign(faults=3, arms=None, **sampling):
+    return Campaign.model_validate({
+        "name": "small", "environments": ["sparse"], "first_seed": 7, "missions": 2, "faults": faults,
+        "sampling": {"level": "instruction"} | sampling, "mission": {"v_max": 6.0}, "arms": arms or {},
+    })  # fmt: skip
+
+
+def flown_into(directory, config, workers=1, **options):
+    return run_campaign(config, directory, executor=LocalExecutor(workers), **options)
+
+
+def flown_with_a_stop(directory, config, flown):
+    """Two workers, stopped by Ctrl-C after a number of flights, and resumed."""
+
+    def interrupt(progress):
+        if progress.flown == flown:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5)  # the signal arrives in here
+
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(directory, config, workers=2, progress=interrupt)
+    assert flown_into(directory, config, workers=2).complete
+
+
+def digest(directory):
+    with Store.open(directory) as store:
+        assert store.complete
+        return store.digest()
+
+
+def runs_of(directory, *settings):
+    with Store.open(directory) as store:
+        return [one for one in store.runs(done=True) if not settings or one.spec.setting in settings]
+
+
+# ---- faults in data -------------------------------------------------------------------------------------------------
+DATA = {"kernels": ["pid", "point_cloud"], "which": "data"}
+
+
+@pytest.fixture(scope="module")
+def in_data(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("data")
+    assert flown_into(directory, campaign(**DATA)).complete
+    return directory
+
+
+def test_workers_and_stops_do_not_matter(in_data, tmp_path):
+    flown_with_a_stop(tmp_path, campaign(**DATA), flown=6)
+    assert digest(tmp_path) == digest(in_data)
+
+
+def test_kernels_have_equal_numbers_and_golden_runs_count_what_they_execute(in_data):
+    injected = runs_of(in_data, "fi")
+    assert Counter(one.spec.fault.kernel for one in injected) == {"pid": 3, "point_cloud": 3}
+    golden = {one.record.digest for one in runs_of(in_data) if one.spec.kind == "golden"}
+    for one in injected:
+        assert one.record.kernel.effect in ("masked", "sdc", "exception"), "data neither crash nor hang"
+        assert one.record.kernel.effect != "masked" or one.record.digest in golden
+    counts = [one.record.counts for one in runs_of(in_data) if one.spec.kind == "golden" and one.record.counts]
+    for kernel in ("pid", "point_cloud"):
+        own = [counted[kernel] for counted in counts if kernel in counted]
+        assert len(own) == 2, "one for each mission"
+        assert all(sum(number for *_, number in counted["lines"]) == counted["instructions"] > 0 for counted in own)
+
+
+def test_runs_can_be_replayed(in_data):
+    for one in runs_of(in_data, "fi")[::3]:
+        assert replay(in_data, one.spec.run_id).same
+
+
+# ---- arms, stages, strata -------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def by_stage(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("stages")
+    config = campaign(
+        4, {"idle": {"detector": "none"}}, kernels=["point_cloud", "collision_check", "pid"], which="data",
+        share="stage",
+    )  # fmt: skip
+    assert flown_into(directory, config).complete
+    return directory
+
+
+def test_each_stage_has_its_number_and_its_kernels_share_it(by_stage):
+    kernels = Counter(one.spec.target for one in runs_of(by_stage, "fi"))
+    assert kernels == {"point_cloud": 2, "collision_check": 2, "pid": 4}
+
+
+def test_arms_fly_the_same_faults(by_stage):
+    fi, watched = (
+        [(one.spec.fault, one.record.digest) for one in runs_of(by_stage, setting)] for setting in ("fi", "dr_idle")
+    )
+    assert len(fi) == 8
+    assert fi == watched, "a detector that never alarms changes nothing"
+    assert replay(by_stage, runs_of(by_stage, "dr_idle")[0].spec.run_id).same
+
+
+# ---- faults in addresses --------------------------------------------------------------------------------------------
+ADDRESSES = {"kernels": ["pid", "point_cloud"], "which": "address"}
+
+
+@pytest.fixture(scope="module")
+def in_addresses(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("addresses")
+    assert flown_into(directory, campaign(8, **ADDRESSES)).complete
+    return directory
+
+
+def test_there_are_crashes_and_corruptions_and_all_can_be_replayed(in_addresses):
+    runs = runs_of(in_addresses, "fi")
+    assert {"crash", "sdc"} <= {one.record.kernel.effect for one in runs}
+    for one in runs:
+        details = one.record.injections[0].details
+        assert details["replayable"] and details["value_class"] == "address"
+
+
+def test_workers_and_stops_do_not_matter_to_addresses(in_addresses, tmp_path):
+    flown_with_a_stop(tmp_path, campaign(8, **ADDRESSES), flown=9)
+    assert digest(tmp_path) == digest(in_addresses)
+
+
+@pytest.mark.parametrize(
+    "effect", ["crash", *(pytest.param(name, marks=pytest.mark.long) for name in ("sdc", "masked"))]
+)
+def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effect):
+    chosen = next((one for one in runs_of(in_addresses, "fi") if one.record.kernel.effect == effect), None)
+    if chosen is None:
+        pytest.skip(f"no run was {effect}")
+    done = subprocess.run(
+        [sys.executable, "-m", "mavfi", "replay", str(in_addresses), chosen.spec.run_id, "--json"],
+        capture_output=True, text=True, check=True, env=os.environ | {"SOMETHING": "else"},
+    )  # fmt: skip
+    verified = json.loads(done.stdout)
+    assert verified["same"] and verified["replayable"]
+    again = replay(in_addresses, chosen.spec.run_id).record
+    assert plain([one.to_json() for one in again.injections]) == plain([i.to_json() for i in chosen.record.injections])
+    assert again.kernel.effect == chosen.record.kernel.effect
+
+
+def test_explain_names_line_and_effect(in_addresses, capsys):
+    for chosen in {one.record.kernel.effect: one for one in runs_of(in_addresses, "fi")}.values():
+        assert run(["explain", str(in_addresses), chosen.spec.run_id]) == 0
+        shown = "".join(capsys.readouterr().out.split())
+        injection = chosen.record.injections[0]
+        assert f"{injection.file}:{injection.line}" in shown
+        assert chosen.spec.fault.kernel in shown
+        if chosen.record.kernel.effect in DIED:
+            assert "".join(chosen.record.kernel.detail.split()) in shown
+
+
+def test_a_command_of_the_page_gives_the_same_flight(in_addresses, tmp_path, capsys):
+    page = tmp_path / "page.html"
+    assert run(["vulnerability", str(in_addresses), "--html", str(page)]) == 0
+    capsys.readouterr()
+    commands = sorted(set(re.findall(r"mavfi replay [^<\n]+", html.unescape(page.read_text(encoding="utf-8")))))
+    assert len(commands) > 1
+    for command in commands[:2]:
+        program, *arguments = shlex.split(command)
+        assert program == "mavfi"
+        assert run([*arguments, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["same"]

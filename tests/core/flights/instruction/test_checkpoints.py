@@ -1,0 +1,219 @@
+"""Instruction faults forked off checkpoints give the records of flights from take-off, bit for bit."""
+
+import mmap
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.spec import InstructionRequest
+from mavfi.flight import forks, mission_flights
+from mavfi.flight.fast_forward import Branch, FastForward, FlownArm
+from mavfi.flight.fly import fly
+from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
+from mavfi.flight.host import ArmSetup
+from mavfi.flight.loop import Loop
+from mavfi.flight.mission_flights import LocalHost
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.restarts import Restarts
+from tests.core.flights.missions import Scripted, mission
+from tests.core.flights.test_checkpoints import Nervous, detector_of
+
+KERNELS = ("point_cloud", "octomap", "collision_check", "rrt_connect", "pid")
+ARMS = {"": lambda: None, "gaussian": lambda: detector_of("gaussian", "paper", mission()), "nervous": Nervous}
+pytestmark = pytest.mark.slow
+
+
+def autoencoder():
+    return detector_of("autoencoder", "paper", mission())
+
+
+def scenario(**options):
+    return mission(**{"dead_node": "fresh", **options})
+
+
+@cache
+def drawn(which, seed, number=3, **options):
+    request = InstructionRequest(dict.fromkeys(KERNELS, number), which, restart_s=0.3)
+    found = draw_instruction_faults(scenario(**options), request, "test", seed=seed)
+    return [fault for faults in found.faults.values() for fault in faults]
+
+
+def records(flights):
+    return [flight.record() for flight in flights]
+
+
+def both_ways(faults, arm="", make=lambda: None, **options):
+    """Records from checkpoints, and from take-off."""
+    flown, detector = scenario(**options), make()
+    golden = fly(flown, None, detector)
+    forward = FastForward(flown, scratch=True)
+    fast = records(fly_from_checkpoints(forward, faults, golden, FlownArm(arm, detector)).flights)
+    return fast, records(fly_instruction_faults(flown, faults, detector, golden).flights)
+
+
+@pytest.mark.parametrize(
+    ("which", "arm"),
+    [
+        ("all", ""), ("address", "gaussian"),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (
+            ("all", "gaussian"), ("address", ""), ("all", "nervous"), ("address", "nervous"),
+        )),
+    ],
+)  # fmt: skip
+def test_records_are_those_of_flights_from_take_off(which, arm):
+    fast, slow = both_ways(drawn(which, 4), arm, ARMS[arm])
+    assert fast == slow
+    assert len({record.kernel.effect for record in slow}) >= 3
+
+
+@pytest.mark.slow
+def test_faults_in_a_flight_with_an_estimator_start_at_checkpoints_too():
+    fast, slow = both_ways(drawn("all", 4, 1, localization="estimator"), localization="estimator")
+    assert fast == slow
+    assert len({record.kernel.effect for record in slow}) >= 2
+
+
+@pytest.mark.parametrize("which", ["all", pytest.param("address", marks=pytest.mark.long)])
+def test_runs_with_detectors_that_follow_from_those_without_are_the_same(which):
+    faults, flown, makers = drawn(which, 4), scenario(), {**ARMS, "autoencoder": autoencoder}
+    del makers[""]
+    forward, golden = (
+        FastForward(flown, scratch=True),
+        {name: fly(flown, None, make()) for name, make in makers.items()},
+    )
+    watched = [FlownArm(name, make()) for name, make in makers.items()]
+    found = fly_from_checkpoints(forward, faults, fly(flown), watched=watched).watched
+    for name, make in makers.items():
+        slow = records(fly_instruction_faults(flown, faults, make(), golden[name]).flights)
+        assert {place: flight.record() for place, flight in found[name].items()} == {n: slow[n] for n in found[name]}
+    assert len(found["autoencoder"]) >= 0.8 * len(faults)
+    assert any(flight.log.alarms for own in found.values() for flight in own.values()) or which == "address"
+    assert {flight.record().kernel.effect for flight in found["autoencoder"].values()} >= {"masked", "sdc"}
+
+
+def test_instructions_are_counted_and_resolved_in_the_flight_that_takes_checkpoints(monkeypatch):
+    request = InstructionRequest(dict.fromkeys(KERNELS, 3), restart_s=0.3)
+    alone = draw_instruction_faults(scenario(), request, "test", seed=4)
+    flights = LocalHost().mission({"": ArmSetup(scenario())})
+    monkeypatch.setattr(mission_flights, "fly", None)
+    monkeypatch.setattr(mission_flights, "fly_until", None)
+    shared = draw_instruction_faults(scenario(), request, "test", seed=4, flights=flights)
+    assert (shared.faults, shared.counts) == (alone.faults, alone.counts)
+    assert shared.golden.record() == alone.golden.record()
+
+
+def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatch):
+    request = InstructionRequest({"octomap": 24}, "all", restart_s=0.3)
+    drawn = draw_instruction_faults(scenario(), request, "test", seed=4).faults["octomap"]
+    reading = [drawn[8], drawn[17], drawn[20]]  # their wrong instructions read it
+    fast, slow = both_ways(reading)
+    assert fast == slow
+    monkeypatch.setattr(forks, "fill", lambda *_: None)
+    assert both_ways(reading)[0] != slow
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        "readback",
+        pytest.param("end", marks=pytest.mark.long),
+    ],
+)
+def test_nodes_that_die_come_back_as_after_a_flight_from_take_off(policy):
+    dying = [fault for fault in drawn("address", 4) if fault.kernel in ("rrt_connect", "collision_check", "pid")]
+    fast, slow = both_ways(dying, dead_node=policy)
+    assert fast == slow
+    assert "crash" in {record.kernel.effect for record in slow}
+
+
+def test_a_fault_without_a_site_or_beyond_the_last_call_is_not_activated():
+    faults = [InstructionFault("", "", 0, NO_SITE, kernel="pid"), replace(drawn("all", 4)[-1], call=10**6)]
+    fast, slow = both_ways(faults)
+    assert fast == slow
+    assert [record.kernel.effect for record in fast] == ["not_activated"] * 2
+
+
+def of_octomap():
+    return [fault for fault in drawn("address", 4, 12) if fault.kernel == "octomap"]
+
+
+def test_work_arrays_are_restored():
+    """What earlier scans left in them is read by instructions whose address is wrong."""
+    fast, slow = both_ways(of_octomap())
+    assert fast == slow
+
+
+def test_restarts_that_do_not_know_the_flight_so_far_are_noticed(monkeypatch):
+    dying = [fault for fault in drawn("address", 4) if fault.kernel in ("point_cloud", "collision_check")]
+    flown = scenario()
+    golden, forward = fly(flown), FastForward(flown, scratch=True)
+    slow = records(fly_instruction_faults(flown, dying, None, golden).flights)
+    assert records(fly_from_checkpoints(forward, dying, golden).flights) == slow
+    monkeypatch.setattr(Restarts, "keep", lambda *_: None)
+    assert records(fly_from_checkpoints(forward, dying, golden).flights) != slow
+
+
+def test_children_that_converge_end_there(monkeypatch):
+    """Without the reuse of known flights they fly on to the end: the same records, more control periods."""
+    flown, memory = scenario(), np.frombuffer(mmap.mmap(-1, 8), np.int64)  # shared with the children
+    run = Loop.run
+
+    def counting(self, *args):
+        before = len(self.record.rows)
+        run(self, *args)
+        memory[0] += len(self.record.rows) - before
+
+    monkeypatch.setattr(Loop, "run", counting)
+    golden, forward = fly(flown), FastForward(flown, scratch=True)
+    faults = [fault for fault in drawn("address", 4) if fault.kernel == "point_cloud"]
+    found, periods = [], []
+    for converges in (True, False):
+        if not converges:
+            monkeypatch.setattr(Branch, "_converged", lambda self: None)
+        forward.golden()
+        memory[0] = 0
+        found.append(records(fly_from_checkpoints(forward, faults, golden).flights))
+        periods.append(int(memory[0]))
+    assert found[0] == found[1]
+    assert periods[0] < 0.9 * periods[1]
+
+
+def test_a_campaigns_flights_use_it(monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("flown from take-off")
+
+    monkeypatch.setattr(mission_flights, "fly_instruction_faults", never)
+    faults = drawn("all", 4)[-3:]
+    flights = LocalHost().mission({"": ArmSetup(scenario()), "nervous": ArmSetup(scenario(), Nervous)})
+    flights.count_instructions("", {})
+    assert flights.golden("nervous").log.alarms
+    runs = [(arm, fault) for arm in ("", "nervous") for fault in faults]
+    found = dict(flights.injected(runs))
+    assert sorted(found) == list(range(6))
+    assert all(flight.log.injections for flight in found.values())
+
+
+@pytest.mark.parametrize("case", ["octree", "rrt_star", "restarts", "no fast-forward"])
+def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
+    monkeypatch.setattr(mission_flights, "fly_from_checkpoints", None)
+    options = {"octree": {"map": "octree"}, "rrt_star": {"planner": "rrt_star"}}.get(case, {})
+    watched = ArmSetup(scenario(**options), Scripted, Recovery(answer_s=0.6) if case == "restarts" else INLINE)
+    flights = LocalHost().mission({"arm": watched}, fast_forward=case != "no fast-forward")
+    flights.count_instructions("arm", {})
+    ((_, flight),) = flights.injected([("arm", drawn("all", 4, 1)[-1])])
+    assert flight.log.injections
+
+
+def test_an_input_that_was_changed_forbids_to_converge():
+    from mavfi.flight.forks import _is_contained  # the rule itself, case by case
+
+    before, golden, other = np.zeros(3), np.ones(3), np.full(3, 2.0)
+    assert _is_contained("track", (before,), (before,), (before,))
+    assert not _is_contained("track", (before,), (before,), (other,)), "an input"
+    assert _is_contained("track", (before,), (golden,), (other,)), "an output"
+    assert not _is_contained("insert_scan", (before,), (golden,), (other,)), "a map has more than checkpoints compare"
+    assert not _is_contained("track", ((before, before),), ((golden, before),), ((other, other),))

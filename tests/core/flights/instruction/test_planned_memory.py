@@ -1,0 +1,46 @@
+"""Shipped kernels and detectors own their memory: no address of the process enters the record of a fault in them."""
+
+import pytest
+
+from mavfi.campaign.config import Campaign, InstructionSampling, load_campaign
+from mavfi.campaign.mission import MissionPlan, model_hashes, scenarios_of
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.warm_up import warm_up
+from mavfi.faults.levels.instruction import variant
+from mavfi.faults.levels.instruction.build import Built, cached_build
+
+
+def only(detector: str, kernel: str) -> Campaign:
+    """Few faults in the functions of one detector."""
+    return Campaign(
+        name=detector, environments=("dense",), missions=2, faults=2,
+        sampling={"level": "instruction", "kernels": [kernel]}, arms={detector: {"detector": detector}},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "campaign",
+    [
+        only("recommended", "acceptance"),
+        pytest.param(only("limits", "limits"), marks=pytest.mark.long),
+        *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
+    ],
+    ids=lambda campaign: campaign.name,
+)
+def test_every_function_into_which_a_campaign_injects_has_planned_memory(
+    campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Built] = []
+
+    def noted(*arguments: object) -> Built:
+        seen.append(cached_build(*arguments))  # type: ignore[arg-type]
+        return seen[-1]
+
+    monkeypatch.setattr(variant, "cached_build", noted)
+    monkeypatch.setattr(variant, "_variants", {})
+    monkeypatch.setattr(variant, "_known", {})
+    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    warm_up(MissionPlan(campaign, campaign.environments[0], campaign.first_seed, models=models))
+    assert isinstance(campaign.sampling, InstructionSampling)
+    assert len(seen) >= len(campaign.sampling.kernels)
+    assert [built.wrapper for built in seen if not built.owned] == []

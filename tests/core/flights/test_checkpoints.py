@@ -1,0 +1,249 @@
+"""A flight that is put back to any of its instants continues as it did the first time, bit for bit."""
+
+import gc
+import weakref
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.detectors import Alarm, Detector
+from mavfi.detectors.detector import NoDetector
+from mavfi.errors import BadInputError
+from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.flight import checkpoints
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.fly import fly
+from mavfi.flight.loop import Loop
+from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.watching import detector_for
+from mavfi.pipeline.memory import Memory
+from mavfi.sim.simulator import Simulator
+from mavfi.states import STATES
+from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, mission
+
+KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
+
+
+class Nervous(Detector):
+    """Alarms at every n-th publication of some states, so that every stage is run again at times."""
+
+    pitch = {"perception.collision_status": 3, "planning.path": 2, "planning.waypoint": 9, "control.command": 97}
+
+    def start(self):
+        self.accepted = dict.fromkeys(STATES, 1)
+
+    def check(self, state, time_us):
+        name = state.spec.name
+        due = name in self.pitch and self.accepted[name] % self.pitch[name] == 0
+        return Alarm("nervous", state.spec.stage.value) if due else None
+
+    def accept(self, state, time_us):
+        self.accepted[state.spec.name] += 1
+
+
+@dataclass
+class Stop:
+    """An instant of a flight, and how to continue from there."""
+
+    instant: checkpoints.Instant
+    loop: Loop
+    keeper: object
+    record: tuple = field(init=False)
+
+    def __post_init__(self):
+        record = self.loop.record
+        self.record = record.rows[:], record.events[:], record.alarms[:], record.counts()
+        self.injector = None if self.loop.taps.injector is None else self.loop.taps.injector.copy()
+        self.detector = self.keeper.save()
+        self.redoing = bool(self.loop.awaited)
+
+    def resume(self):
+        loop, (rows, events, alarms, counts) = self.loop, self.record
+        checkpoints.put(loop, self.instant)
+        loop.status = None
+        loop.record.rows, loop.record.events, loop.record.alarms = rows[:], events[:], alarms[:]
+        loop.record.set_counts(counts)
+        loop.taps.injector = None if self.injector is None else self.injector.copy()
+        self.keeper.restore(self.detector)
+        if not isinstance(self.keeper.content, NoDetector):
+            loop.taps.detector = DetectorTap(loop, self.keeper.content)
+        with np.errstate(all="ignore"):
+            loop.run()
+        return loop.flight().log
+
+
+def fly_with_stops(scenario, detector=None, injected=None, pitch=20):
+    loop = new_loop(scenario, rewindable=True)
+    loop.taps.injector = None if injected is None else StateInjector(injected)
+    keeper = checkpoints.DetectorKeeper(detector or NoDetector())
+    watch(loop, detector)
+    loop.begin()
+    stops = []
+    with np.errstate(all="ignore"):
+        while loop.status is None:
+            stops.append(Stop(checkpoints.take(loop), loop, keeper))
+            loop.run(len(loop.record.rows) // pitch * pitch + pitch)
+    return loop.flight().log, stops
+
+
+def content(log):
+    """All of a log; as plain data, since NaN is not NaN."""
+    injections, alarms = ([item.to_json() for item in items] for items in (log.injections, log.alarms))
+    return log.rows.tobytes(), log.status, log.events, injections, alarms, log.meta
+
+
+def detector_of(name, profile, scenario):
+    return detector_for(scenario, name, profile)[0]
+
+
+CASES = {
+    "published": lambda: (mission(), None, None),
+    "hardened": lambda: (mission("hardened"), None, None),
+    "noise": lambda: (mission(depth_noise=0.01), None, None),
+    "rrt": lambda: (mission(planner="rrt"), None, None),
+    "rrt_star": lambda: (mission(planner="rrt_star"), None, None),
+    "octree": lambda: (mission(map="octree"), Nervous(), None),
+    "gaussian": lambda: (mission(), detector_of("gaussian", "paper", mission()), fault("control.command", "vx", 4, 62)),
+    "autoencoder": lambda: (
+        mission(), detector_of("autoencoder", "paper", mission()), fault("planning.waypoint", "x", 4, 61)
+    ),
+    "acceptance": lambda: (
+        mission(), detector_of("acceptance", "paper", mission()), fault("planning.trajectory", "y", 1, 62, element=9)
+    ),
+    "acceptance hardened": lambda: (
+        mission("hardened"), detector_of("acceptance", "paper", mission("hardened")),
+        fault("planning.waypoint", "x", 4, 61),
+    ),
+    "tuned": lambda: (
+        mission("hardened"), detector_of("autoencoder", "tuned", mission("hardened")),
+        fault("planning.waypoint", "x", 4, 61),
+    ),
+    "recovery": lambda: (mission(), Nervous(), fault("perception.point_cloud", "z", 4, 30, element=1000)),
+    "recovery hardened": lambda: (mission("hardened"), Nervous(), fault("planning.trajectory", "y", 1, 62, element=9)),
+}  # fmt: skip
+
+
+REPEATED = ("rrt_star", "tuned", "acceptance hardened")
+"""They show what others show: another planner; the detector in another profile; another autopilot."""
+IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
+
+
+def marked(case):
+    marks = () if case in IN_THE_FAST_SUITE else (pytest.mark.slow, *[pytest.mark.long] * (case in REPEATED))
+    return pytest.param(case, marks=marks)
+
+
+@pytest.mark.parametrize("case", [marked(case) for case in CASES])
+def test_a_flight_continues_from_any_checkpoint_as_it_did(case):
+    scenario, detector, injected = CASES[case]()
+    truth = content(fly(scenario, injected, detector).log)
+    log, stops = fly_with_stops(scenario, detector, injected)
+    assert content(log) == truth, "to take checkpoints changes nothing"
+    chosen = stops[:: max(1, len(stops) // 4)]
+    if isinstance(detector, Nervous):
+        assert {alarm.state for alarm in log.alarms} == set(Nervous.pitch)
+        redoing = [stop for stop in stops if stop.redoing]
+        assert redoing and log.alarms
+        chosen += redoing[:: max(1, len(redoing) // 3)]
+    for stop in reversed(chosen):  # latest first: what was written since must not shine through
+        assert content(stop.resume()) == truth
+
+
+@cache
+def nervous_flight(autopilot):
+    detector = Nervous()
+    return content(fly(mission(autopilot), None, detector).log)
+
+
+def same_from_everywhere(autopilot="published"):
+    """Whether a flight with alarms in every stage continues as it did, from instants in the middle of everything."""
+    log, stops = fly_with_stops(mission(autopilot), Nervous(), pitch=7)
+    assert content(log) == nervous_flight(autopilot)
+    try:  # from the middle backwards, so that what is forgotten is what came later
+        return all(content(stop.resume()) == nervous_flight(autopilot) for stop in stops[len(stops) // 2 :: -6])
+    except (IndexError, KeyError, BadInputError):  # pieces of two instants that do not fit together
+        return False
+
+
+@pytest.mark.slow
+def test_nothing_is_forgotten():
+    assert same_from_everywhere()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_checkpoint_that_forgets_a_kernel_is_noticed(name, monkeypatch):
+    monkeypatch.setattr(type(new_loop(mission()).kernels[name]), "restore", lambda *_: None)
+    autopilot = (
+        "hardened" if name == "octomap" else "published"
+    )  # there the clock follows the known space, scan by scan
+    assert not same_from_everywhere(autopilot)
+
+
+@pytest.mark.parametrize("name", ["awaited", "command"])
+def test_a_checkpoint_that_forgets_a_part_of_the_loop_is_noticed(name, monkeypatch):
+    restore = Loop.restore
+
+    def forgetful(loop, memory):
+        kept = getattr(loop, name)
+        restore(loop, memory)
+        setattr(loop, name, kept)
+
+    monkeypatch.setattr(Loop, "restore", forgetful)
+    assert not same_from_everywhere()
+
+
+@pytest.mark.parametrize("forgets", [checkpoints.DetectorKeeper, Simulator])
+def test_a_checkpoint_that_forgets_the_detector_or_the_vehicle_is_noticed(forgets, monkeypatch):
+    monkeypatch.setattr(forgets, "restore", lambda *_: None)
+    assert not same_from_everywhere()
+
+
+def test_an_instant_is_recognised_and_no_other_is():
+    _, stops = fly_with_stops(mission(), pitch=50)
+    loop = stops[0].loop
+    for stop in stops[::4]:
+        checkpoints.put(loop, stop.instant)
+        assert [checkpoints.is_at(loop, other.instant) for other in stops] == [other is stop for other in stops]
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_kernel_that_differs_is_seen(name):
+    _, stops = fly_with_stops(mission(), pitch=100)
+    loop, instant = stops[3].loop, stops[3].instant
+    saved = loop.kernels[name].save()
+    checkpoints.put(loop, instant)
+    assert checkpoints.is_at(loop, instant)
+    loop.kernels[name].restore(saved)
+    assert not checkpoints.is_at(loop, instant)
+
+
+def test_what_a_checkpoint_copies_is_small():
+    """Maps are shared as changes; scratch is left out.  A new array of a kernel that is large shows up here."""
+
+    def size(saved):
+        if isinstance(saved, np.ndarray):
+            return saved.nbytes
+        if isinstance(saved, Memory):
+            return sum(size(getattr(saved, name)) for name in saved.__slots__)
+        if isinstance(saved, dict):
+            return sum(map(size, saved.values()))
+        return sum(map(size, saved)) if isinstance(saved, (list, tuple)) else 0
+
+    for autopilot in AUTOPILOTS:
+        _, stops = fly_with_stops(mission(autopilot), pitch=100)
+        for name, (saved, _) in stops[-1].instant.kernels.items():
+            assert size(saved) < 300_000, name
+
+
+def test_a_flight_that_is_over_frees_its_maps_at_once():
+    gc.collect()
+    gc.disable()
+    try:
+        for injected, detector in ((None, None), (None, Scripted()), (fault("control.command", "vx", 4.0, 3), None)):
+            clearance = weakref.ref(fly(mission(), injected, detector).pipeline["planner"].clearance_map)
+            assert clearance() is None, "nothing refers back to it"
+    finally:
+        gc.enable()

@@ -1,0 +1,168 @@
+"""A custom detector that raises after the injection is disabled; one that ends its process costs only its own runs."""
+
+import os
+import signal
+from functools import cache
+
+import pytest
+
+import mavfi
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.campaign.store import Store
+from mavfi.faults.spec import InstructionRequest
+from mavfi.flight.fast_forward import FastForward
+from mavfi.flight.fly import fly
+from mavfi.flight.host import ArmSetup
+from mavfi.flight.mission_flights import LocalHost
+from mavfi.plugins import allow_typed
+from mavfi.record import CRASHED, End
+from mavfi.report.explain import alarm_lines
+from tests.core.flights.missions import Scripted, fault, mission
+from tests.core.flights.test_checkpoints import content
+
+
+@cache
+def commands():
+    """Those of the golden flight."""
+    found = set()
+
+    def note(state, time_us):
+        if state.spec.name == "control.command":
+            found.add(state.header.tobytes())
+
+    fly(mission(), recorders=[note])
+    return found
+
+
+class Brittle(Scripted):
+    """Cannot cope with commands other than those of the golden flight."""
+
+    known = None
+
+    def check(self, state, time_us):
+        known = commands() if self.known is None else self.known
+        if state.spec.name == "control.command" and state.header.tobytes() not in known:
+            raise ValueError("no such command")
+
+
+class Broken(Brittle):
+    known = frozenset()
+
+
+class BrittleSeal(Scripted):
+    """Its seal fails at the first command that is not one of the golden flight."""
+
+    seals = True
+
+    def seal(self, state, time_us):
+        if state.spec.name == "control.command" and state.header.tobytes() not in commands():
+            raise ValueError("no such command")
+
+
+WRONG = fault("control.command", "vx", 8.0, 62)
+
+
+@pytest.mark.parametrize("detector", [Brittle, BrittleSeal])
+@pytest.mark.parametrize("make", [FastForward, None])
+def test_an_exception_after_the_injection_disables_it(make, detector):
+    flight = fly(mission(), WRONG, detector()) if make is None else make(mission()).fly(WRONG, detector(), "own")
+    (event,) = (event for event in flight.log.events if event.kind == CRASHED)
+    assert event.data == {"how": "ValueError: no such command"}
+    if detector is Brittle:  # the seal sees the first command that the fault has changed, not the fault
+        assert event.time_us / 1e6 == pytest.approx(flight.log.injections[0].time_s)
+    assert content(flight.log)[0] == content(fly(mission(), WRONG).log)[0]
+    sentence = f"is disabled from {event.time_us / 1e6:.2f} s on, a call of it crashed: ValueError: no such command"
+    assert any(sentence in text for _, text in alarm_lines(flight.log, None))
+
+
+def test_an_exception_before_it_is_raised():
+    for injected in (None, WRONG):
+        with pytest.raises(ValueError, match="no such command"):
+            fly(mission(), injected, Broken())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fast", [False, True])
+def test_nor_does_it_look_as_if_the_injected_kernel_had_died(fast):
+    faults = draw_instruction_faults(mission(), InstructionRequest({"pid": 6}), seed=3).faults["pid"]
+    arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), Brittle)}
+    flights = LocalHost().mission(arms, fast_forward=fast)
+    for arm in arms:
+        flights.know(arm, flights.golden(arm))
+    runs = [(arm, one) for arm in arms for one in faults]
+    flown = {runs[place]: flight.log for place, flight in flights.injected(runs)}
+    crashed = [one for one in faults if flown["own", one].count(CRASHED)]
+    assert crashed
+    for one in crashed:
+        assert flown["own", one].kernel == flown["", one].kernel
+        assert flown["own", one].digest() == flown["", one].digest()
+
+
+# ---- calls that end the process -------------------------------------------------------------------------------------
+class Ending(Scripted):
+    """Its n-th check ends the process."""
+
+    def __init__(self):
+        super().__init__()
+        self.checks = 0
+
+    def start(self):
+        super().start()
+        self.checks = 0
+
+    def check(self, state, time_us):
+        self.checks += 1
+        if self.checks == 400:
+            os.kill(os.getpid(), signal.SIGSEGV)
+
+
+@pytest.mark.slow
+def test_faults_in_instructions_are_flown_without_those_of_the_detector():
+    """Where it ends the child of an injected run, that is no effect on the kernel; the other arm is not concerned."""
+    faults = draw_instruction_faults(mission(), InstructionRequest({"pid": 6}), seed=3).faults["pid"]
+    arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), lambda: EndingLate())}
+    flights = LocalHost().mission(arms)
+    flights.know("", flights.golden(""))
+    runs = [(arm, one) for arm in arms for one in faults]
+    flown = {runs[place]: flight for place, flight in flights.injected(runs)}
+    assert not any(isinstance(flown["", one], Exception) for one in faults)
+    ended = [one for one in faults if isinstance(flown["own", one], Exception)]
+    assert ended
+    for one in faults:
+        if one in ended:
+            message = f"detector {__name__}:EndingLate: check ended its process (SIGSEGV)"
+            assert str(flown["own", one]).startswith(message)
+        else:  # the call has no effect, so its child does not fly on
+            assert flown["own", one].log.kernel.effect == flown["", one].log.kernel.effect == "masked"
+
+
+class EndingLate(Scripted):
+    """A check in a forked child ends the process."""
+
+    def start(self):
+        super().start()
+        self.process = os.getpid()
+
+    def check(self, state, time_us):
+        if os.getpid() != self.process:
+            os.kill(os.getpid(), signal.SIGSEGV)
+
+
+@pytest.mark.slow
+def test_a_campaign_flies_all_other_runs_and_names_the_call(tmp_path):
+    name = f"{__name__}:Ending"
+    allow_typed([name])
+    campaign = Campaign.model_validate({
+        "name": "ending", "environments": ["sparse"], "missions": 1, "faults": 1, "null_runs": 0,
+        "arms": {"own": {"detector": name}},
+    })  # fmt: skip
+    mavfi.run(campaign, tmp_path / "runs", workers=1)
+    with Store.open(tmp_path / "runs") as store:
+        runs = {(run.spec.kind, run.spec.arm): run for run in store.runs()}
+    assert len(runs) == 4
+    assert {run.record.end for (_, arm), run in runs.items() if not arm} == {End.FLOWN}
+    for (_, arm), run in runs.items():
+        if arm:
+            assert run.record.end is End.UNKNOWN
+            assert f"detector {name}: check ended its process (SIGSEGV)" in run.note

@@ -1,0 +1,134 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavfi.flight.fly import fly
+from mavfi.mission import MissionStatus
+from mavfi.states import STATES, states_with
+from tests.core.flights.missions import AUTOPILOTS, GOAL, ends_as_its_status_says, fault, golden, mission
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_short_mission_succeeds_and_replans(autopilot):
+    log = golden(autopilot).log
+    assert log.status is MissionStatus.SUCCESS
+    assert log.count("plan") >= 2 and log.count("collision_predicted") >= 1
+    assert np.isfinite(log.rows).all()
+    assert log.injections == [] and log.alarms == []
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_same_scenario_gives_the_same_bytes(autopilot):
+    again = fly(mission(autopilot))
+    assert again.log.digest() == golden(autopilot).log.digest()
+    assert again.log.rows.tobytes() == golden(autopilot).log.rows.tobytes()
+    assert again.log.events == golden(autopilot).log.events
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same_digest():
+    program = (
+        "from mavfi.flight.fly import fly\nfrom mavfi.flight.compose import resolve\n"
+        "from mavfi.mission import MissionSpec\n"
+        f"print(fly(resolve(MissionSpec(environment='dense', seed=1, goal={GOAL}))).log.digest())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == golden().log.digest()
+
+
+def test_another_seed_or_autopilot_gives_another_digest():
+    digests = {golden(autopilot).log.digest() for autopilot in AUTOPILOTS}
+    digests.add(fly(mission(depth_noise=0.01)).log.digest())
+    assert len(digests) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("state", states_with("truth"))
+def test_a_null_fault_gives_the_golden_digest(state, autopilot):
+    spec = STATES[state]
+    flight = fly(mission(autopilot), fault(state, spec.fields[0].name, 5.0))
+    assert flight.log.digest() == golden(autopilot).log.digest()
+    (injection,) = flight.log.injections
+    published = (golden(autopilot).profile.times_us[state] >= 5_000_000).any()
+    assert injection.activated == published
+    assert injection.before == injection.after
+
+
+DEAD = [
+    (autopilot, state, field.name)
+    for autopilot in AUTOPILOTS
+    for state, spec in states_with("truth").items()
+    for field in spec.fields
+    if field.dead_in(autopilot)
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("autopilot", "state", "field"), DEAD)
+def test_a_fault_in_a_dead_field_is_masked(autopilot, state, field):
+    kind = STATES[state].find(field).dtype
+    struck = 0.5 * golden(autopilot).profile.times_us[state][[0, -1]].sum() * 1e-6
+    bit = {"f8": 62, "i4": 30, "?": 0}[kind]
+    flight = fly(mission(autopilot), fault(state, field, struck, bit, element=0))
+    assert flight.log.injections[0].activated
+    assert flight.log.digest() == golden(autopilot).log.digest()
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_an_acceleration_that_becomes_infinite_is_dead_or_refused(autopilot):
+    times = golden(autopilot).profile.times_us["planning.waypoint"]
+    for at in times[[3, len(times) // 2]]:
+        flight = fly(mission(autopilot), fault("planning.waypoint", "ax", 1e-6 * at, 62))
+        assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_injected_twins_are_equal_until_the_fault_and_differ_after(autopilot):
+    flight = fly(mission(autopilot), fault("planning.waypoint", "y", 4.0, 60))
+    (injection,) = flight.log.injections
+    assert injection.activated and injection.before != injection.after
+    ours, theirs = flight.log.rows, golden(autopilot).log.rows
+    n = min(len(ours), len(theirs))
+    differs = (ours[:n] != theirs[:n]).any(axis=1)
+    before = ours[:n, 0] <= injection.time_s
+    assert differs.any() and not differs[before].any()
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_fault_strikes_the_first_publication_at_or_after_its_time_once(autopilot):
+    times = golden(autopilot).profile.times_us["planning.waypoint"]
+    due = times[times >= 4_000_000][0]
+    changed = []
+
+    def watch(state, time_us):
+        if state.spec.name == "planning.waypoint" and abs(state.header["z"][0]) > 100.0:
+            changed.append(time_us)
+
+    flight = fly(mission(autopilot), fault("planning.waypoint", "z", 4.0, 61), recorders=[watch])
+    assert flight.log.injections[0].time_s == pytest.approx(1e-6 * due)
+    assert changed == [due]
+
+
+def test_noise_leaves_the_world_alone():
+    noisy = fly(mission(depth_noise=0.01))
+    assert noisy.world.digest() == golden().world.digest()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("autopilot", ["published", pytest.param("hardened", marks=pytest.mark.long)])
+@pytest.mark.parametrize("state", states_with("truth"))
+def test_a_flipped_exponent_in_any_field_ends_in_a_status(state, autopilot):
+    spec = STATES[state]
+    times = golden(autopilot).profile.times_us[state]
+    for name in dict.fromkeys(field.name for field in spec.fields):
+        bit = {"f8": 62, "f4": 30, "i4": 30, "?": 0}[spec.find(name).dtype]
+        flight = fly(mission(autopilot), fault(state, name, 1e-6 * times[len(times) // 2], bit, element=0))
+        log = flight.log
+        assert log.injections[0].activated and ends_as_its_status_says(flight)
+        assert np.isfinite(log.columns("x", "y", "z", "vx", "vy", "vz")).all()

@@ -1,0 +1,164 @@
+import numpy as np
+import pytest
+
+from mavfi.config import EnvironmentConfig, parse
+from mavfi.errors import BadInputError
+from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import find_environment, resolve
+from mavfi.flight.fly import fly
+from mavfi.mission import FLY_AWAY_MARGIN, MissionSpec, MissionStatus
+from mavfi.sim.simulator import Simulator
+from mavfi.states import floats
+from tests.core.flights.missions import AUTOPILOTS, fault, golden, mission
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("autopilot", "expected"),
+    [("published", MissionStatus.NO_PATH), ("hardened", MissionStatus.NO_PATH)],
+)
+def test_in_a_closed_yard_no_path_is_found(autopilot, expected):
+    yard = EnvironmentConfig(name="yard", generator="tests.core.flights.missions:walled")
+    scenario = mission(autopilot).model_copy(update={"environment": yard, "goal": (60.0, 0.0, 3.0)})
+    few = scenario.autopilot.model_copy(update={"max_failed_plans": 6})
+    flight = fly(scenario.model_copy(update={"autopilot": few}))
+    assert flight.log.status is expected
+    assert flight.log.count("plan_failed") > 6
+
+
+def test_the_time_limit_ends_a_flight(monkeypatch):
+    monkeypatch.setattr("mavfi.flight.judge.time_limit", lambda *_: 2.0)
+    flight = fly(mission())
+    assert flight.log.status is MissionStatus.TIMEOUT
+    assert flight.log.column("time")[-1] == pytest.approx(2.0)
+    assert flight.log.meta["time_limit_s"] == 2.0
+
+
+def test_a_blind_vehicle_collides():
+    class Blind(Simulator):
+        """The depth image says that nothing is there."""
+
+        def depth(self):
+            ranges, pose = super().depth()
+            return np.full_like(ranges, np.inf), pose
+
+    flight = new_loop(mission(), make_plant=Blind).fly()
+    assert flight.log.status is MissionStatus.COLLISION
+
+
+def judge(odometry, now=1_000_000, failed_plans=0):
+    loop = new_loop(mission())
+    for index, value in odometry.items():
+        loop.plant.odometry[index] = value
+    return loop.judge.status(loop.plant, failed_plans, now)
+
+
+@pytest.mark.parametrize(
+    ("odometry", "expected"),
+    [
+        ({}, None),
+        ({0: np.nan}, MissionStatus.INVALID_STATE),
+        ({12: np.inf}, MissionStatus.INVALID_STATE),
+        ({0: 45.0, 1: 5.0, 2: 4.9}, MissionStatus.SUCCESS),
+        ({0: 45.0, 1: 5.0, 2: 5.1}, None),
+        ({0: 120.0 + FLY_AWAY_MARGIN + 0.1}, MissionStatus.FLY_AWAY),
+        ({1: -30.0 - FLY_AWAY_MARGIN - 0.1}, MissionStatus.FLY_AWAY),
+        ({2: 12.0 + FLY_AWAY_MARGIN - 0.1}, None),
+    ],
+)
+def test_the_vehicles_state_is_judged(odometry, expected):
+    assert judge(odometry) is expected
+
+
+def test_failed_plans_and_time_are_judged():
+    limit = golden().log.meta["time_limit_s"] * 1e6
+    assert judge({}, failed_plans=mission().autopilot.max_failed_plans) is None
+    assert judge({}, failed_plans=mission().autopilot.max_failed_plans + 1) is MissionStatus.NO_PATH
+    assert judge({}, int(limit)) is MissionStatus.TIMEOUT
+    assert judge({}, int(limit) - 20_000) is None
+
+
+def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
+    monkeypatch.setattr(Simulator, "warnings", lambda _: ["BADQACC (2)", "CONTACTFULL (1)"])
+    monkeypatch.setattr("mavfi.flight.judge.time_limit", lambda *_: 0.1)
+    log = fly(mission()).log
+    assert [event.data["text"] for event in log.events if event.kind == "warning"] == ["BADQACC (2)", "CONTACTFULL (1)"]
+    monkeypatch.undo()
+    assert golden().log.count("warning") == 0
+
+
+def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
+    loop = new_loop(mission())
+
+    def break_physics(now):
+        if now == 2_000_000:
+            loop.plant._data.qvel[0] = 1e12
+
+    loop.before_tick.append(break_physics)
+    log = loop.fly().log
+    assert log.status in (MissionStatus.INVALID_STATE, MissionStatus.FLY_AWAY)
+    assert any("BADQVEL" in event.data["text"] for event in log.events if event.kind == "warning")
+    assert log.column("time")[-1] <= 2.04
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(axis, autopilot):
+    class Corrupt:
+        """A fault injector of another kind: puts NaN into one way-point."""
+
+        done = spent = False
+
+        def __call__(self, state, time_us):
+            if not self.done and time_us > 5_000_000 and state.spec.name == "planning.waypoint":
+                self.done = True
+                state = state.copy()
+                state.header[axis] = np.nan
+            return state
+
+        def finish(self):
+            return []
+
+    loop = new_loop(mission(autopilot))
+    loop.taps.injector = Corrupt()
+    flight = loop.fly()
+    assert flight.log.meta["rejected_commands"] > 0
+    assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
+    assert flight.log.status in (MissionStatus.SUCCESS, MissionStatus.COLLISION)
+    assert flight.log.column("time")[-1] < 40.0
+
+
+def test_a_huge_command_is_shortened():
+    seen = []
+    probe = fault("control.command", "vz", 2.0, 62)
+    flight = fly(mission(), probe, recorders=[lambda s, t: seen.append(floats(s.header, 5).copy())
+                 if s.spec.name == "control.command" else None])  # fmt: skip
+    assert max(abs(values[2]) for values in seen) > 1e100
+    assert np.abs(flight.log.columns("vx", "vy", "vz")).max() < 6.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"environment": "nowhere"}, "environment 'nowhere': not known; allowed: "),
+        ({"seed": -1}, "'seed': -1"),
+        ({"v_max": 99.0}, "'v_max': 99.0"),
+        ({"autopilot": "soft"}, "autopilot 'soft': not known; allowed: hardened, published"),
+        ({"platform": "abacus"}, "platform 'abacus': not known"),
+    ],
+)
+def test_bad_names_are_refused_with_what_is_allowed(options, message):
+    with pytest.raises(BadInputError, match=message):
+        resolve(parse(MissionSpec, options, "mission"))
+
+
+def test_an_unknown_planner_is_refused_when_the_flight_starts():
+    with pytest.raises(BadInputError, match="planner 'dowsing': not known; allowed: rrt, rrt_connect, rrt_star"):
+        fly(mission(planner="dowsing"))
+
+
+def test_what_is_not_given_comes_from_the_environment():
+    scenario = resolve(MissionSpec(environment="sparse", seed=3))
+    assert scenario.v_max == 3.0 and scenario.environment == find_environment("sparse")
+    assert resolve(MissionSpec(environment="sparse", seed=3, v_max=2.0)).v_max == 2.0
+    assert scenario.key() != resolve(MissionSpec(environment="sparse", seed=4)).key()

@@ -1,0 +1,378 @@
+"""What fast-forwarding answers is what a flight from take-off is, bit for bit."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.config import load_campaign
+from mavfi.campaign.mission import MissionPlan, fly_mission, model_hashes, scenarios_of
+from mavfi.campaign.plan import Flown, arms_of
+from mavfi.detectors.detector import Alarm
+from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
+from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
+from mavfi.flight import fast_forward
+from mavfi.flight.checkpoints import take
+from mavfi.flight.decide import History
+from mavfi.flight.fast_forward import FastForward
+from mavfi.flight.fly import fly
+from mavfi.flight.host import ArmSetup
+from mavfi.flight.mission_flights import LocalHost
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.sensing import SensorMemory
+from mavfi.record import End, canonical
+from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
+from tests.core.flights.test_checkpoints import Nervous, content, detector_of
+
+FAULTS = [
+    fault("control.command", "vx", 4.0, 62),
+    fault("control.command", "vy", 6.0, 3),
+    fault("control.tracking", "remaining", 5.0, 50),
+    fault("planning.waypoint", "x", 3.0, 55),
+    fault("planning.waypoint", "y", 6.0, 62),
+    fault("planning.trajectory", "z", 0.3, 53, element=7),
+    fault("perception.map_update", "log_odds", 5.0, 31, element=500),
+    fault("perception.point_cloud", "x", 4.0, 20, element=900),
+    fault("perception.collision_status", "time_to_collision", 1.0, 61),
+    fault("perception.collision_status", "future_collision_seq", 1.0, 30),
+    fault("sensor.depth", "range", 0.0, 29, element=3),
+    fault("sensor.odometry", "wx", 7.0, 62),
+    fault("planning.path", "x", 0.0, 52, element=1),
+    fault("control.command", "vx", 1e4, 62),
+    fault("control.command", "vx", 8.0),
+    StateFault(FaultSite("planning.path", "x", 0), NO_SITE, 60),
+    replace(fault("control.command", "vx", 4.0, 61), lasts_s=1.0),
+    replace(fault("planning.waypoint", "y", 5.0, 52), times=2),
+    replace(fault("control.command", "vy", 6.0, 50), lasts_s=float("inf"), share=0.3, seed=7),
+    fault("perception.point_cloud", "length_x", 4.0, 31),
+    fault("perception.map_update", "length_log_odds", 6.5, 31),
+]
+"""They break the mission, or are masked at once or late; at the very start, without a site, never striking, null; they
+last; or they lose a message."""
+
+ARMS = {
+    "published": {
+        "": lambda: None,
+        "gaussian": lambda: detector_of("gaussian", "paper", mission()),
+        "autoencoder": lambda: detector_of("autoencoder", "paper", mission()),
+        "nervous": Nervous,
+    },
+    "hardened": {
+        "": lambda: None,
+        "gaussian": lambda: detector_of("gaussian", "tuned", mission("hardened")),
+        "silent": Scripted,
+    },
+}
+
+
+def every_fault(autopilot, arm, forward, detector, faults=FAULTS):
+    """Runs of which its answer is another one."""
+    other = []
+    for number, injected in enumerate([None, *faults]):
+        mine = forward.fly(injected, detector, arm)
+        truth = fly(mission(autopilot), injected, detector, profile=injected is None)
+        if content(mine.log) != content(truth.log):
+            other.append(number)
+    return other
+
+
+IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
+REPEATED = [
+    ("published", ""), ("published", "autoencoder"), ("published", "nervous"), ("hardened", "gaussian"),
+    ("hardened", "silent"),
+]  # fmt: skip
+"""Part of what arms with a detector show; such an arm on the other profile, or with another detector.  Alarms in every
+stage: `test_detectors_share_what_was_flown_in_any_order` and `test_an_observer_is_fast_forwarded_too` have them."""
+
+
+def marked(autopilot, arm):
+    marks = (
+        ()
+        if (autopilot, arm) in IN_THE_FAST_SUITE
+        else (pytest.mark.slow, *[pytest.mark.long] * ((autopilot, arm) in REPEATED))
+    )
+    return pytest.param(autopilot, arm, marks=marks)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "arm"), [marked(autopilot, arm) for autopilot in AUTOPILOTS for arm in ARMS[autopilot]]
+)
+def test_fast_forwarded_flights_are_the_flights(autopilot, arm):
+    forward = FastForward(mission(autopilot))
+    assert every_fault(autopilot, arm, forward, ARMS[autopilot][arm]()) == []
+    assert forward.share.flights == 1 + len(FAULTS)
+    if arm != "nervous":  # which alarms all the time
+        assert forward.share.flown < 0.75 * forward.share.ticks
+        assert forward.share.converged > 0
+
+
+@pytest.mark.slow
+def test_detectors_share_what_was_flown_in_any_order():
+    forward, arms = FastForward(mission()), {name: make() for name, make in ARMS["published"].items()}
+    for injected in (FAULTS[3], None, FAULTS[6]):
+        for arm in reversed(arms):
+            detector = arms[arm]
+            truth = content(fly(mission(), injected, ARMS["published"][arm]()).log)
+            assert content(forward.fly(injected, detector, arm).log) == truth
+    assert forward.share.shown > 0
+
+
+def test_the_golden_flight_leaves_its_profile_and_can_be_asked_for_again():
+    forward = FastForward(mission())
+    for _ in range(2):
+        flight = forward.fly()
+        assert flight.profile.to_bytes() == golden().profile.to_bytes()
+        assert content(flight.log) == content(golden().log)
+        assert forward.fly(FAULTS[0]).profile is None
+
+
+@pytest.mark.slow
+def test_the_octree_is_fast_forwarded_too():
+    forward, scenario = FastForward(mission(map="octree")), mission(map="octree")
+    for injected in (None, FAULTS[7], FAULTS[4]):
+        assert content(forward.fly(injected).log) == content(fly(scenario, injected).log)
+    assert forward.share.flown < forward.share.ticks
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_injected_runs_take_checkpoints_only_for_detectors(monkeypatch, watched):
+    forward, taken = FastForward(mission()), []
+    forward.watched = watched
+    forward.fly()
+    monkeypatch.setattr(fast_forward, "take", lambda *given, **named: taken.append(1) or take(*given, **named))
+    assert content(forward.fly(FAULTS[3]).log) == content(fly(mission(), FAULTS[3]).log)
+    assert bool(taken) is watched
+
+
+def test_a_masked_fault_costs_a_second_of_flight():
+    forward = FastForward(mission())
+    forward.fly()
+    before = forward.share.flown
+    forward.fly(fault("sensor.odometry", "wx", 7.0, 62))  # nobody reads it
+    assert forward.share.flown - before <= 2 * forward.pitch
+
+
+@pytest.mark.slow
+def test_to_stop_too_early_is_noticed(monkeypatch):
+    monkeypatch.setattr(fast_forward, "is_at", lambda *_: True)
+    assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
+
+
+@pytest.mark.slow
+def test_a_start_at_the_wrong_place_is_noticed(monkeypatch):
+    monkeypatch.setattr(fast_forward.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
+    assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
+
+
+def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way():
+    class Streaming(Scripted):
+        def start(self):
+            super().start()
+            self.stream = (number for number in range(3))
+
+    with pytest.raises(TypeError):
+        FastForward(mission()).fly(None, Streaming(), "streaming")
+    flights = LocalHost().mission({"streaming": ArmSetup(mission(), Streaming)})
+    assert content(flights.golden("streaming").log) == content(golden().log)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recovery", [Recovery("observer"), Recovery(same_twice="limit")], ids=["observer", "limit"])
+def test_other_recovery_without_restarts_is_fast_forwarded_too(recovery):
+    forward = FastForward(mission())
+    for make in (Nervous, ARMS["published"]["gaussian"]):
+        for injected in (None, FAULTS[0], FAULTS[3], FAULTS[6], FAULTS[8]):
+            detector = make()
+            mine = forward.fly(injected, detector, make.__name__, recovery)
+            assert content(mine.log) == content(fly(mission(), injected, make(), recovery=recovery).log)
+    assert forward.share.flown < forward.share.ticks
+
+
+def escalating(**more):
+    return Recovery(grain="message", same_twice="escalate", answer_s=0.6, **more)
+
+
+class Twice(Scripted):
+    """Stops the vehicle at a command after the fault, and again later, by one of `seconds` (commands)."""
+
+    seconds = (60, 200, 300)
+
+    def __init__(self, second):
+        super().__init__("control.command", n=320, stop=True)
+        self.second = second
+
+    def check(self, state, time_us):
+        alarm = super().check(state, time_us)
+        again = state.spec.name == self.state and self.seen == self.n + self.second
+        return Alarm("scripted", self.stage, stop=True) if again else alarm
+
+
+def alike(forward):
+    """Control periods after the fault that are not simulated, by detector; and runs that differ."""
+    saved, other = [], []
+    for second in Twice.seconds:
+        forward.fly(None, Twice(second), f"twice {second}")
+        before = forward.share.flown
+        mine = forward.fly(FAULTS[1], Twice(second), f"twice {second}")
+        saved.append(len(mine.log.rows) - 300 - (forward.share.flown - before))
+        if content(mine.log) != content(fly(mission(), FAULTS[1], Twice(second)).log):
+            other.append(second)
+    return saved, other
+
+
+def test_detectors_share_flights_between_their_alarms():
+    saved, other = alike(FastForward(mission()))
+    assert other == []
+    assert saved[1:] == [0, 150]  # the second one has its stop later than the first, the third one than the second
+
+
+def test_to_follow_a_flight_through_an_alarm_of_its_detector_is_noticed(monkeypatch):
+    stored = FastForward._injected
+
+    def silent(forward, injected, arm):
+        track = stored(forward, injected, arm)
+        places = {rows: replace(place, alarms=()) for rows, place in track.checkpoints.items()}
+        forward._tracks(injected)[arm.name] = replace(track, checkpoints=places, end=replace(track.end, alarms=()))
+        return track
+
+    monkeypatch.setattr(FastForward, "_injected", silent)
+    assert alike(FastForward(mission()))[1] != []
+
+
+ESTIMATED = [FAULTS[number] for number in (0, 6, 16)]
+ESTIMATED += [fault("sensor.imu", "fx", 4.0, 62), fault("sensor.position", "x", 5.0, 60)]
+ESTIMATED += [fault("perception.odometry", "x", 4.0, 62)]
+
+
+def under_an_estimator(arm, faults=(None, *ESTIMATED)):
+    """The fast-forward of a mission with estimated state, and runs of which its answer is another one."""
+    scenario, other = mission(localization="estimator"), []
+    forward = FastForward(scenario)
+    for injected in faults:
+        mine = forward.fly(injected, ARMS["published"][arm](), arm)
+        if content(mine.log) != content(fly(scenario, injected, ARMS["published"][arm]()).log):
+            other.append(injected)
+    return forward, other
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", ["", "nervous"])
+def test_the_estimated_state_is_fast_forwarded_too(arm):
+    forward, other = under_an_estimator(arm)
+    assert other == []
+    if arm != "nervous":
+        assert forward.share.flown < 0.9 * forward.share.ticks
+
+
+@pytest.mark.slow
+def test_a_checkpoint_without_the_sensors_memory_is_noticed(monkeypatch):
+    monkeypatch.setattr(SensorMemory, "copy", lambda memory: memory)
+    assert under_an_estimator("", [None, ESTIMATED[-1]])[1] != []
+
+
+TAKING_PART = {
+    "checksum": (lambda: Checksum(), Recovery(grain="message")),
+    "oracle": (lambda: Oracle(), Recovery(grain="kernel")),
+    "silent": (lambda: Scripted(), Recovery(grain="message")),
+    "duplicate": (lambda: Duplicate(), INLINE),
+    "recommended": (lambda: detector_of("recommended", "paper", mission()), escalating()),
+    "restarts": (lambda: Scripted("perception.map_update", n=25, stage="perception", times=3, hard=True), escalating()),
+    "hold": (lambda: Scripted("control.command", n=300, times=200, hard=True), escalating(degraded="hold")),
+}
+"""Detectors that act on flights without an alarm, or answer one depending on earlier events."""
+
+
+def under(name, forward, faults):
+    """Runs with a detector that takes part of which the answer is another one, and the logs from take-off."""
+    make, recovery = TAKING_PART[name]
+    detector, other, logs = make(), [], []
+    for number, injected in enumerate(faults):
+        mine = forward.fly(injected, detector, name, recovery)
+        logs.append(fly(mission(), injected, make(), recovery=recovery).log)
+        if content(mine.log) != content(logs[-1]):
+            other.append(number)
+    return other, logs
+
+
+STRUCK = [None, *(FAULTS[number] for number in (0, 3, 8, 9, 13, 20, 16, 17))]
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "recommended" else pytest.param(name, marks=pytest.mark.slow) for name in TAKING_PART]
+)
+def test_detectors_that_take_part_are_fast_forwarded_too(name):
+    forward = FastForward(mission())
+    faults = STRUCK[:3] if name == "hold" else STRUCK  # which holds its position to the time limit
+    other, logs = under(name, forward, faults)
+    assert other == []
+    assert forward.share.flights == len(faults) and forward.share.flown < forward.share.ticks
+    if name in ("checksum", "oracle", "recommended"):  # a message that is sent again leaves no trace
+        assert forward.share.converged > 0
+    if name in ("restarts", "hold"):
+        kinds = {alarm.action for log in logs for alarm in log.alarms}
+        assert kinds >= {"restarts": {"resend", "recompute", "restart"}, "hold": {"hold"}}[name]
+
+
+@pytest.mark.slow
+def test_a_detector_that_takes_part_is_flown_before_and_after_one_that_does_not():
+    forward = FastForward(mission())
+    assert under("recommended", forward, STRUCK[:3])[0] == []
+    assert every_fault("published", "gaussian", forward, ARMS["published"]["gaussian"](), FAULTS[:4]) == []
+    assert under("duplicate", forward, STRUCK[:3])[0] == []
+    assert forward.fly().profile.to_bytes() == golden().profile.to_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "mutant"),
+    [
+        ("checksum", (fast_forward, "takes_part", lambda *_: False)),
+        ("duplicate", (fast_forward, "takes_part", lambda *_: False)),
+        ("silent", (fast_forward, "takes_part", lambda *_: False)),
+        ("restarts", (fast_forward.Branch, "begin_empty", lambda _: None)),
+        ("hold", (History, "copy", lambda _: History())),
+    ],
+)
+def test_what_such_a_detector_needs_is_noticed_if_it_is_missing(monkeypatch, name, mutant):
+    monkeypatch.setattr(*mutant)
+    forward = FastForward(mission())
+    try:
+        forward.fly()
+        assert under(name, forward, [STRUCK[5]] if name == "hold" else STRUCK[:7])[0] != []
+    except Exception as error:  # the flight from take-off would decide
+        assert not isinstance(error, AssertionError), error
+
+
+@cache
+def table1(autopilot):
+    """The table's campaign on a profile."""
+    return load_campaign("table1").model_copy(update={"autopilot": autopilot, "first_seed": 10_100})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("environment", "autopilot"),
+    [
+        ("dense", "published"),
+        pytest.param("factory", "hardened", marks=pytest.mark.long),
+        *(pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")),
+    ],
+)
+def test_a_mission_of_the_table_leaves_the_same_records(environment, autopilot):
+    """All arms, all stages, both strata and a null fault; `benchmarks/fast_forward.py` compares hundreds of runs."""
+    campaign = table1(autopilot)
+    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    plan = MissionPlan(campaign, environment, campaign.first_seed, models=models)
+    flown = [
+        {item.run_id: item.record for item in fly_mission(replace(plan, fast_forward=fast)) if isinstance(item, Flown)}
+        for fast in (False, True)
+    ]
+    records = [{run: canonical(record.to_json()) for run, record in runs.items()} for runs in flown]
+    assert records[0] == records[1] and len(records[0]) >= 12
+    assert all(record.end is End.FLOWN for record in flown[0].values())
+
+
+def test_counts_are_whole_numbers():
+    counts = FastForward(mission()).golden().end.counts
+    assert all(isinstance(count, (int, np.integer)) for count in counts)

@@ -1,0 +1,141 @@
+"""Tables of a campaign with faults in states: they add up, and agree with the frame."""
+
+from dataclasses import replace
+
+import pytest
+
+from mavfi.analysis import table, views_for
+from mavfi.analysis.table import RATE
+from mavfi.extras.paper import published as paper
+from tests.core.unit.analysis.handmade import DUE, FAULT, GOLDEN, UNKNOWN, flown, golden, injected, runs
+
+
+def entries(runs, name, **wanted):
+    return [e for e in table(runs, name).entries() if all(e[key] == value for key, value in wanted.items())]
+
+
+def test_the_campaign_is_whole_and_the_success_table_leads(fake):
+    assert fake.campaign["done"] == fake.campaign["total"] == len(fake)
+    names = [found.name for found in views_for(fake)]
+    assert names[:3] == ["success_as_in_the_paper", "success", "recovery"]
+    assert {"by_stage", "by_state", "outcomes", "flight_times", "false_alarms", "detections"} <= set(names)
+    assert not {"by_target", "kernel_effects", "register_effects", "schemes"} & set(names)
+
+
+def test_success_table(fake):
+    for environment in ("sparse", "dense"):
+        [without] = entries(fake, "success", environment=environment, setting="golden")
+        assert (without["success"].n, without["success"].rate) == (10, 1.0)
+        [faulty] = entries(fake, "success", environment=environment, setting="fi")
+        counts = [faulty[key].n for key in ("success", "success_whole_word", "success_mantissa")]
+        assert counts == [39, 60, 21]
+        own = fake.where(environment=environment, setting="fi", stratum="sign_exponent")
+        assert faulty["success"].successes == sum(own["success"]) < len(own)
+        assert faulty["paper"] == paper.success(environment, "fi")
+        whole = faulty["success_whole_word"]
+        assert whole.low <= whole.rate <= whole.high
+
+
+def test_the_papers_layout_holds_the_same_rates(fake):
+    rows = {(row[0], row[1]): row[2:] for row in table(fake, "success_as_in_the_paper").rows}
+    assert list(rows)[:3] == [("Golden run", "here"), ("Golden run", "paper"), ("Injection run", "here")]
+    assert ("Gaussian-based", "here") in rows
+    assert list(rows["Injection run", "here"]) == [
+        entries(fake, "success", environment=name, setting="fi")[0]["success"] for name in ("sparse", "dense")
+    ]
+
+
+@pytest.mark.parametrize("name", ["by_stage", "by_state", "by_bits"])
+def test_tables_by_property_part_the_faults(fake, name):
+    whole = [e["success"].n if e["success"] else 0 for e in entries(fake, name, setting="fi")]
+    rest = [e["success_mantissa"].n if e["success_mantissa"] else 0 for e in entries(fake, name, setting="fi")]
+    assert sum(whole) + sum(rest) == 2 * 60
+
+
+def test_who_is_hurt_has_interval_n_and_the_runs_behind_it(fake):
+    found = table(fake, "by_stage")
+    place = [column.key for column in found.columns].index("hurt")
+    assert found.columns[place].form == RATE
+    for row, behind in zip(found.rows, found.behind, strict=True):
+        assert row[place].low < row[place].high and row[place].n == len(behind[place])
+    assert sum(rate.n for rate in found.column("hurt")) < len(fake.injected), "of the first column's bits alone"
+
+
+def test_groups_of_fields_are_a_table_where_faults_are_drawn_by_groups():
+    own = runs(golden(1), injected(1, flown(), target="way-points"))
+    names = [found.name for found in views_for(own)]
+    assert "by_target" in names and "by_stage" not in names and "success_as_in_the_paper" not in names
+
+
+def test_effects_add_up(fake):
+    for entry in table(fake, "outcomes").entries():
+        assert sum(entry[name] for name in ("masked", "sdc", "due", "unknown")) == entry["n"] == 60
+        assert entry["activated"] + entry["no_site"] + entry["not_activated"] == entry["n"]
+        assert entry["due"] == entry["unknown"] == 0
+    no_site = fake.where(site_outcome="no_site", setting="fi")
+    assert len(no_site), "missions without an acted-on collision status are in the plan"
+    assert no_site.values("effect") == ["masked"]
+
+
+def test_unknown_flights_are_counted_apart():
+    own = runs(golden(1), injected(1, flown()), injected(2, DUE), injected(3, UNKNOWN))
+    [_, entry] = table(own, "success").entries()
+    assert (entry["success"].n, entry["success"].successes) == (2, 1)
+    assert any(note.startswith("1 flights could not be judged") for note in table(own, "success").notes)
+
+
+def test_recovery_and_paired_tests(fake):
+    [entry] = entries(fake, "recovery", environment="all", setting="dr_gaussian", bits="sign + exponent")
+    assert entry["newly_lost"] == 0 and entry["only_dr"] > 0
+    assert entry["recovery"].rate == pytest.approx(1.0)
+    assert entry["recovery"].low < 1.0, "a few missions prove nothing"
+    assert entry["lost"] == entry["brought_back"] == entry["only_dr"]
+
+
+def test_undefined_recovery_is_said_so():
+    own = [golden(1), injected(1, flown()), injected(1, flown(), arm="gaussian")]
+    [entry] = table(runs(*own), "recovery").entries()
+    assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("no estimate", 0, 0, 0)
+
+
+def test_false_alarms_have_exposure_and_bound(fake):
+    [entry] = entries(fake, "false_alarms", environment="all", setting="golden_gaussian")
+    watched = fake.where(setting="golden_gaussian")
+    assert (entry["flights"], entry["systematic"]) == (20, 0)
+    assert entry["alarms"] == sum(seed % 3 == 0 for seed in watched["seed"])
+    assert entry["hours"] == pytest.approx(sum(watched["flight_time_s"]) / 3600)
+    assert entry["upper"] > entry["per_hour"].per_hour
+    assert entry["kinds"] == f"recompute accepted {entry['alarms']}"
+
+
+def test_detections(fake):
+    found = table(fake, "detections").entries()
+    assert {entry["detected"].rate for entry in found} == {entry["downstream"].rate for entry in found} == {1.0}
+    assert {entry["in_monitored_set"] for entry in found} == {"yes", "no"}
+
+
+def test_fields_outside_the_papers_set_are_not_called_unwatched(fake):
+    found = table(fake, "detections")
+    headings = [column.heading for column in found.columns]
+    assert not any("watch" in text for text in (found.title, *headings))
+    assert any(note.startswith("monitored set paper-13: the fields that the paper's") for note in found.notes)
+
+
+def test_endings_add_up(fake):
+    [entry] = entries(fake, "endings", environment="dense", setting="fi")
+    assert entry["success"] + entry["collision"] == entry["n"] == 60
+
+
+def test_tables_on_faults_say_that_rates_are_conditional(fake):
+    expected = "rates are conditional on one fault per mission"
+    for name in ("success", "recovery", "flight_times", "by_stage"):
+        assert expected in table(fake, name).notes
+    assert any("recovery equals detection by construction" in note for note in table(fake, "recovery").notes)
+    assert paper.STATE_LEVEL in table(fake, "success").notes
+
+
+def test_fields_with_few_flights_are_not_in_the_report():
+    own = [golden(seed) for seed in range(12)]
+    own += [injected(seed, flown()) for seed in range(12)]
+    rare = replace(FAULT, where=replace(FAULT.where, field="y"))
+    assert table(runs(*own, injected(20, GOLDEN, rare)), "by_field").column("field") == ["x"]

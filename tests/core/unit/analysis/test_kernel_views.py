@@ -1,0 +1,122 @@
+"""Tables of faults in instructions, and of faults in registers, from records made by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from mavfi.analysis import table, views_for
+from mavfi.record import FlightRecord, Injection, KernelEffect
+from tests.core.unit.analysis.handmade import (
+    DUE,
+    GOLDEN,
+    INSTRUCTION,
+    REGISTER,
+    UNKNOWN,
+    died,
+    flown,
+    golden,
+    injected,
+    null,
+    runs,
+)
+
+PROTECTED = KernelEffect("detected")
+PLANNING = replace(INSTRUCTION, kernel="rrt_connect", entry="plan_rrt_connect", value_class="address", stratum="other")
+FIRST = {"state": "control.command", "field": "vx", "element": None, "elements": 1, "largest": 2.0}
+ABOUT = {"each": "stage", "kernels": ["pid", "rrt_connect"], "which": "all"}
+
+
+def silent(success=True, first=None, **changes):
+    return flown(success, kernel=KernelEffect("sdc", "", first), **changes)
+
+
+@pytest.fixture
+def own():
+    faulty = [
+        injected(0, silent(first=FIRST), INSTRUCTION, target="pid"), injected(1, died(), INSTRUCTION, target="pid"),
+        injected(2, died("hang", success=False), PLANNING, target="rrt_connect"),
+        injected(3, flown(activated=False, digest="g", kernel=KernelEffect("masked")), PLANNING, target="rrt_connect"),
+        injected(4, UNKNOWN, PLANNING, target="rrt_connect"),
+        injected(0, silent(), INSTRUCTION, target="pid", arm="gaussian"),
+    ]  # fmt: skip
+    counts = {"pid": {"instructions": 100, "calls": 10, "lines": []}}
+    without = [golden(seed, replace(GOLDEN, counts=counts)) for seed in range(5)]
+    return runs(*without, golden(0, arm="gaussian"), *faulty, **ABOUT)
+
+
+def test_a_death_is_a_lost_mission_only_where_missions_end_with_it(own):
+    rows = {(row[0], row[1]): row[2] for row in table(own, "instructions_as_in_the_paper").rows}
+    restarted, ended = rows["Injection run", "here, node restarts"], rows["Injection run", "here, mission ends"]
+    assert (restarted.successes, restarted.n, ended.successes, ended.n) == (3, 4, 2, 4)
+    assert rows["Golden run", "here"].successes == 5
+    assert (rows["Golden run", "paper"], rows["Injection run", "paper"]) == (0.95, 0.883)
+    notes = table(own, "instructions_as_in_the_paper").notes
+    assert "faults that found no such call or were not activated, kept in every rate: fi 1, dr_gaussian 0" in notes
+    assert any("control: pid; planning: rrt_connect" in note for note in notes)
+    assert "1 flights could not be judged (unknown) and are left out" in notes
+
+
+def test_only_the_papers_profile_is_compared_with_its_figures(own):
+    hardened = replace(own, campaign={**own.campaign, "profile": "hardened"})
+    assert "paper" not in table(hardened, "instructions_as_in_the_paper").column("measure")
+
+
+def test_what_kernels_did(own):
+    pid, planner = table(own, "kernel_effects").entries()
+    assert (pid["kernel"], pid["n"], pid["sdc"].successes, pid["due"].successes) == ("pid", 2, 1, 1)
+    assert (planner["n"], planner["masked"].successes, planner["due_kinds"]) == (2, 1, "0 / 1 / 0")
+
+
+def test_which_tables_a_campaign_of_kernels_has(own):
+    names = [found.name for found in views_for(own)]
+    assert names[0] == "instructions_as_in_the_paper"
+    assert {"kernel_effects", "recovery"} <= set(names)
+    assert not {"success", "by_stage", "outcomes", "register_effects"} & set(names)
+    per_kernel = replace(own, campaign={**own.campaign, "each": "kernel"})
+    assert views_for(per_kernel)[0].name == "kernels_as_in_the_paper"
+    assert "instructions_as_in_the_paper" not in [found.name for found in views_for(per_kernel)]
+
+
+# ---- registers ---------------------------------------------------------------------------------------------------
+def trial(record: FlightRecord = GOLDEN, **changes):
+    details = {"register": "rax", "symbol": "f+0x3", "library": "/l.so", "instruction": "add", "stopped_us": 9000}
+    injection = Injection("register", "rax", 0.0, 3, None, None, True, details=details)
+    return replace(record, status="", injections=(injection,), **changes)
+
+
+@pytest.fixture
+def trials():
+    differing = {"differences": [{"field": "data", "before": 1.0, "after": 2.0}], "differing": 1, "asked": 10}
+    floating = replace(REGISTER, registers="fp")
+    return runs(
+        golden(1, replace(GOLDEN, status="")), injected(1, trial(), REGISTER, target="general", index=0),
+        injected(1, trial(digest="x", extra=differing), floating, target="fp", index=1),
+        injected(1, trial(DUE, kernel=KernelEffect("crash", "SIGSEGV")), REGISTER, target="general", index=2),
+        injected(1, UNKNOWN, REGISTER, target="general", index=3), null(1, trial(), REGISTER)
+    )  # fmt: skip
+
+
+def test_what_one_bit_in_a_register_does(trials):
+    assert [found.name for found in views_for(trials)] == ["register_effects"]
+    found = table(trials, "register_effects")
+    assert found.column("registers") == ["general + flags", "XMM, YMM", "in all"]
+    whole = found.entries()[-1]
+    assert (whole["n"], whole["unknown"]) == (3, 1)
+    assert [whole[name].successes for name in ("masked", "sdc", "crash", "hang")] == [1, 1, 1, 0]
+    assert {"crashes: SIGSEGV 1", "the process stood still for 9.0 ms (median)"} <= set(found.notes)
+
+
+def test_protected_and_plain_code_are_compared_as_samples():
+    plain = [injected(0, silent(), INSTRUCTION), injected(1, died(success=False), INSTRUCTION)]
+    assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"
+    found = [
+        injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"), injected(1, died(), INSTRUCTION, arm="full"),
+        injected(2, UNKNOWN, INSTRUCTION, arm="full"), injected(3, flown(activated=False), INSTRUCTION, arm="full"),
+        injected(0, silent(), PLANNING, arm="full"),
+    ]  # fmt: skip
+    base = [golden(seed, arm=arm) for seed in range(4) for arm in ("", "full")]
+    rows = table(runs(*base, *plain, *found), "kernel_effects_by_setting").entries()
+    own = {row["setting"]: row for row in rows if row["kernel"] == "pid"}
+    assert own["fi"]["sdc"].successes == own["fi"]["due"].successes == own["dr_full"]["found"].successes == 1
+    assert own["fi"]["n"] == own["dr_full"]["n"] == 2 and own["dr_full"]["sdc"].successes == 0
+    assert (own["fi"]["success_due"].successes, own["dr_full"]["success_due"].successes) == (0, 1)

@@ -1,0 +1,137 @@
+"""What a view is: rows, groups, measures; and that one measure which raises does not take the table with it."""
+
+import csv
+import io
+import json
+
+import polars as pl
+import pytest
+
+from mavfi.analysis import VIEWS, View, table, views_for
+from mavfi.analysis.measures import Measure, count, rate
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.table import NUMBER, RATE, TEXT, UNKNOWN
+from mavfi.config import config_root, read_yaml
+from mavfi.errors import BadInputError
+from mavfi.extras.paper import published as paper
+from mavfi.report.text import FORMS
+from tests.core.unit.analysis.handmade import flown, golden, injected, runs
+
+
+@pytest.fixture
+def own():
+    ends = {("sparse", 1): True, ("dense", 1): False, ("sparse", 2): False}
+    return runs(*(injected(seed, flown(success), environment=name) for (name, seed), success in ends.items()))
+
+
+def test_rows_of_an_environment_stand_together_and_a_total_below(own):
+    view = View("x", "X", ("environment", "seed"), (count("n", "n"),), total=("environment", "all"))
+    assert [row[:2] for row in view.table(own).rows] == [
+        ("sparse", 1), ("sparse", 2), ("dense", 1), ("all", 1), ("all", 2)
+    ]  # fmt: skip
+
+
+def test_values_across_make_columns_and_measures_rows(own):
+    measures = (rate("success", "here", "success"), Measure("none", "never", RATE, lambda _: None))
+    found = View("x", "X", ("setting",), measures, across="environment").table(own)
+    assert [column.key for column in found.columns] == ["setting", "measure", "sparse", "dense"]
+    [(setting, heading, sparse, dense)] = found.rows
+    assert (setting, heading, sparse.successes, dense.successes) == ("fi", "here", 1, 0)
+
+
+def test_a_measure_that_raises_gives_unknown_and_the_rest_continues(own):
+    broken = Measure("ratio", "a ratio", NUMBER, lambda own: 1 / 0)
+    found = View("x", "X", ("environment",), (count("n", "n"), broken)).table(own)
+    assert found.rows == [("sparse", 2, UNKNOWN), ("dense", 1, UNKNOWN)]
+    assert any(note.startswith("a ratio: unknown (ZeroDivisionError") for note in found.notes)
+
+
+def test_order_and_limit(own):
+    by_size = View("x", "X", ("environment",), (count("n", "n"),), largest="n", limit=1).table(own)
+    assert by_size.rows == [("sparse", 2)]
+
+
+def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
+    measures = (rate("success", "success", "success", pl.col("seed") == 1), count("lost", "lost", ~pl.col("success")))
+    found = View("x", "X", ("environment",), measures).table(own)
+    ids = dict(zip(zip(own["environment"], own["seed"], strict=True), own["run_id"], strict=True))
+    sparse = (ids["sparse", 1], ids["sparse", 2])
+    assert found.behind[0] == (sparse, (ids["sparse", 1],), (ids["sparse", 2],))
+    assert [len(row) for row in found.behind] == [len(row) for row in found.rows]
+    across = View("x", "X", ("setting",), measures, across="environment").table(own)
+    assert across.behind[1] == (own.ids, (), (ids["sparse", 2],), (ids["dense", 1],)), (
+        "the name of a measure opens none"
+    )
+
+
+def test_no_run_is_behind_a_figure_of_the_paper(own):
+    words = Measure("paper_words", "in words", TEXT, lambda _: "far")
+    found = View("x", "X", ("environment",), (count("n", "n"), paper.column(paper.success), words)).table(own)
+    assert [len(ids) for ids in found.behind[0]] == [2, 2, 0, 0]
+
+
+def test_least_leaves_small_groups_out(own):
+    assert View("x", "X", ("environment",), (), least=2).table(own).rows == [("sparse",)]
+
+
+def test_views_are_found_by_name_and_an_unknown_one_is_refused(own):
+    assert table(own, "endings").title == "How missions ended"
+    with pytest.raises(BadInputError, match="view 'nothing': not known; allowed: success_as_in_the_paper, success"):
+        table(own, "nothing")
+
+
+def test_nothing_flown_gives_no_table_and_no_view_raises():
+    empty = Runs.of([])
+    assert views_for(empty) == []
+    for view in VIEWS.values():
+        assert view.name.startswith("redundancy") or view.table(empty).rows == []
+
+
+def test_every_column_has_a_form_that_can_be_written(own):
+    for view in VIEWS.values():
+        for column in view.table(own).columns:
+            assert column.form in {*FORMS, "text"} or column.form.startswith("number"), (view.name, column)
+
+
+def test_tables_as_csv_and_json(own):
+    view = View("x", "X", ("environment",), (rate("success", "s", "success"), count("n", "n")))
+    found = view.table(own)
+    rows = list(csv.DictReader(io.StringIO(found.to_csv())))
+    assert [row["environment"] for row in rows] == ["sparse", "dense"]
+    assert float(rows[0]["success"]) == 0.5 and float(rows[0]["success_low"]) < 0.5 and rows[0]["success_n"] == "2"
+    data = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert data["rows"][0]["success"]["successes"] == 1 and data["name"] == "x"
+    assert found.column("n") == [2, 1]
+    with pytest.raises(KeyError):
+        found.column("m")
+    assert View("y", "Y", ("seed",), ()).table(Runs.of([])).to_csv() == "seed\n"
+
+
+def test_every_table_names_the_autopilot_profile_and_its_deviations(own):
+    for found in views_for(own):
+        assert found.notes[-1].startswith("autopilot profile published; deviates from the published code: grace 1 s")
+    hardened = runs(injected(1, flown()), profile="hardened")
+    assert "not the paper's" in views_for(hardened)[0].notes[-1]
+
+
+# ---- the paper ---------------------------------------------------------------------------------------------------
+def test_figures_of_the_paper_have_sources_and_are_found_by_key():
+    held = read_yaml(config_root() / "figures" / "mavfi_paper.yaml")["figures"]
+    assert all(figure["source"] and figure["by"] and figure["values"] for figure in held.values())
+    assert paper.success("sparse", "fi") == 0.883
+    assert paper.figure("kernels", kernel="collision_check") == "critical within perception"
+    assert paper.success("sparse", "dr_own") is None and paper.success("clutter", "fi") is None
+    assert paper.recovery("dense", "dr_gaussian") == pytest.approx((0.830 - 0.753) / (0.850 - 0.753))
+    assert paper.recovery("dense", "golden") is None
+    assert paper.worst_time("farm", "fi") == 0.742
+    assert paper.worst_time("farm", "dr_gaussian") == pytest.approx(0.742 - 0.635)
+    assert paper.worst_time("farm", "dr_own") is None
+
+
+def test_only_the_papers_profiles_are_compared_with_its_figures():
+    published, hardened = {"profile": "published"}, {"profile": "hardened"}
+    assert paper.comparable(published, "") and paper.comparable(published, "paper")
+    assert not paper.comparable(published, "tuned") and not paper.comparable(hardened, "")
+    own = [golden(1), injected(1, flown())]
+    assert table(runs(*own), "success").column("paper") == [0.95, 0.883]
+    assert table(runs(*own, profile="hardened"), "success").column("paper") == [None, None]

@@ -1,0 +1,283 @@
+import json
+
+import pytest
+import yaml
+
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.mission import plan_of
+from mavfi.campaign.plan import arms_of
+from mavfi.config import config_root, parse
+from mavfi.errors import BadInputError
+from mavfi.mission import MissionSpec
+from mavfi.states import INJECTABLE, KERNEL_STAGES, PPC_STAGES
+from tests.core.unit.campaign.fakes import small
+
+BASE = {"name": "c", "environments": ["sparse"]}
+GROUP = {"name": "g", "sites": ["planning.waypoint.x"]}
+GAUSSIAN = {"gaussian": {"detector": "gaussian"}}
+NO_FOLDERS = ("../../x", "a b/c", "a b", "/x", ".", "..", ".x", "-x", "", "x\n", "~")
+SHIPPED = sorted(path.stem for path in (config_root() / "campaigns").glob("*.yaml"))
+
+
+def groups(*members, **changes):
+    return {"sampling": {"scheme": "groups", "groups": list(members), **changes}}
+
+
+def instructions(*kernels, **changes):
+    return {"sampling": {"level": "instruction", "kernels": list(kernels), **changes}}
+
+
+def count(campaign) -> int:
+    return plan_of(campaign, {}, {}).count()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_campaigns_are_valid_and_survive_the_ledger(name):
+    campaign = load_campaign(name)
+    assert campaign.name == name
+    assert campaign.on_design_seeds == (name == "fault_map")
+    again = Campaign.model_validate(campaign.to_json())
+    assert again == campaign
+    assert count(campaign) > 0
+
+
+def test_table1_has_the_size_of_the_paper():
+    quick = load_campaign("table1")
+    assert count(quick) - 4 * quick.nulls == 4 * (3 * 30 + 3 * 90) == 1440
+    large = quick.at_scale("paper")
+    assert (large.missions, large.faults) == (100, 100)
+    assert quick.at_scale("quick") == quick
+    assert large != quick
+
+
+def test_the_kernels_campaign_has_the_size_of_the_papers_study():
+    campaign = load_campaign("kernels").at_scale("paper")
+    assert count(campaign) == 7 * 100 + 3 * 25, "100 per kernel, four per world, and a golden run for each planner"
+    assert set(campaign.sampling.kernels) == set(INJECTABLE)
+
+
+def test_the_instruction_level_has_the_size_of_the_papers_table():
+    quick, paper = (load_campaign("table1_instructions").at_scale(scale) for scale in ("quick", "paper"))
+    assert count(paper) == 4 * (3 * 100 + 3 * 300), "golden with and without each detector, and three settings"
+    assert {KERNEL_STAGES[name] for name in quick.sampling.kernels} == set(PPC_STAGES)
+    assert quick.environments == load_campaign("table1").environments
+    assert quick.arms == load_campaign("table1").arms
+    assert quick.nulls == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"colour": "red"}, "unknown key 'colour'; allowed: name"),
+        ({"environments": []}, "key 'environments': []: allowed: a list of 1 or more"),
+        *(({"name": name}, f"key 'name': {name!r}: allowed: a plain folder name") for name in NO_FOLDERS),
+        ({"enviroments": []}, "unknown key 'enviroments' (did you mean 'environments'?); allowed: name, host"),
+        ({"environments": ["sparse", "sparse"]}, "campaign.yaml: environments: 'sparse': named 2 times; allowed: once"),
+        ({"missions": 0}, "key 'missions': 0: allowed: 1 or more"),
+        ({"missions": True}, "key 'missions': true: allowed: a whole number"),
+        ({"scales": {"huge": {"faults": True}}}, "key 'scales.huge.faults': true: allowed: a whole number"),
+        ({"mission": {"wind": True}}, "mission: key 'wind': true: allowed: a number"),
+        ({"arms": {"x": {"start": [True, 0, 1]}}}, "arms: key 'start': true: allowed: a number"),
+        ({"first_seed": 999_990}, "seeds from 1000000 on are for training"),
+        ({"scales": {"huge": {"missions": 999_999}}}, "seeds from 1000000 on are for training"),
+        ({"scales": {"huge": {"flights": 3}}}, "unknown key 'scales.huge.flights'"),
+        ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
+        # sampling: states
+        ({"sampling": "groups"}, "key 'sampling': 'groups': allowed: keys with values"),
+        ({"sampling": {"level": "magnetic"}}, "key 'sampling.level': 'magnetic': not known; allowed: state, memory, "),
+        ({"sampling": {"level": "states"}}, "'states': not known (did you mean 'state'?); allowed: state, memory, "),
+        ({"sampling": {"lifetime": {"lasts_s": "x"}}}, "key 'sampling.lifetime.lasts_s': 'x': allowed: a number"),
+        ({"sampling": {"scheme": "uniform"}}, "scheme"),
+        (
+            {"sampling": {"level": "instruction", "kernels": ["pid"], "scheme": "uniform"}},
+            "key 'scheme': dropped; no replacement: instruction faults are drawn uniformly",
+        ),
+        ({"sampling": {"kernels": ["pid"]}}, "kernels"),
+        (
+            {"sampling": {"scheme": "groups"}},
+            "campaign.yaml: sampling.groups: is required with scheme 'groups'; allowed",
+        ),
+        ({"sampling": {"groups": [GROUP]}}, "sampling.scheme: 'stage_balanced': allowed with the key groups: groups"),
+        (groups(GROUP, GROUP), "groups: 'g': named 2 times; allowed: once"),
+        (groups({"name": "g", "sites": ["planning.waypoint.roll"]}), "sampling.groups.0.sites: "),
+        (
+            groups(GROUP, {"name": "h", "sites": ["planning.waypont.x"]}),
+            "sampling.groups.1.sites: no state 'planning.waypont' (did you mean 'planning.waypoint'?)",
+        ),
+        (groups({"name": "g", "sites": ["perception.odometry.x"]}), "only flights with localization estimator"),
+        (groups({**GROUP, "strata": {"high": 1}}), "strata: 'high': not known; allowed: sign_exponent"),
+        ({"sampling": {"strata": {"mantissa": 0}}}, "shares above 0"),
+        ({"sampling": {"strata": {}}}, "need at least one name"),
+        (
+            groups({"name": "flag", "sites": ["perception.collision_status.collision"]}),
+            "flag: no field has bits of the stratum 'mantissa'",
+        ),
+        # sampling: instructions and registers
+        ({"sampling": {"level": "instruction"}}, "kernels"),
+        (instructions("lidar"), "kernels: 'lidar': not known; allowed: point_cloud"),
+        (instructions("pid", "pid"), "kernels: 'pid': named 2 times; allowed: once"),
+        (instructions("pid", model="gamma"), "model"),
+        (instructions("pid", strata={"mantissa": 1}), "strata"),
+        (
+            {**instructions("pid", "rrt"), "arms": GAUSSIAN},
+            "kernels: 'rrt': detectors are trained with one planner; allowed with arms: kernels of missions with "
+            "planner 'rrt_connect'",
+        ),
+        (
+            {**instructions("rrt_connect"), "arms": {"x": {"planner": "rrt_star"}}},
+            "arms: 'x': planner: 'rrt_star': does not call what faults in rrt_connect are drawn from",
+        ),
+        (
+            {**instructions("pid", "octomap"), "arms": {"x": {"map": "octree"}}},
+            "arms: 'x': map: 'octree': does not call what faults in octomap are drawn from; allowed: 'dense'",
+        ),
+        ({**instructions("pid"), "null_runs": 3}, "null_runs: 3; allowed: 0 with faults in instructions"),
+        ({"sampling": {"level": "register", "access": "both"}}, "sampling.access: 'both': not known; allowed: either"),
+        ({"sampling": {"level": "register", "registers": ["fp", "fp"]}}, "registers: 'fp': named 2 times"),
+        # missions and arms
+        ({"mission": {"colour": "red"}}, "mission: unknown key 'colour'"),
+        ({"mission": {"seed": 3}}, "mission.seed: belongs to the campaign (environments, first_seed)"),
+        ({"mission": {"wind": -1}}, "mission: key 'wind': -1"),
+        ({"mission": {"localization": "gps"}}, "key 'localization': 'gps': not known; allowed: 'truth' or 'estimator'"),
+        ({"mission": {"coupling": "tight"}}, "key 'coupling': 'tight'"),
+        ({"mission": {"dead_node": "warm"}}, "key 'dead_node': 'warm': not known; allowed: 'end', 'fresh'"),
+        ({"arms": {"x": {"dead_node": "read_back"}}}, "arms: key 'dead_node': 'read_back'"),
+        ({"arms": {"x": {"alarm": "twice"}}}, "arms: key 'alarm': 'twice'"),
+        ({"mission": {"epoch_liveness": -1}}, "mission: key 'epoch_liveness': -1"),
+        ({"arms": {"x": {"environment": "dense"}}}, "arms.environment: belongs to the campaign"),
+        ({"arms": {"x": {"wind": 99}}}, "arms: key 'wind': 99"),
+        ({"arms": {"x": {"mission": {"colour": "red"}}}}, "arms: unknown key 'colour'"),
+        (
+            {"arms": {"x": {"colour": "red"}}},
+            "unknown key 'arms.x.colour'; allowed: detector, profile, options, mission, start, goal",
+        ),
+        ({"arms": {"x": {"detectr": "a"}}}, "'arms.x.detectr' (did you mean 'detector'?); allowed: detector, profile"),
+        ({"arms": {"x": {"planer": "rrt"}}}, "unknown key 'arms.x.planer' (did you mean 'planner'?)"),
+        ({"arms": ["gaussian"]}, "key 'arms': ['gaussian']: allowed: keys with values"),
+        ({"arms": {"rrt": {}}}, "arms: 'rrt': is the name of a planner"),
+        *(
+            ({"arms": {name: {}}}, f"arms: {name!r}: allowed: any name but golden, fi, dr, null")
+            for name in ("golden", "fi", "null", "a/b", "a\n")
+        ),
+        # hosts
+        ({"host": "node"}, "the key node goes with host node"),
+        ({"node": {"name": "/x"}}, "key 'node"),
+    ],
+)
+def test_mistakes_are_named_when_the_file_is_read(changes, message):
+    with pytest.raises(BadInputError, match="campaign.yaml: .*") as caught:
+        parse(Campaign, {**BASE, **changes}, "campaign.yaml")
+    assert message in str(caught.value)
+    shown = str(caught.value).replace("{'mantissa'", "").replace("strata: {}", "")
+    assert "{" not in shown, "nobody wants to see the whole file again"
+    assert "Value error" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ({"law": "groups"}, "'law': is now 'sampling.scheme'"),
+        ({"strata": {"mantissa": 1}}, "'strata': is now 'sampling.strata'"),
+        ({"groups": [GROUP]}, "'groups': is now 'sampling.groups'"),
+        ({"sites": "monitored"}, "'sites': is now 'sampling.sites'"),
+        ({"kernels": {"names": ["pid"]}}, "'kernels': is now 'sampling.kernels (with level: instruction)'"),
+        ({"detectors": GAUSSIAN}, "'detectors': is now 'arms'"),
+        ({"flights": 3}, "'flights': is now 'missions'"),
+        ({"stack": "hardened"}, "'stack': dropped; use autopilot"),
+        ({"arms": {"x": {"stack": "hardened"}}}, "'stack': dropped; use autopilot"),
+        *(({key: "x"}, f"{key!r}: is now 'mission.{key}'") for key in ("platform", "planner", "map", "vehicle")),
+        ({"v_max": 3.0}, "'v_max': is now 'mission.v_max'"),
+        ({"trials": 3}, "'trials': is now 'faults'"),
+    ],
+)
+def test_keys_of_before_name_the_new_one(old, new):
+    with pytest.raises(BadInputError) as caught:
+        parse(Campaign, {**BASE, **old}, "campaign.yaml")
+    assert f"campaign.yaml: key {new}" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_say_what_is_known():
+    with pytest.raises(BadInputError, match="allowed: .*kernels.*smoke.*states.*table1"):
+        load_campaign("table2")
+    with pytest.raises(BadInputError, match="allowed: quick, paper"):
+        load_campaign("table1").at_scale("huge")
+
+
+def test_a_campaign_is_read_from_a_file_of_the_users_own(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        yaml.safe_dump({**BASE, "mission": {"autopilot": "hardened"}, "arms": {"x": {"autopilot": "published"}}})
+    )
+    campaign = load_campaign(path)
+    assert campaign.mission == {"autopilot": "hardened"}
+    assert campaign.arms["x"].mission == {"autopilot": "published"}
+    with pytest.raises(BadInputError, match="absent.yaml: cannot be read"):
+        load_campaign(tmp_path / "absent.yaml")
+
+
+@pytest.mark.parametrize("inline", [True, False])
+def test_keys_of_a_mission_stand_in_an_arm_or_under_its_mission(inline):
+    keys = {"autopilot": "hardened", "wind": 2, "coupling": "observer"}
+    arm = {"detector": "gaussian", **(keys if inline else {"mission": keys})}
+    campaign = Campaign.model_validate({**BASE, "mission": {"autopilot": "published"}, "arms": {"x": arm}})
+    own = {"autopilot": "hardened", "wind": 2.0, "coupling": "observer"}
+    assert campaign.arms["x"].mission == own
+    spec = campaign.spec("dense", 7, campaign.arms["x"].mission)
+    assert spec == MissionSpec(environment="dense", seed=7, **own)
+    assert campaign.spec("dense", 7) == MissionSpec(environment="dense", seed=7)
+
+
+def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
+    values = {
+        "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened", "planner": "rrt",
+        "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad", "v_max": 2.0,
+        "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
+        "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
+        "same_twice": "escalate", "answer_s": 0.6, "degraded": "hold", "flight_controller": "betaflight",
+        "protection": "full", "trained_for": "published/i9-9940x",
+    }  # fmt: skip
+    assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
+    for key, value in values.items():
+        campaign = small(mission={key: value}, arms={"x": {key: value}})
+        again = Campaign.model_validate(campaign.to_json())
+        for held in (campaign, again):
+            assert getattr(held.spec("sparse", 1), key) == value
+            assert getattr(held.spec("sparse", 1, held.arms["x"].mission), key) == value
+
+
+def test_null_runs_are_for_levels_that_have_them():
+    assert small().nulls == 3
+    assert small(null_runs=0).nulls == 0
+    assert small(**instructions("pid")).nulls == 0
+
+
+def test_the_plain_data_of_a_campaign_depend_on_what_is_flown():
+    changes = [{}, {"faults": 7}, {"mission": {"wind": 1}}, {"arms": {}}, groups(GROUP), {"first_seed": 5}]
+    assert len({json.dumps(small(**change).to_json()) for change in changes}) == len(changes)
+    stored = {**BASE, "mission": {"stack": "hardened"}, "arms": {"x": {"mission": {"stack": "published"}}}}
+    newer = {**BASE, "mission": {"autopilot": "hardened"}, "arms": {"x": {"mission": {"autopilot": "published"}}}}
+    assert parse(Campaign, stored, "ledger", stored=True).to_json() == parse(Campaign, newer, "file").to_json()
+    assert [arm.name for arm in arms_of(small())] == ["", "gaussian"]
+
+
+# ---- parts -------------------------------------------------------------------------------------------------------
+PARTS = {
+    "fast": {"environment": "dense", "platform": "i9-9940x"}, "slow": {"environment": "dense", "platform": "cortex-a57"}
+}  # fmt: skip
+
+
+def test_parts_are_environments_with_keys_of_their_own():
+    own = small(environments=["fast", "slow", "sparse"], parts=PARTS)
+    specs = [own.spec(name, 10_000) for name in own.environments]
+    assert [(spec.environment, spec.platform) for spec in specs] == [
+        ("dense", "i9-9940x"), ("dense", "cortex-a57"), ("sparse", "i9-9940x")
+    ]  # fmt: skip
+    assert Campaign.model_validate(own.to_json()) == own
+    assert "parts" not in small().to_json(), "campaigns without parts keep their identity"
+
+
+def test_a_part_that_is_not_flown_is_refused():
+    with pytest.raises(ValueError, match="parts: 'slow': not known; allowed: fast"):
+        small(environments=["fast"], parts=PARTS)

@@ -1,0 +1,132 @@
+"""What is whole of a damaged ledger is kept; what is flown for the rest gives the ledger that it was."""
+
+import re
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.repair import DAMAGED, repair
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import FILE, Store
+from mavfi.cli import run
+from mavfi.errors import BadInputError
+from tests.core.unit.campaign.fakes import small
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("flown")
+    run_campaign(small(), directory, executor=LocalExecutor(1))
+    with Store.open(directory) as store:
+        return (directory / FILE).read_bytes(), store.digest(), len(list(store.runs()))
+
+
+def again(directory):
+    """Digest after the campaign was resumed, and how many runs were flown for that."""
+    reports = []
+    run_campaign(small(), directory, executor=LocalExecutor(1), progress=reports.append)
+    with Store.open(directory) as store:
+        return store.digest(), max((report.flown for report in reports), default=0)
+
+
+def changed(directory, *changes):
+    with closing(sqlite3.connect(directory / FILE)) as connection, connection:
+        for change in changes:
+            connection.execute(change)
+
+
+@pytest.mark.parametrize(
+    ("change", "lost", "flown_again"),
+    [
+        ("UPDATE runs SET record = replace(record, 'success', 'timeout') WHERE position = 0", 1, 1),
+        ("UPDATE runs SET spec = 'x' WHERE position IN (1, 30, 31)", 3, 3),
+        ("DELETE FROM runs WHERE position IN (2, 40)", 0, 2),
+        ("DELETE FROM missions", 0, 0),
+        ("DROP TABLE missions", 0, 0),
+        ("UPDATE missions SET checksum = ''", 0, 0),
+    ],
+)
+def test_what_was_changed_is_flown_again(flown, tmp_path, change, lost, flown_again):
+    (tmp_path / FILE).write_bytes(flown[0])
+    changed(tmp_path, change)
+    found = repair(tmp_path)
+    assert found.lost == lost and found.kept == flown[2] - flown_again
+    assert again(tmp_path) == (flown[1], flown_again)
+    assert (tmp_path / DAMAGED).is_file() != found.was_intact
+
+
+def test_an_intact_ledger_is_left_as_it_is(flown, tmp_path, capsys):
+    (tmp_path / FILE).write_bytes(flown[0])
+    assert run(["campaign", "repair", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "nothing to repair" in said and "Backup" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [FILE]
+    assert (tmp_path / FILE).read_bytes() == flown[0]
+
+
+@pytest.mark.slow
+def test_bits_flipped_anywhere_are_mended_or_refused(flown, tmp_path):
+    random = np.random.default_rng(1)
+    mended = 0
+    for number in range(20):  # `make reliability ONLY=damage` makes more
+        directory = tmp_path / str(number)
+        directory.mkdir()
+        damaged = bytearray(flown[0])
+        for place in random.integers(100, len(damaged), 20):
+            damaged[place] ^= 1 << int(random.integers(8))
+        (directory / FILE).write_bytes(damaged)
+        try:
+            repair(directory)
+        except BadInputError as error:
+            assert re.search("its metadata are damaged|cannot be opened|is not of a ledger", str(error))
+            continue
+        assert again(directory)[0] == flown[1]
+        mended += 1
+    assert mended > 6
+
+
+def test_a_sound_ledger_stays_as_it_is(flown, tmp_path):
+    (tmp_path / FILE).write_bytes(flown[0])
+    found = repair(tmp_path)
+    assert (found.kept, found.lost) == (flown[2], 0)
+    assert again(tmp_path) == (flown[1], 0)
+
+
+@pytest.mark.parametrize(
+    ("sound", "damaged"),
+    [
+        (b"setting TEXT NOT NULL", b"s\xe8tting TEXT NOT NULL"),
+        (b"CREATE TABLE meta", b"CR\xc5ATE TABLE meta"),
+        (b"CREATE TABLE runs", b"CREATE TABLE\xa0runs"),
+    ],
+)
+def test_a_schema_that_is_no_text_is_one_line_or_mended(flown, tmp_path, capsys, sound, damaged):
+    """Found by `make reliability ONLY=fuzz`: SQLite quotes the schema in its message, which cannot be decoded then."""
+    content = flown[0].replace(sound, damaged)
+    assert content != flown[0]
+    for command in ("status", "digest", "repair"):
+        (tmp_path / FILE).write_bytes(content)
+        assert run(["campaign", command, str(tmp_path)]) in ((0, 2) if command == "repair" else (2,))
+    assert all(line.startswith("mavfi: ") for line in capsys.readouterr().err.splitlines())
+
+
+def test_what_cannot_be_repaired_is_one_line_and_left_as_it_is(flown, tmp_path, capsys):
+    assert run(["campaign", "repair", str(tmp_path)]) == 2
+    (tmp_path / FILE).write_bytes(flown[0])
+    changed(tmp_path, "UPDATE meta SET value = '{}' WHERE key = 'identity'")
+    before = (tmp_path / FILE).read_bytes()
+    assert run(["campaign", "repair", str(tmp_path)]) == 2
+    assert (tmp_path / FILE).read_bytes() == before and not (tmp_path / DAMAGED).exists()
+    for code in (0, 2):
+        (tmp_path / FILE).write_bytes(flown[0])
+        changed(tmp_path, "UPDATE runs SET spec = 'x' WHERE position = 1")
+        assert run(["campaign", "repair", str(tmp_path)]) == code
+    printed = capsys.readouterr()
+    assert f"{flown[2] - 1} runs kept, 1 damaged." in printed.out
+    lines = printed.err.splitlines()
+    assert len(lines) == 3
+    for line, word in zip(lines, ("holds no campaign", "its metadata are damaged", "exists already"), strict=True):
+        assert word in line

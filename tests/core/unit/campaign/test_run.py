@@ -1,0 +1,532 @@
+"""A campaign leaves the same ledger for any number of workers, after any stop, and whatever dies on the way."""
+
+import errno
+import os
+import re
+import signal
+import sqlite3
+import time
+from collections import Counter
+from dataclasses import asdict
+
+import pytest
+
+from mavfi.campaign import fingerprint
+from mavfi.campaign import mission as mission_module
+from mavfi.campaign import run as run_module
+from mavfi.campaign import session as session_module
+from mavfi.campaign.executors.executor import Done
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign, status, stored_campaign
+from mavfi.campaign.store import FILE, Store
+from mavfi.errors import BadInputError, MachineError, SpecMismatchError
+from mavfi.record import End
+from tests.core.unit.campaign.fakes import (
+    BROKEN,
+    DEADLY,
+    DETECTOR,
+    TROUBLE,
+    FakeDetector,
+    OneByOne,
+    deaths,
+    failures,
+    small,
+)
+
+TOTAL = 2 * (2 * (4 + 18) + 3)
+INSTRUCTIONS = {"level": "instruction", "kernels": ["pid"]}
+
+
+def flown_into(directory, campaign=None, workers=1, executor=None, **options):
+    return run_campaign(campaign or small(), directory, executor=executor or LocalExecutor(workers), **options)
+
+
+def digest(directory) -> str:
+    with Store.open(directory) as store:
+        assert store.complete
+        return store.digest()
+
+
+def stop_at(flown):
+    """A progress report that presses Ctrl-C once so many runs are flown."""
+
+    def interrupt(progress):
+        if progress.flown == flown:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5)  # the signal arrives in here
+
+    return interrupt
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("campaign")
+    reports = []
+    return directory, flown_into(directory, progress=reports.append), reports
+
+
+def test_everything_is_flown_and_reported(flown):
+    directory, end, reports = flown
+    assert end.complete
+    assert end.done == end.total == TOTAL
+    assert end.settings["golden"] == (8, 8, 8)
+    assert end.settings["fi"][:2] == (36, 36)
+    assert sorted({report.done for report in reports}) == list(range(end.total + 1))
+    assert reports[-1].flown == end.total
+    assert status(directory) == end
+    assert set(asdict(end)) == {"done", "total", "settings", "unknown", "shard"}, (
+        "the session is over: nothing to say of its speed"
+    )
+    with Store.open(directory) as store:
+        assert stored_campaign(store) == small()
+        assert all(run.record.end is End.FLOWN for run in store.runs())
+
+
+def test_counts_of_reports_are_those_of_the_ledger(flown):
+    directory, end, reports = flown
+    with Store.open(directory) as store:
+        runs = list(store.runs())
+    successes = Counter(run.spec.setting for run in runs if run.record.status == "success")
+    assert {name: success for name, (_, _, success) in end.settings.items()} == successes
+    assert 0 < successes["fi"] < 36
+    assert reports[-1].settings == end.settings
+
+
+@pytest.mark.parametrize("fast_forward", [True, False])
+def test_two_workers_give_the_same_content_either_way(flown, tmp_path, fast_forward):
+    assert flown_into(tmp_path, workers=2, fast_forward=fast_forward) == flown[1]
+    assert digest(tmp_path) == digest(flown[0])
+
+
+def test_another_seed_gives_other_content(flown, tmp_path):
+    flown_into(tmp_path, small(first_seed=20_000))
+    assert digest(tmp_path) != digest(flown[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stop_after", "fast_forward"), [(0, True), (1, False), (9, True), (40, False), (40, True), (TOTAL - 1, True)]
+)
+def test_ctrl_c_stops_cleanly_and_the_same_call_resumes(flown, tmp_path, stop_after, fast_forward):
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path, workers=2, progress=stop_at(stop_after), fast_forward=not fast_forward)
+    kept = status(tmp_path).done
+    assert stop_after <= kept <= stop_after + 20, "what came at once is kept at once"
+    reports = []
+    end = flown_into(tmp_path, progress=reports.append, fast_forward=fast_forward)
+    assert (reports[-1].flown if reports else 0) == end.total - kept
+    assert end == flown[1]
+    assert digest(tmp_path) == digest(flown[0])
+
+
+@pytest.mark.parametrize("stop_at_plan", [1, 2, 16])
+def test_a_campaign_stopped_while_it_is_planned_has_no_gap(flown, tmp_path, monkeypatch, stop_at_plan):
+    plans = []
+
+    def stop(store, specs):
+        plans.append(specs)
+        if len(plans) == stop_at_plan:
+            raise KeyboardInterrupt
+        return really(store, specs)
+
+    really = Store.plan
+    monkeypatch.setattr(Store, "plan", stop)
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path)
+    monkeypatch.undo()
+    flown_into(tmp_path)
+    assert digest(tmp_path) == digest(flown[0])
+
+
+def test_a_finished_campaign_flies_nothing_again(flown, monkeypatch):
+    directory, end, _ = flown
+    before = digest(directory)
+    monkeypatch.setattr(session_module, "fly_missions", None)
+    reports = []
+    assert flown_into(directory, progress=reports.append) == end
+    assert max(report.flown for report in reports) == 0
+    assert digest(directory) == before
+
+
+def test_a_mission_is_flown_by_one_worker(tmp_path, monkeypatch):
+    (tmp_path / "flown").mkdir()
+    monkeypatch.setattr(TROUBLE, "flown", tmp_path / "flown")
+    flown_into(tmp_path / "out", workers=2)
+    worlds, processes = zip(*(path.name.split(".") for path in (tmp_path / "flown").iterdir()), strict=True)
+    assert sorted(worlds) == sorted(f"{name}-{seed}" for name in ("sparse", "dense") for seed in range(10_000, 10_004))
+    assert str(os.getpid()) not in processes
+
+
+def test_what_is_compiled_in_a_worker_is_compiled_here_before(flown, tmp_path, monkeypatch):
+    (tmp_path / "flown").mkdir()
+    monkeypatch.setattr(TROUBLE, "flown", tmp_path / "flown")
+    reports = []
+    warm = small(host="tests.core.unit.campaign.fakes:WarmHost")
+    flown_into(tmp_path / "out", warm, progress=reports.append)
+    here = [path.stem for path in (tmp_path / "flown").iterdir() if path.suffix == f".{os.getpid()}"]
+    assert here == ["sparse-10000"], "golden runs of the first mission"
+    assert [report.compiling for report in reports[:2]] == [True, False]
+    assert not any(report.compiling for report in reports[1:])
+    assert reports[-1].flown == TOTAL, "what was flown here is not counted"
+
+
+@pytest.mark.slow
+def test_every_fault_of_a_mission_is_in_the_ledger_before_the_first_of_them_is_flown(tmp_path, monkeypatch):
+    seen = []
+
+    def write(store, flown):
+        for run in [store.run(item.run_id) for item in flown]:
+            if run.spec.fault is not None:
+                planned = [other for other in store.runs() if other.spec.world == run.spec.world]
+                seen.append(Counter(other.spec.kind for other in planned))
+                assert store.is_planned(run.spec.world)
+        return really(store, flown)
+
+    really = Store.write
+    monkeypatch.setattr(Store, "write", write)
+    flown_into(tmp_path)
+    assert len(seen) == TOTAL - 16
+    for kinds in seen:
+        assert kinds["golden"] == 2
+        assert kinds["injected"] in (6, 12), "one or two faults of each stage, in both arms"
+
+
+def environment_with(folder, generator):
+    path = folder / "own.yaml"
+    path.write_text(f"name: own\ngenerator: {generator}\n")
+    return str(path)
+
+
+def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
+    directory = tmp_path / "out"
+    for campaign, message in (
+        (small(environments=["venus"]), "environment 'venus'"),
+        (small(mission={"autopilot": "soft"}), "autopilot 'soft'"),
+        (small(arms={"x": {"detector": "nonsense"}}), "detector 'nonsense'"),
+        (small(arms={"x": {"detector": DETECTOR, "profile": "rough"}}), "profile 'rough'"),
+        (small(arms={"x": {"planner": "absent.yaml"}}), "absent.yaml"),
+        (small(host="nowhere"), "host 'nowhere': not known"),
+        (small(host="ros1:"), r"host 'ros1:': not known \(did you mean 'ros1'\?\); allowed: .* or package:object"),
+        (small(mission={"planner": "absent:Planner"}), "planner 'absent:Planner': cannot be imported"),
+        (small(mission={"planner": "own/planner.py:Own"}), "planner 'own/planner.py:Own': not known"),
+        (small(environments=[environment_with(tmp_path, "absent")]), "generator 'absent': not known"),
+        (
+            small(host="tests.core.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS),
+            "faults of level 'instruction'",
+        ),
+    ):
+        with pytest.raises(BadInputError, match=message):
+            flown_into(directory, campaign)
+    assert not directory.exists()
+
+
+def with_model(monkeypatch, sha=None):
+    """Detectors have a model now, whose sha256 is the name of its folder."""
+
+    def found(scenario, name, profile, models_dir=None, trained_for="", options=None):
+        return FakeDetector(), sha or (models_dir.name if models_dir else "shipped")
+
+    monkeypatch.setattr(mission_module, "detector_for", found)
+
+
+def test_another_campaign_or_model_is_refused(flown, tmp_path, monkeypatch):
+    directory, _, _ = flown
+    before = digest(directory)
+    for changed in (small(faults=7), small(mission={"wind": 1.0}), small(arms={})):
+        with pytest.raises(BadInputError, match=r"differs in: .*campaign\.(arms|faults: \d, not 7|mission)"):
+            flown_into(directory, changed)
+    with_model(monkeypatch)
+    with pytest.raises(BadInputError, match="differs in: models"):
+        flown_into(directory, models_dir=tmp_path / "retrained")
+    assert digest(directory) == before
+
+
+ARMS = {"gaussian": {"detector": DETECTOR}, "windy": {"mission": {"wind": 1.0}}}
+STRATA = {"sign_exponent": 2.0, "mantissa": 1.0}
+
+
+def in_order(turned):
+    """A campaign, and the same with its keys turned round."""
+    arms, strata = (dict(list(keys.items())[:: -1 if turned else 1]) for keys in (ARMS, STRATA))
+    return small(arms=arms, sampling={"strata": strata})
+
+
+def test_a_file_whose_keys_are_in_another_order_resumes_to_the_same_ledger(tmp_path):
+    flown_into(tmp_path / "whole", in_order(False))
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "part", in_order(False), progress=stop_at(30))
+    assert flown_into(tmp_path / "part", in_order(True)).complete
+    assert digest(tmp_path / "part") == digest(tmp_path / "whole")
+    with Store.open(tmp_path / "part") as store:
+        assert list(stored_campaign(store).arms) == list(ARMS)
+
+
+def test_the_keys_that_go_with_a_detector_are_of_the_identity(tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path, progress=stop_at(30))
+    monkeypatch.setattr(run_module, "mission_keys", lambda name: {"answer_s": 0.5} if name else {})
+    with pytest.raises(BadInputError, match=r"holds another campaign \(differs in: mission_keys"):
+        flown_into(tmp_path)
+
+
+def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_path, monkeypatch):
+    with_model(monkeypatch)
+    flown_into(tmp_path / "out", models_dir=tmp_path / "mine")
+    with Store.open(tmp_path / "out") as store:
+        assert {(run.spec.arm, run.spec.model) for run in store.runs()} == {("", ""), ("gaussian", "mine")}
+        assert store.meta("models_dir") == str(tmp_path / "mine")
+    monkeypatch.setattr(run_module, "model_hashes", lambda *_: {"gaussian": "mine"})
+    monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), "trained since"))
+    with pytest.raises(SpecMismatchError, match="arm gaussian: planned with the model mine, but .*mine holds trained"):
+        flown_into(tmp_path / "other", models_dir=tmp_path / "mine")
+    with Store.open(tmp_path / "other") as store:
+        assert {run.record.end for run in store.runs(done=True)} <= {End.FLOWN}, "nothing is recorded of such a flight"
+
+
+def test_versions_are_not_mixed_within_a_campaign(flown, tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path, executor=OneByOne(), progress=stop_at(3))
+    monkeypatch.setattr(fingerprint, "__version__", "99.0")
+    with pytest.raises(BadInputError, match="was begun with mavfi .*, here is 99.0"):
+        flown_into(tmp_path)
+    assert status(tmp_path).done == 3
+    flown_into(flown[0])  # nothing is left to fly, so nothing is mixed
+
+
+def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_path, monkeypatch):
+    instructions = small(sampling=INSTRUCTIONS, null_runs=0, arms={})
+    for name, campaign in (("state", small()), ("instruction", instructions)):
+        with pytest.raises(KeyboardInterrupt):
+            flown_into(tmp_path / name, campaign, progress=stop_at(3))
+    monkeypatch.setattr("mavfi.campaign.samplers.instruction.python", lambda: "3.99")
+    mission_module._SAMPLERS.clear()
+    assert flown_into(tmp_path / "state").complete
+    with pytest.raises(BadInputError, match=r"was begun with python 3\.\d+, here is 3.99; runs cannot be mixed"):
+        flown_into(tmp_path / "instruction", instructions)
+
+
+def test_a_ledger_of_schema_1_is_refused_and_left_as_it_is(tmp_path):
+    with sqlite3.connect(tmp_path / FILE) as connection:
+        connection.execute("PRAGMA user_version = 1")
+        connection.execute("CREATE TABLE runs (run_id TEXT, record TEXT)")
+        connection.execute("INSERT INTO runs VALUES ('sparse-1-golden', '{}')")
+    connection.close()
+    before = (tmp_path / FILE).read_bytes()
+    for attempt in (lambda: flown_into(tmp_path), lambda: status(tmp_path), lambda: Store.open(tmp_path)):
+        with pytest.raises(BadInputError, match="schema version 1; allowed: 3 .*older mavfi"):
+            attempt()
+    assert (tmp_path / FILE).read_bytes() == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 4])
+def test_the_death_of_a_worker_is_survived_and_takes_nothing_with_it(flown, tmp_path, monkeypatch, count):
+    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", count))
+    flown_into(tmp_path / "out", workers=2)
+    assert not any((tmp_path / "deaths").iterdir())
+    assert digest(tmp_path / "out") == digest(flown[0])
+
+
+@pytest.mark.slow
+def test_a_mission_that_died_is_flown_again_with_each_run_in_a_process_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 1000))
+    monkeypatch.setattr(TROUBLE, "dies_at", "planning.waypoint")
+    groups = [{"name": name, "sites": [f"{name}.x"]} for name in ("planning.waypoint", "planning.path")]
+    campaign = small(environments=["sparse"], sampling={"scheme": "groups", "groups": groups}, null_runs=0)
+    end = flown_into(tmp_path / "out", campaign, workers=2)
+    assert end.complete
+    with Store.open(tmp_path / "out") as store:
+        runs = list(store.runs())
+    dead = [run for run in runs if run.spec.seed == DEADLY and run.spec.target == "planning.waypoint"]
+    assert len(dead) == 4
+    assert [run for run in runs if run.record.end is not End.FLOWN] == dead
+    for run in dead:
+        assert (run.record.end, run.record.error) == (End.DUE, "the process died each time")
+        assert "status 9" in run.note
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(flown, tmp_path, monkeypatch, workers):
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    end = flown_into(tmp_path / "out", workers=workers)
+    assert end.complete and end.done < TOTAL
+    with Store.open(tmp_path / "out") as store:
+        lost = [run for run in store.runs() if run.spec.seed == DEADLY]
+        others = [(run.spec, run.record) for run in store.runs() if run.spec.seed != DEADLY]
+    assert {run.spec.kind for run in lost} == {"golden"} and len(lost) == 4
+    assert {run.record.end for run in lost} == {End.DUE}
+    assert all("exit code 9" in run.note for run in lost)
+    with Store.open(flown[0]) as store:
+        assert others == [(run.spec, run.record) for run in store.runs() if run.spec.seed != DEADLY]
+
+
+def test_a_mission_is_not_given_up_where_the_machine_has_failed(tmp_path, monkeypatch):
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.EIO, 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with pytest.raises(MachineError, match="Input/output error"):
+        flown_into(tmp_path / "out")
+    with Store.open(tmp_path / "out") as store:
+        assert all(run.record.end is End.FLOWN for run in store.runs(done=True))
+
+
+def test_a_process_of_which_all_workers_die_records_nothing(tmp_path, monkeypatch):
+    campaign = small(environments=["sparse"], missions=1, first_seed=DEADLY)
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with pytest.raises(MachineError, match=r"no mission can be flown here: its worker died \(exit code 9\)"):
+        flown_into(tmp_path / "out", campaign)
+    with Store.open(tmp_path / "out") as store:
+        assert [run.record for run in store.runs(done=True)] == []
+
+
+def test_a_mission_that_is_left_alone_is_given_up_if_another_one_can_be_flown(tmp_path, monkeypatch):
+    campaign = small(environments=["sparse"], missions=2)
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "out", campaign, executor=OneByOne(), progress=stop_at(22 + 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    assert flown_into(tmp_path / "out", campaign).complete
+
+
+def test_a_mission_that_is_given_up_half_way_is_over_all_the_same(tmp_path, monkeypatch):
+    """Its golden runs died only once its faults were planned: these are counted, as not judged."""
+    campaign = small(environments=["sparse"], null_runs=0)
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "out", campaign, executor=OneByOne(), progress=stop_at(14 + 2 + 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with Store.open(tmp_path / "out") as store:
+        planned = {run.spec.run_id for run in store.runs(done=False) if run.spec.seed == DEADLY}
+    assert len(planned) == 11
+    assert flown_into(tmp_path / "out", campaign).complete
+    with Store.open(tmp_path / "out") as store:
+        ends = {store.run(run_id).record.end for run_id in planned}
+    assert ends == {End.UNKNOWN}
+
+
+@pytest.mark.slow
+def test_an_exception_of_ours_is_recorded_as_unknown_and_the_rest_is_flown(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "raises", True)
+    for name, fast_forward in (("fast", True), ("long", False)):
+        assert flown_into(tmp_path / name, fast_forward=fast_forward).complete
+    with Store.open(tmp_path / "fast") as store:
+        unknown = [run for run in store.runs() if run.record.end is End.UNKNOWN]
+        injected = [run for run in store.runs() if run.spec.seed == BROKEN and run.spec.fault is not None]
+    assert unknown == injected
+    for run in unknown:
+        assert run.record.error == "ZeroDivisionError" and not run.record.digest
+        assert "Traceback" in run.note and "a mistake of ours" in run.note
+    assert digest(tmp_path / "fast") == digest(tmp_path / "long")
+
+
+MACHINE = (errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.EIO, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", MACHINE)
+def test_a_machine_that_fails_for_a_moment_leaves_no_trace(flown, tmp_path, monkeypatch, number):
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", number, 2))
+    assert flown_into(tmp_path / "out", workers=2) == flown[1]
+    assert digest(tmp_path / "out") == digest(flown[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", MACHINE)
+@pytest.mark.parametrize("done", [0, 7, 40])
+def test_a_machine_that_keeps_failing_stops_the_campaign_until_it_is_mended(flown, tmp_path, monkeypatch, number, done):
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    folder = tmp_path / "failures"
+
+    def fail(progress):
+        if progress.flown >= done and TROUBLE.machine is None:
+            monkeypatch.setattr(TROUBLE, "machine", failures(folder, number, 1000))
+
+    monkeypatch.setattr(TROUBLE, "machine", None)
+    what = "out of memory" if number == 0 else re.escape(f"{os.strerror(number)} (/cache/code.nbc)")
+    executor = InThisProcess()  # workers would not learn of the trouble
+    with pytest.raises(MachineError, match=what):
+        run_campaign(small(), tmp_path / "out", executor=executor, progress=fail)
+    with Store.open(tmp_path / "out") as store:
+        held = [run.record for run in store.runs(done=True)]
+    assert len(held) >= done and all(record.end is End.FLOWN for record in held)
+    monkeypatch.setattr(TROUBLE, "machine", None)
+    assert flown_into(tmp_path / "out") == flown[1]
+    assert digest(tmp_path / "out") == digest(flown[0])
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_from_outside_is_no_effect_of_a_fault(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr(session_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "few", 3))
+    assert flown_into(tmp_path / "out", workers=2) == flown[1]
+    monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "many", 1000))
+    with pytest.raises(MachineError, match="killed by SIGKILL"):
+        flown_into(tmp_path / "other", workers=2)
+    with Store.open(tmp_path / "other") as store:
+        assert all(run.record.end is End.FLOWN for run in store.runs(done=True))
+
+
+class InThisProcess:
+    """An executor without workers."""
+
+    forks = True
+    workers = 0
+
+    def map(self, function, missions):
+        for mission in missions:
+            for item in function(mission):
+                yield mission, [item]
+            yield mission, [Done()]
+
+
+def test_flights_that_a_host_does_not_give_are_unknown(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "mute", 1)
+    assert flown_into(tmp_path).complete
+    with Store.open(tmp_path) as store:
+        unknown = Counter(run.spec.world for run in store.runs() if run.record.end is End.UNKNOWN)
+    assert set(unknown.values()) == {1} and len(unknown) == 8
+
+
+def test_arms_differ_in_any_key_of_the_mission(tmp_path):
+    arms = {
+        "slow": {"planner": "rrt"}, "windy": {"wind": 4.0}, "loose": {"coupling": "observer"},
+        "guarded": {"autopilot": "hardened", "detector": DETECTOR}, "same": {"mission": {"map": "octree"}},
+    }  # fmt: skip
+    campaign = small(environments=["sparse"], missions=2, faults=2, arms=arms, null_runs=12)
+    assert flown_into(tmp_path, campaign).complete
+    with Store.open(tmp_path) as store:
+        runs = list(store.runs())
+        scenarios = store.meta("identity")["scenarios"]
+    golden = {run.spec.arm: run.record for run in runs if run.spec.kind == "golden" and run.spec.seed == 10_000}
+    times = {arm: round(record.flight_time_s - golden[""].flight_time_s, 6) for arm, record in golden.items()}
+    assert times == {"": 0.0, "slow": 3.0, "windy": 4.0, "loose": 1.0, "guarded": 0.0, "same": 0.0}
+    assert scenarios["sparse/guarded"]["stack"]["name"] == "hardened"
+    assert scenarios["sparse/same"]["map"]["kind"] == "octree"
+    settings = Counter(run.spec.setting for run in runs)
+    assert settings == {
+        "golden": 2, "fi": 6, "null": 2,
+        **{f"golden_{arm}": 2 for arm in arms}, **{f"null_{arm}": 2 for arm in arms},
+        **{f"fi_{arm}": 6 for arm in arms if arm != "guarded"}, "dr_guarded": 6,
+    }  # fmt: skip
+    for run in runs:
+        if run.spec.kind == "null":
+            assert run.record.digest == golden[run.spec.arm].digest or run.spec.seed != 10_000
+            assert run.record.injections[0].activated
+
+
+@pytest.mark.parametrize(
+    ("mission", "found"),
+    [
+        ({"wind": 3.0}, lambda s: s["wind"]["gust"] == 3.0),
+        ({"localization": "estimator"}, lambda s: s["localization"]["kind"] == "estimator"),
+        ({"map": "octree"}, lambda s: s["map"]["kind"] == "octree"),
+        ({"vehicle": "small_quad"}, lambda s: s["vehicle"]["name"] == "small_quad"),
+        ({"autopilot": "hardened"}, lambda s: s["stack"]["name"] == "hardened"),
+        ({"depth_noise": 0.1, "v_max": 2.0}, lambda s: (s["camera"]["noise"], s["v_max"]) == (0.1, 2.0)),
+    ],
+)
+def test_a_campaign_takes_any_key_of_a_mission(mission, found):
+    campaign = small(mission=mission)
+    scenarios = mission_module.scenarios_of(campaign, run_module.arms_of(campaign))
+    assert len(scenarios) == 4 and all(found(scenario.to_json()) for scenario in scenarios.values())

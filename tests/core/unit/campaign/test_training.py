@@ -1,0 +1,150 @@
+import numpy as np
+import pytest
+
+from mavfi.campaign import training
+from mavfi.campaign.config import TRAINING_SEED
+from mavfi.campaign.training import FAMILIES, FOLDER, KeptRecordings, record, record_flights, train, training_mission
+from mavfi.errors import BadInputError
+from mavfi.flight.host import Flight
+from mavfi.mission import MissionSpec, MissionStatus
+from mavfi.record import COLUMNS, FlightLog
+from tests.core.unit.detectors.streams import command, status, waypoint
+
+SCENARIO = training_mission(MissionSpec())
+
+
+def fly(scenario, *, recorders):
+    """Every fourth mission fails; what is published is seen by the recorders."""
+    for number in range(8):
+        for state in (status(30.0, scenario.seed % 100), waypoint([number, 0, 0], [1, 0, 0]), command([1, 0, 0])):
+            for accept in recorders:
+                accept(state, 20_000 * number)
+    end = MissionStatus.TIMEOUT if scenario.seed % 4 == 0 else MissionStatus.SUCCESS
+    return Flight(FlightLog(np.zeros((1, len(COLUMNS))), end, [], [], [], {}))
+
+
+@pytest.fixture(autouse=True)
+def _no_simulator(monkeypatch):
+    monkeypatch.setattr(training, "fly", fly)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
+    shown = []
+    recordings = record_flights(SCENARIO, 6, workers, lambda kept, wanted: shown.append((kept, wanted)))
+    assert list(recordings) == [TRAINING_SEED + offset for offset in (1, 2, 3, 5, 6, 7)]
+    assert (shown[0], shown[-1]) == ((0, 6), (6, 6))
+    assert all(len(recording.times_us) for recording in recordings.values())
+
+
+def test_training_flies_its_own_worlds_as_the_mission_asks_for():
+    asked = MissionSpec(environment="dense", seed=3, goal=(1.0, 2.0, 3.0), autopilot="hardened", v_max=2.0)
+    scenario = training_mission(asked)
+    assert (scenario.environment.name, scenario.seed, scenario.goal) == ("training", TRAINING_SEED, None)
+    assert (scenario.autopilot.name, scenario.v_max) == ("hardened", 2.0)
+
+
+def _stop_at(wanted, shown):
+    def tell(kept, _):
+        shown.append(kept)
+        if kept == wanted and len(shown) > 1:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+def _content(recordings):
+    return {seed: (r.kinds.tolist(), r.times_us.tolist(), r.content.tobytes()) for seed, r in recordings.items()}
+
+
+def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
+    disk, shown = KeptRecordings(tmp_path, SCENARIO), []
+    with pytest.raises(KeyboardInterrupt):
+        record_flights(SCENARIO, 6, 1, _stop_at(4, shown), disk)
+    assert shown == [0, 1, 2, 3, 4]
+    shown.clear()
+    found = record_flights(SCENARIO, 6, 1, lambda kept, _: shown.append(kept), disk)
+    assert shown[0] == 4
+    assert _content(found) == _content(record_flights(SCENARIO, 6, 1))
+    disk.delete()
+    assert not list(tmp_path.iterdir())
+
+
+def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp_path, monkeypatch):
+    disk = KeptRecordings(tmp_path, SCENARIO)
+    record_flights(SCENARIO, 3, 1, disk=disk)
+    seeds = [TRAINING_SEED + offset for offset in (1, 2, 3)]
+    assert list(disk.load(seeds)) == seeds
+    assert list(KeptRecordings(tmp_path, SCENARIO.model_copy(update={"seed": 7})).load(seeds)) == seeds
+    assert KeptRecordings(tmp_path, SCENARIO.model_copy(update={"v_max": 2.0})).load(seeds) == {}
+    (kept,) = (tmp_path / FOLDER).iterdir()
+    (kept / f"{seeds[0]}.npz").write_bytes(b"PK")
+    (kept / f"{seeds[1]}.npz").write_bytes((kept / f"{seeds[2]}.npz").read_bytes()[:100])
+    assert list(disk.load(seeds)) == seeds[2:]
+    monkeypatch.setattr("mavfi.campaign.training.code", lambda: "another")
+    assert KeptRecordings(tmp_path, SCENARIO).load(seeds) == {}
+
+
+def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch):
+    def save(model, folder):
+        assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3 * len(FAMILIES)
+        return [folder / "model.json"]
+
+    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, *_, **__: {str(len(recordings)): None})
+    monkeypatch.setattr("mavfi.detectors.training.save", save)
+    assert train(tmp_path, 3, workers=1) == [tmp_path / "model.json"]
+    assert not (tmp_path / FOLDER).exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "monitored", "every"),
+    [((), ["training"], ["training", "factory"]), (("dense", "farm"), ["dense", "farm"], ["dense", "farm"])],
+)
+def test_detectors_of_all_fields_learn_from_each_family_of_worlds(tmp_path, monkeypatch, given, monitored, every):
+    fitted = {}
+
+    def fit(recordings, provenance, *, extras, only):
+        fitted.update(dict.fromkeys(only, (provenance["environment"], provenance["flights"], len(provenance["seeds"]))))
+        assert len(recordings) == provenance["flights"]
+        return {}
+
+    monkeypatch.setattr("mavfi.detectors.training.fit", fit)
+    record(tmp_path, 2, environments=given, workers=1).fit()
+    assert fitted["limits", "tuned"] == (", ".join(every), 2 * len(every), 2 * len(every))
+    assert fitted["gaussian", "paper"] == (", ".join(monitored), 2 * len(monitored), 2 * len(monitored))
+    assert ("limits", "paper") not in fitted and ("autoencoder", "tuned") in fitted
+    fitted.clear()
+    record(tmp_path, 2, workers=1, only={("gaussian", "paper")}).fit()
+    assert fitted == {("gaussian", "paper"): ("training", 2, 2)}, "no flights in the other family"
+
+
+def _never_arrives(task):
+    return None
+
+
+def test_too_few_successes_are_an_error(monkeypatch):
+    monkeypatch.setattr(training, "record_flight", _never_arrives)
+    with pytest.raises(BadInputError, match="only 0 of 6 missions reached their goals; 2 wanted"):
+        record_flights(SCENARIO, 2, 1)
+    with pytest.raises(BadInputError, match="flights: 0"):
+        record_flights(SCENARIO, 0, 1)
+
+
+def test_a_folder_that_cannot_be_written_is_found_before_the_flights(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(BadInputError, match="cannot be written"):
+        train(tmp_path / "file" / "models", 5)
+
+
+def test_codes_of_all_fields_are_recorded_only_if_they_are_wanted(tmp_path):
+    disk = KeptRecordings(tmp_path, SCENARIO, codes=False)
+    ((seed, recording),) = record_flights(SCENARIO, 1, 1, disk=disk, codes=False).items()
+    assert len(recording.content) and not len(recording.codes)
+    assert list(disk.load([seed])) == [seed]
+    assert KeptRecordings(tmp_path, SCENARIO).load([seed]) == {}, "other recordings than with codes"
+
+
+def test_detectors_of_monitored_fields_are_the_same_without_codes(tmp_path):
+    everything = {path.name: path.read_bytes() for path in train(tmp_path / "all", 2, workers=1)}
+    for path in train(tmp_path / "one", 2, workers=1, only=[("gaussian", "paper")]):
+        assert path.read_bytes() == everything[path.name]

@@ -1,0 +1,134 @@
+"""Compilation ahead of several campaigns."""
+
+import pytest
+
+from mavfi.campaign import warm_up
+from mavfi.campaign.config import load_campaign
+from mavfi.campaign.executors.executor import Done
+from mavfi.campaign.mission import plan_of
+from mavfi.errors import BadInputError
+from mavfi.extras.paper.study import load_study
+from mavfi.flight.compiling import STAGES
+from mavfi.flight.compose import resolve
+from mavfi.flight.watching import detector_for
+from mavfi.mission import MissionSpec
+
+
+class Inline:
+    """An executor in this process."""
+
+    forks, workers = True, 1
+
+    def map(self, function, missions):
+        for mission in missions:
+            yield mission, [*function(mission), Done()]
+
+
+@pytest.fixture
+def compiled(monkeypatch, tmp_path):
+    """What was compiled, in order; the cache is empty at first."""
+    found = []
+    monkeypatch.setattr(warm_up, "code_folder", lambda: tmp_path / "code")
+    monkeypatch.setattr(warm_up, "_compile", found.append)
+    return found
+
+
+def missions(compiled):
+    """Campaigns among them, with the kernels in whose instructions they inject."""
+    own = [task.campaign for task in compiled if isinstance(task, warm_up._Mission)]
+    return [(campaign.name, getattr(campaign.sampling, "kernels", ())) for campaign in own]
+
+
+def test_stages_come_first_then_each_kernel_then_each_mission(compiled):
+    warm_up.compile_ahead([load_campaign("table1"), load_campaign("table1_instructions")], Inline())
+    assert [task.name for task in compiled[:3]] == list(STAGES)
+    kernels = ("rrt_connect", "point_cloud", "octomap", "collision_check", "pid")
+    whole = (*kernels[1:4], kernels[0], kernels[4])
+    assert missions(compiled) == [
+        *(("table1_instructions", (kernel,)) for kernel in kernels), ("table1", ()), ("table1_instructions", whole)
+    ]  # fmt: skip
+    detectors = [(task.name, task.profile) for task in compiled if isinstance(task, warm_up._Detector)]
+    assert detectors == [("gaussian", "paper"), ("autoencoder", "paper")]
+
+
+def test_nothing_is_compiled_twice(compiled):
+    campaigns = list(load_study("paper").campaigns_at("quick").values())
+    warm_up.compile_ahead(campaigns, Inline())
+    assert len(compiled) == len({str(task) for task in compiled})
+    stages = [task for task in compiled if isinstance(task, warm_up._Stage)]
+    planners = ["rrt", "rrt_connect", "rrt_star"]
+    assert sorted(one.scenario.planner.name for one in stages if one.name == "plan_path") == planners
+    assert len(stages) == len(planners) + 2, "the other stages do not depend on the planner"
+    known = len(compiled)
+    warm_up.compile_ahead(campaigns, Inline())
+    assert len(compiled) == known, "found in the cache"
+
+
+def test_tasks_are_counted_while_they_are_done(compiled):
+    campaigns, told = [load_campaign("table1"), load_campaign("table1_instructions")], []
+    warm_up.compile_ahead(campaigns, Inline(), lambda *counts: told.append(counts))
+    assert told == [(done, len(compiled)) for done in range(1, 1 + len(compiled))] and len(compiled) > 10
+
+
+def test_only_detectors_with_faults_need_models(compiled):
+    campaigns = load_study("paper").campaigns_at("quick").values()
+    warm_up.compile_ahead(campaigns, Inline())
+    watched = {}
+    for task in compiled:
+        if isinstance(task, warm_up._Mission):
+            campaign = task.campaign
+            if campaign.arms:
+                (watched[campaign.sampling.kernels],) = ([arm.detector for arm in campaign.arms.values()],)
+            assert plan_of(campaign, dict.fromkeys(campaign.arms, "model"), {}).count()
+    own = {(name,): [name] for name in ("gaussian", "autoencoder")} | {("acceptance",): ["recommended"]}
+    assert watched == own
+
+
+def test_a_detector_without_a_shipped_model_is_left_out():
+    scenario = resolve(MissionSpec(environment="sparse", seed=7, platform="cortex-a57"))
+    with pytest.raises(BadInputError):
+        detector_for(scenario, "gaussian", "paper")
+    warm_up._Detector(scenario, "gaussian", "paper", "", {}).compile()
+
+
+def test_what_failed_is_compiled_again(compiled, monkeypatch):
+    def fail(_):
+        raise OSError("no space left")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="no space"):
+        patch.setattr(warm_up, "_compile", fail)
+        warm_up.compile_ahead([load_campaign("smoke")], Inline())
+    warm_up.compile_ahead([load_campaign("smoke")], Inline())
+    assert missions(compiled) == [("smoke", ())]
+
+
+def test_nodes_of_other_programs_have_no_code(compiled):
+    warm_up.compile_ahead([load_campaign("ros1_smoke")], Inline())
+    assert compiled == []
+
+
+def test_a_detector_with_faults_is_compiled_with_its_shipped_model(compiled, monkeypatch):
+    flown = []
+    monkeypatch.setattr(warm_up, "warm_up", flown.append)
+    warm_up.compile_ahead([load_campaign("failure_rate")], Inline())
+    for task in compiled:
+        task.compile()
+    arms = [(plan.campaign.sampling.kernels, *plan.models) for plan in flown if plan.models]
+    detectors = {("acceptance",): ["recommended"], ("gaussian",): ["gaussian"], ("autoencoder",): ["autoencoder"]}
+    assert arms == [(kernels, *own) for kernels, own in detectors.items()]
+    assert warm_up.is_compiled(load_campaign("failure_rate"))
+
+
+def test_a_detector_with_faults_but_without_a_shipped_model_is_left_to_its_campaign(compiled, monkeypatch):
+    monkeypatch.setattr(warm_up, "warm_up", pytest.fail)
+    campaign = load_campaign("failure_rate")
+    elsewhere = campaign.model_copy(update={"mission": {**campaign.mission, "platform": "cortex-a57"}})
+    warm_up._Mission(warm_up._with_kernels(elsewhere, ("gaussian",))).compile()
+    warm_up.compile_ahead([elsewhere], Inline())
+    assert not warm_up.is_compiled(elsewhere)
+
+
+def test_a_flight_is_compiled_by_stages(compiled):
+    scenario = resolve(MissionSpec(environment="sparse", seed=7))
+    warm_up.compile_flight(scenario, Inline())
+    assert [(task.name, task.scenario) for task in compiled] == [(stage, scenario) for stage in STAGES]

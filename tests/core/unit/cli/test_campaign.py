@@ -1,0 +1,307 @@
+import errno
+import json
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from mavfi.campaign import run as run_module
+from mavfi.cli import run
+from mavfi.errors import BadInputError
+from tests.core.unit.campaign.fakes import HOST, HURRY, TROUBLE
+
+CAMPAIGN = """
+name: tiny
+environments: [sparse]
+missions: {missions}
+faults: 1
+sampling: {{strata: {{sign_exponent: 1}}}}
+null_runs: 1
+"""
+FAKE = f"{CAMPAIGN}host: {HOST}\n"
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    path = tmp_path_factory.mktemp("config") / "tiny.yaml"
+    path.write_text(FAKE.format(missions=1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def flown(config, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("flown")
+    assert run(["campaign", "run", str(config), "--out", str(directory), "--workers", "1"]) == 0
+    return directory
+
+
+@pytest.fixture(scope="module")
+def really_flown(tmp_path_factory):
+    """By the host `local`."""
+    directory = tmp_path_factory.mktemp("really")
+    (directory / "tiny.yaml").write_text(CAMPAIGN.format(missions=1))
+    arguments = [str(directory / "tiny.yaml"), "--out", str(directory / "out"), "--workers", "1"]
+    assert run(["campaign", "run", *arguments]) == 0
+    return directory / "out"
+
+
+def _json(capsys, *arguments):
+    assert run([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_status_counts_by_setting(capsys, flown):
+    data = _json(capsys, "campaign", "status", str(flown))
+    assert data["complete"] and data["done"] == data["total"] == 5
+    assert data["settings"]["fi"] == {"planned": 3, "flown": 3, "succeeded": data["settings"]["fi"]["succeeded"]}
+    assert run(["campaign", "status", str(flown)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("5 of 5 runs, complete") and "golden" in text
+
+
+def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "raises", True)
+    path = tmp_path / "tiny.yaml"
+    path.write_text(FAKE.format(missions=3).replace("faults: 1", "faults: 3"))  # one of them with the seed `BROKEN`
+    command = ["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert run(command) == 1
+    printed = capsys.readouterr()
+    assert f"{tmp_path / 'out'}: 3 of 13 runs have status unknown" in printed.err and "Done" not in printed.out
+    reason = "tests.core.unit.campaign.fakes:FakeHost: ZeroDivisionError: a mistake of ours (fakes.py:"
+    assert f"unknown (3 of them: {reason}" in printed.err
+    listed = _json(capsys, "runs", str(tmp_path / "out"), "--failed")
+    unknown = [row for row in listed["rows"] if row["reason"]]
+    assert len(unknown) == 3 and all(row["reason"].startswith(reason) for row in unknown)
+    assert run(["explain", str(tmp_path / "out"), unknown[0]["run_id"]]) == 2
+    assert f"left no flight to explain ({reason}" in capsys.readouterr().err
+    assert run([*command, "--allow-unknown"]) == 0
+    assert "Done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", [["campaign", "status"], ["campaign", "digest"], ["report"], ["runs"], ["explain"]])
+def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
+    shutil.copytree(flown, tmp_path / "copy")
+    with closing(sqlite3.connect(tmp_path / "copy" / "campaign.sqlite")) as connection, connection:
+        connection.execute("UPDATE runs SET record = replace(record, 'success', 'timeout') WHERE position = 0")
+    assert run([*verb, str(tmp_path / "copy"), *(["sparse"] if verb == ["explain"] else [])]) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in stderr
+
+
+def test_digest_is_the_same_when_run_again(capsys, config, flown):
+    digest = _json(capsys, "campaign", "digest", str(flown))["digest"]
+    assert run(["campaign", "run", str(config), "--out", str(flown), "--workers", "1"]) == 0
+    heading, golden, *_, last = capsys.readouterr().out.splitlines()
+    assert heading.split() == ["setting", "flown", "succeeded"]
+    assert golden.split()[:3] == ["golden", "1", "1"] and last == f"Done. Tables and figures: mavfi report {flown}"
+    assert run(["campaign", "digest", str(flown)]) == 0
+    assert capsys.readouterr().out.strip() == digest
+
+
+def test_an_ambiguous_id_lists_its_candidates(capsys, flown):
+    assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.count("\n") == 1 and "ambiguous, 3 runs match, e.g. sparse-10000-fi-" in stderr
+
+
+@pytest.mark.slow
+def test_the_long_way_gives_the_same_digest(capsys, really_flown, tmp_path):
+    (tmp_path / "tiny.yaml").write_text(CAMPAIGN.format(missions=1))
+    arguments = [str(tmp_path / "tiny.yaml"), "--out", str(tmp_path / "long"), "--workers", "1", "--no-fast-forward"]
+    assert run(["campaign", "run", *arguments]) == 0
+    capsys.readouterr()
+    digests = [_json(capsys, "campaign", "digest", str(folder)) for folder in (really_flown, tmp_path / "long")]
+    assert digests[0] == digests[1]
+
+
+def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, config):
+    from mavfi.campaign.config import load_campaign
+    from mavfi.campaign.run import run_campaign, status
+    from tests.core.unit.campaign.fakes import OneByOne
+
+    def stop(progress):
+        if progress.done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(load_campaign(config), tmp_path / "part", executor=OneByOne(), progress=stop)
+    assert run(["campaign", "digest", str(tmp_path / "part")]) == 0
+    captured = capsys.readouterr()
+    assert len(captured.out.strip()) == 64
+    done = status(tmp_path / "part").done
+    assert 1 <= done < 5 and captured.err.startswith(f"partial: {done} of 5 runs")
+    data = _json(capsys, "campaign", "digest", str(tmp_path / "part"))
+    assert (data["partial"], data["done"], data["total"]) == (True, done, 5)
+    assert not _json(capsys, "campaign", "digest", str(flown))["partial"]
+
+
+@pytest.mark.slow
+def test_report_prints_tables_and_writes_files(capsys, really_flown):
+    assert run(["report", str(really_flown)]) == 0
+    text = capsys.readouterr().out
+    assert "autopilot profile published" in text and "success" in text.lower()
+    assert {"report.md", "summary.json"} <= {path.name for path in really_flown.iterdir()}
+    assert _json(capsys, "report", str(really_flown))
+
+
+@pytest.mark.slow
+def test_replay_gives_the_same_bytes(capsys, really_flown):
+    data = _json(capsys, "replay", str(really_flown), "sparse-10000-fi-planning")
+    assert data["same"] and data["digest"] == data["stored_digest"]
+    assert run(["replay", str(really_flown), "sparse-10000-golden-"]) == 0
+    assert "the same run, bit for bit" in capsys.readouterr().out
+
+
+def test_a_replay_that_is_another_run_fails(capsys, flown, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "stray", 1e-9)
+    assert run(["replay", str(flown), "sparse-10000-golden-"]) == 1
+    printed = capsys.readouterr()
+    assert "bit for bit" not in printed.out
+    assert ": another run: " in printed.err and "; stored: " in printed.err and printed.err.count("\n") == 1
+    assert run(["replay", str(flown), "sparse-10000-golden-", "--json"]) == 1
+    assert not json.loads(capsys.readouterr().out)["same"]
+
+
+@pytest.mark.slow
+def test_explain_tells_the_story(capsys, really_flown):
+    assert run(["explain", str(really_flown), "sparse-10000-fi-planning"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("verdict") and "first difference" in text and "end" in text
+    assert _json(capsys, "explain", str(really_flown), "sparse-10000-fi-planning")["same_digest"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
+        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bench_estimator"),
+        (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
+        (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
+        (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
+        (["campaign", "run", "nothing"], "campaign 'nothing': not known"),
+        (["campaign", "run", "smok"], "campaign 'smok': not known (did you mean 'smoke'?); allowed: bench_estimator"),
+        (["campaign", "run", "FLOWN"], ": is a folder; allowed: bench_estimator"),
+        (["campaign", "run", "MARS", "--out", "OUT"], "mars.yaml: key 'host': 'mars': not known; allowed: "),
+        (["campaign", "run", "OLD"], "key 'flights': is now 'missions'"),
+        (["campaign", "status", "OUT"], "holds no campaign"),
+        (["campaign", "digest", "OUT"], "holds no campaign"),
+        (["report", "OUT"], "holds no campaign"),
+        (["replay", "OUT", "run"], "holds no campaign"),
+        (["explain", "OUT", "run"], "holds no campaign"),
+        (["replay", "FLOWN", "nothing"], "no run of that name"),
+        (["replay", "FLOWN", "sparse"], "ambiguous, 5 runs match, e.g. sparse-10000-golden-"),
+        (["explain", "FLOWN", "sparse-10000-golden-"], "is a golden run; explain needs a run with a fault"),
+        (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
+        (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
+        (["reproduce", "--out", "CONFIG"], "cannot be written"),
+        (["reproduce", "--out", "STUDY"], "holds another campaign (differs in: campaign."),
+        (["reproduce", "nothing", "--out", "OUT"], "study 'nothing': not known; allowed: paper"),
+        (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
+        (["train", "--out", "CONFIG"], "cannot be written"),
+        (["states", "--autopilot", "soft"], "soft"),
+        (["nothing"], "nothing"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, message):
+    places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown, "OLD": tmp_path / "old.yaml"}
+    places["OLD"].write_text("name: old\nenvironments: [sparse]\nflights: 3\n")
+    places["MARS"] = tmp_path / "mars.yaml"
+    places["MARS"].write_text("name: mars\nenvironments: [sparse]\nhost: mars\n")
+    places["STUDY"] = tmp_path / "study"
+    shutil.copytree(flown, places["STUDY"])
+    assert run([str(places.get(argument, argument)) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("mavfi: ") and error.count("\n") == 1
+    assert message in error
+    assert not (tmp_path / "out").exists()
+    assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
+
+
+def test_a_campaign_whose_name_leads_elsewhere_writes_nothing(capsys, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    Path("n.yaml").write_text(FAKE.format(missions=1).replace("tiny", "../../x"))
+    assert run(["campaign", "run", "n.yaml"]) == 2
+    assert capsys.readouterr().err.startswith("mavfi: n.yaml: key 'name': '../../x': allowed: a plain folder name, ")
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "n.yaml"]
+
+
+def _of_sqlite(code, text):
+    error = sqlite3.OperationalError(text)
+    error.sqlite_errorcode = code
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.EMFILE, "", "/ledger"), "Too many open files (/ledger)"),
+        (MemoryError(), "out of memory"),
+        (ValueError("Error: engine error: Could not allocate memory"), "out of memory"),
+        (
+            _of_sqlite(sqlite3.SQLITE_IOERR_READ, "disk I/O error"),
+            "the ledger cannot be read or written (disk I/O error)",
+        ),
+    ],
+)
+def test_a_machine_that_fails_is_one_line_and_exit_code_1(capsys, monkeypatch, config, tmp_path, error, message):
+    def fail(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr(run_module, "run_campaign", fail)
+    assert run(["campaign", "run", str(config), "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"mavfi: {message}\n"
+
+
+def test_a_folder_on_a_full_disk_is_no_bad_input(capsys, monkeypatch, config, tmp_path):
+    def fail(*arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "mkdir", fail)
+    assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err == f"mavfi: {tmp_path / 'out'}: cannot be written (No space left on device)\n"
+
+
+def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
+    before = _json(capsys, "campaign", "digest", str(flown))
+    other = tmp_path / "other.yaml"
+    other.write_text(FAKE.format(missions=2))
+    assert run(["campaign", "run", str(other), "--out", str(flown)]) == 2
+    assert "holds another campaign" in capsys.readouterr().err
+    assert _json(capsys, "campaign", "digest", str(flown)) == before
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path, monkeypatch):
+    config, out = tmp_path / "many.yaml", tmp_path / "out"
+    config.write_text(FAKE.format(missions=8).replace("FakeHost", "SlowHost"))
+    command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]
+    command += ["--out", str(out), "--workers", "1"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    while process.poll() is None and not ((out / "campaign.sqlite").is_file() and _flown(out) >= 2):
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "Stopped." in error and "Traceback" not in error
+    assert 2 <= _flown(out) < 12
+    monkeypatch.setenv(HURRY, str(tmp_path))
+    assert run(["campaign", "run", str(config), "--out", str(out), "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert _json(capsys, "campaign", "status", str(out))["complete"]
+
+
+def _flown(directory):
+    from mavfi.campaign.run import status
+
+    try:
+        return status(directory).done
+    except (BadInputError, TypeError):  # the ledger is being made
+        return 0

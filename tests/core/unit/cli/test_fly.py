@@ -1,0 +1,279 @@
+import json
+import os
+import struct
+from contextlib import nullcontext
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.record import FlightLog
+
+
+def _fly(capsys, *arguments):
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--json", *arguments]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def golden_digest():
+    from mavfi.flight.compose import resolve
+    from mavfi.flight.fly import fly
+    from mavfi.mission import MissionSpec
+
+    return fly(resolve(MissionSpec(environment="sparse", seed=7))).log.digest()
+
+
+def test_json_has_what_is_promised(capsys, golden_digest):
+    data = _fly(capsys)
+    assert data["status"] == "success"
+    assert data["digest"] == golden_digest
+    assert 25 < data["flight_time_s"] < 60
+    assert data["energy_j"] > 5_000
+    assert 80 < data["distance_m"] < 200
+    assert data["injections"] == [] and data["alarms"] == []
+    assert data["replans"] == data["events"]["plan"] - 1 > 0
+    assert (data["environment"], data["seed"], data["autopilot"]) == ("sparse", 7, "published")
+    assert data["golden"] is None and data["effect"] is None
+
+
+def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
+    assert _fly(capsys)["digest"] == golden_digest
+
+
+@pytest.mark.slow
+def test_wind_and_an_estimator_fly_and_are_printed(capsys, golden_digest):
+    windy = _fly(capsys, "--wind", "3")
+    assert (windy["wind"], windy["localization"], windy["status"]) == (3.0, "truth", "success")
+    believed = _fly(capsys, "--localization", "estimator", "--fault", "state:perception.odometry.x:bit=56@5.0")
+    assert (believed["wind"], believed["localization"]) == (0.0, "estimator")
+    assert believed["injections"][0]["site"] == "perception.odometry.x" and believed["effect"] == "sdc"
+    assert len({golden_digest, windy["digest"], believed["digest"], believed["golden"]["digest"]}) == 4
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--wind", "3", "--localization", "estimator"]) == 0
+    text = capsys.readouterr().out
+    assert "wind gusts" in text and "estimator" in text
+
+
+@pytest.mark.slow
+def test_an_octree_gives_the_same_flight(capsys, golden_digest):
+    assert _fly(capsys, "--map", "octree")["digest"] == golden_digest
+
+
+@pytest.mark.slow
+def test_a_null_fault_prints_the_golden_digest(capsys, golden_digest):
+    data = _fly(capsys, "--fault", "null")
+    assert data["digest"] == data["golden"]["digest"] == golden_digest
+    assert data["effect"] == "masked"
+    assert data["injections"][0]["activated"] and data["injections"][0]["bit"] is None
+
+
+@pytest.mark.slow
+def test_a_named_fault_is_recorded_with_proof(capsys, golden_digest):
+    data = _fly(capsys, "--fault", "state:planning.waypoint.x:bit=62@20.0")
+    (injection,) = data["injections"]
+    assert injection["level"] == "state" and injection["site"] == "planning.waypoint.x" and injection["bit"] == 62
+    assert injection["activated"] and 20.0 <= injection["time_s"] < 21.0
+    before, after = (struct.unpack("<Q", struct.pack("<d", float(injection[key])))[0] for key in ("before", "after"))
+    assert before ^ after == 1 << 62
+    assert data["golden"]["digest"] == golden_digest != data["digest"]
+    assert data["effect"] == "sdc"
+
+
+@pytest.mark.slow
+def test_a_drawn_fault_depends_on_its_seed(capsys):
+    sites = [_fly(capsys, "--fault", "state:control.command.vx", "--fault-seed", str(s))["fault"] for s in (1, 1, 2)]
+    assert sites[0] == sites[1] != sites[2]
+
+
+@pytest.mark.slow
+def test_text_for_people_names_autopilot_effect_fault_and_digest(capsys, golden_digest):
+    command = ["fly", "--environment", "sparse", "--seed", "7", "--fault", "state:planning.waypoint.x:bit=62@20.0"]
+    assert run(command) == 0
+    text = capsys.readouterr().out
+    for name in ("autopilot published", "effect", "planning.waypoint.x", "bit 62 (exponent)"):
+        assert name in text
+    assert "golden" in text and "digest" in text
+
+
+def test_a_detector_without_a_model_is_printed_without_a_profile(capsys, golden_digest):
+    data = _fly(capsys, "--detector", "mavfi.detectors.detector:NoDetector")
+    assert data["detector"] == "mavfi.detectors.detector:NoDetector"
+    assert data["digest"] == golden_digest
+
+
+def test_a_start_next_to_the_goal_of_the_environment(capsys):
+    from mavfi.flight.compose import resolve
+    from mavfi.mission import MissionSpec
+    from mavfi.sim.environments import build_world
+
+    x, y, z = build_world(resolve(MissionSpec(environment="sparse", seed=7)).environment, 7).goal
+    start = ["--start", str(x - 1.0), str(y), str(z)]
+    assert run(["fly", "--environment", "sparse", "--seed", "7", *start]) == 2
+    assert "1.00 m from the start" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_saved_flight_and_picture(capsys, tmp_path, golden_digest):
+    log, picture = tmp_path / "flight.npz", tmp_path / "flight.png"
+    _fly(capsys, "--save", str(log), "--picture", str(picture))
+    assert FlightLog.load(log).digest() == golden_digest
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [80, 120])
+def test_names_are_whole_at_any_width(capsys, monkeypatch, golden_digest, width):
+    """A user's own detector under its own name, which is one long word."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    detector, site = "mavfi.detectors.detector:NoDetector", "perception.collision_status.time_to_collision"
+    fault = ["--fault", f"state:{site}:bit=62@5"]
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--detector", detector, *fault]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= width for line in lines)
+    for name in (detector, site, "no alarm"):
+        assert any(name in line for line in lines), name
+
+
+def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
+    monkeypatch.setattr("mavfi.mission.TIME_LIMIT_FACTOR", 0.1)
+    assert _fly(capsys)["status"] == "timeout"
+    assert run(["fly", "--environment", "sparse", "--seed", "7"]) == 0
+    assert "Did not reach the goal in time." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--environment", "nowhere"], "allowed: clutter, dense"),
+        (["--environment", "nowhere"], "a path to a .yaml, .bt or .ot file"),
+        (["--environment", "Absent.BT"], "Absent.BT: there is no such file"),
+        (["--fault-seed", "5"], "--fault-seed: 5: no fault to draw"),
+        (
+            ["--dead-node", "readback"],
+            "--dead-node: readback: no node can die; allowed: together with --fault instruction",
+        ),
+        (["--profile", "tuned"], "--profile: tuned: nothing watches"),
+        (["--models", "absent"], "--models: absent: nothing watches"),
+        (["--detector", "mavfi.detectors.detector:NoDetector", "--profile", "tuned"], "has no profiles"),
+        (["--trained-for", "published/i9-9940x"], "--trained-for: published/i9-9940x: nothing watches"),
+        (["--trained-for", "published"], "--trained-for"),
+        (
+            ["--detector", "recommended", "--trained-for", "published/i9-9940x"],
+            "--trained-for: published/i9-9940x: detector 'recommended' is not trained",
+        ),
+        (["--start", "5", "0", "3", "--goal", "5", "0", "3"], "goal (5, 0, 3): 0.00 m from the start"),
+        (["--start", "5", "0", "3", "--goal", "6.9", "0", "3"], "1.90 m from the start"),
+        (["--save", "flight.csv"], "--save: flight.csv: allowed ending: .npz"),
+        (["--seed", "-1"], "--seed: -1"),
+        (["--seed", "seven"], "--seed"),
+        (["--fault", "null", "--fault-seed", "-1"], "--fault-seed: -1"),
+        (["--depth-noise", "-0.1"], "--depth-noise"),
+        (["--depth-noise", "nan"], "--depth-noise"),
+        (["--map-resolution", "0"], "--map-resolution"),
+        (["--map-resolution", "nan"], "--map-resolution"),
+        (["--map-resolution", "0.05"], "map resolution 0.05 m: 951,084,261 voxels"),
+        (["--wind", "-1"], "--wind"),
+        (["--wind", "31"], "--wind"),
+        (["--wind", "nan"], "--wind"),
+        (["--localization", "gps"], "--localization: 'gps': allowed: truth, estimator"),
+        (["--fault", "state:sensor.imu.fx"], "sensor.imu is published with localization estimator only, not truth"),
+        (
+            ["--fault", "state:sensor.odometry", "--localization", "estimator"],
+            "sensor.odometry is published with localization truth only, not estimator",
+        ),
+        (["--v-max", "0"], "--v-max"),
+        (["--v-max", "inf"], "--v-max"),
+        (["--start", "nan", "0", "1"], "--start"),
+        (["--start", "1", "2"], "--start"),
+        (["--autopilot", "soft"], "allowed: hardened, published"),
+        (["--platform", "abacus"], "allowed: cortex-a57, i9-9940x"),
+        (["--planner", "dijkstra"], "planner 'dijkstra'"),
+        (["--detector", "seer"], "detector 'seer'"),
+        (["--detector", "gaussian", "--profile", "rough"], "allowed: paper, tuned"),
+        (["--detector", "gaussian", "--models", "absent"], "absent: there is no such folder of models"),
+        (["--detector", "gaussian", "--models", "/"], "mavfi train"),
+        (["--fault", "planning.waypoint.x"], "fault 'planning.waypoint.x'"),
+        (["--fault", "state:planning.nothing.x"], "no state"),
+        (["--fault", "state:planning.waypoint.q"], "no field 'q'"),
+        (["--fault", "state:planning.waypoint.x:bit=64"], "no bit 64"),
+        (["--picture", "flight.txt"], "allowed endings: .png"),
+        (["--save", "absent/flight.npz"], "cannot be written"),
+        (["--picture", "absent/flight.png"], "cannot be written"),
+        (["--frobnicate"], "--frobnicate"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert run(["fly", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("mavfi: ") and captured.err.count("\n") == 1
+    assert message in captured.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_start_inside_an_obstacle(capsys):
+    from mavfi.flight.compose import resolve
+    from mavfi.mission import MissionSpec
+    from mavfi.sim.environments import build_world
+
+    world = build_world(resolve(MissionSpec(environment="dense", seed=7)).environment, 7)
+    x, y = 0.5 * (world.lower[0] + world.upper[0])[:2]
+    assert run(["fly", "--environment", "dense", "--seed", "7", "--start", str(x), str(y), "2"]) == 2
+    error = capsys.readouterr().err
+    assert "start" in error and error.count("\n") == 1
+
+
+def test_an_impossible_density_and_an_unknown_key(capsys, tmp_path):
+    path = tmp_path / "full.yaml"
+    path.write_text("name: full\ngenerator: cuboids\nparameters: {density: 0.9, side: 10.0}\n")
+    assert run(["fly", "--environment", str(path)]) == 2
+    assert "density" in capsys.readouterr().err
+    path.write_text("name: full\ngenerator: cuboids\nheight: 3\n")
+    assert run(["fly", "--environment", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "full.yaml" in error and "unknown key 'height'" in error
+
+
+def test_a_truncated_scan(capsys, tmp_path):
+    path = tmp_path / "cut.bt"
+    path.write_bytes(b"# Octomap OcTree binary file\nid OcTree\nsize 100\nres 0.05\ndata\n\x01\x02")
+    assert run(["fly", "--environment", str(path), "--start", "0", "0", "1", "--goal", "5", "0", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "cut.bt" in error and error.count("\n") == 1
+
+
+def test_a_refused_place_keeps_what_is_there(capsys, tmp_path):
+    held = tmp_path / "flight.npz"
+    held.write_bytes(b"mine")
+    assert run(["fly", "--environment", "nowhere", "--save", str(held)]) == 2
+    assert held.read_bytes() == b"mine"
+
+
+def test_an_empty_cache_is_filled_on_all_processors(monkeypatch, capsys):
+    compiled = []
+    monkeypatch.setattr(
+        "mavfi.campaign.warm_up.compile_flight",
+        lambda scenario, executor: compiled.append((scenario.seed, executor.workers)),
+    )
+    for cold in (True, False):
+        monkeypatch.setattr("mavfi.cli.progress.compiling", lambda own=cold, **_: nullcontext(own))
+        assert run(["fly", "--environment", "sparse", "--seed", "7", "--json"]) == 0
+    assert compiled == [(7, os.cpu_count())]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--pace", "3"], "--pace: 3: nothing shows the flight; allowed: together with --live or --mavlink"),
+    ],
+)
+def test_options_of_a_flight_that_nobody_sees_are_refused(capsys, options, text):
+    assert run(["fly", *options]) == 2
+    assert text in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_fault_that_comes_after_the_flight_has_no_effect_and_is_not_called_masked(capsys):
+    fault = "sensor:gyro:off@1000"
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--fault", fault]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "not activated" in out and "none: nothing was injected" in out and "masked" not in out

@@ -1,0 +1,81 @@
+import pytest
+from rich.console import Console
+
+from mavfi.campaign.session import Progress
+from mavfi.cli import progress
+from mavfi.cli.progress import Bar, StudyBar, compiling
+from mavfi.errors import BadInputError
+from mavfi.extras.paper.steps import Steps
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds that the test sets."""
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    return now
+
+
+def test_campaigns_that_fly_together_have_one_count(capsys, clock, tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    with Bar("bench: 2 parts", "runs") as bar:
+        bar.show_campaigns(one, Progress(4, 20))  # of an earlier session
+        bar.show_campaigns(two, Progress(0, 40))
+        bar.show_campaigns(two, Progress(1, 40, flown=1))  # kernels were compiled first
+        clock[0] = 20.0
+        bar.show_campaigns(one, Progress(14, 20, flown=10))
+        line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith("bench: 2 parts 15/60 runs  0.50 runs/s") and "1 min 30 s left" in line
+
+
+def test_each_step_of_a_study_has_a_bar_and_a_time_of_its_own(capsys, clock, tmp_path):
+    with StudyBar("study paper", Steps(tmp_path)) as bar:
+        with bar.timed("compilation", "tasks"):
+            for done in range(4):  # the first one includes loading
+                bar.show(done, 3)
+                clock[0] += 20.0
+        with bar.timed("flights"):
+            for done in (0, 1, 31):
+                bar.show(done, 100)
+                clock[0] += 60.0
+        lines = capsys.readouterr().err.splitlines()
+    assert lines[1:3] == [
+        "study paper, compilation 2/3 tasks  0.05 tasks/s · 20 s left", "study paper, compilation 3/3 tasks"
+    ]  # fmt: skip
+    assert lines[-1] == "study paper, flights 31/100 flights  0.50 flights/s · 2 min 18 s left"
+    assert bar.steps.seconds == {"compilation": 80.0, "flights": 180.0}
+
+
+def test_a_step_that_is_stopped_is_not_shown_as_done(capsys, clock, tmp_path):
+    bar = StudyBar("study paper", Steps(tmp_path))
+    with pytest.raises(KeyboardInterrupt), bar, bar.timed("flights"):
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "" and list(bar.steps.seconds) == ["flights"]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_cache_is_cold_until_a_flight_has_ended(terminal, monkeypatch, tmp_path, capsys):
+    (tmp_path / "some.nbc").touch()  # compiled by a command that does not fly
+    monkeypatch.setattr("mavfi.numerics.jit.code_folder", lambda: tmp_path)
+    out = Console(stderr=True, force_terminal=terminal, width=100)
+    monkeypatch.setattr("mavfi.cli.progress.console", lambda **_: out)
+    with pytest.raises(BadInputError), compiling(flight=True):
+        raise BadInputError("refused")
+    capsys.readouterr()
+    for cold in (True, False):
+        with compiling(flight=True) as found:
+            assert found is cold
+        assert ("compiling kernels for this machine" in capsys.readouterr().err) is (cold and terminal)
+    with compiling() as found:
+        assert not found
+
+
+def test_runs_of_earlier_sessions_are_no_progress(capsys, clock, tmp_path):
+    with Bar("flights", "runs") as bar:
+        for number in range(4):  # each of the campaigns was stopped when it had flown 10 runs
+            clock[0] += 1.0
+            bar.show_campaigns(tmp_path / str(number), Progress(10, 20))
+        bar.show_campaigns(tmp_path / "0", Progress(11, 20, flown=1))
+        clock[0] += 20.0
+        bar.show_campaigns(tmp_path / "0", Progress(13, 20, flown=3))
+        assert capsys.readouterr().err.endswith("flights 43/80 runs  0.10 runs/s · 6 min 10 s left\n")

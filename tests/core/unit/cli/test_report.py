@@ -1,0 +1,174 @@
+"""`mavfi report` and `mavfi runs` on a campaign of made-up flights."""
+
+import csv
+import io
+import json
+import shutil
+import subprocess
+import sys
+
+import polars as pl
+import pytest
+
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.cli import run
+from mavfi.extras.paper import cli_report as study_report
+from mavfi.extras.paper.report import write_study
+from mavfi.extras.paper.study import Study
+from tests.core.unit.campaign.fakes import small
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("flown")
+    run_campaign(small(missions=5, faults=10), directory, executor=LocalExecutor(1))
+    return directory
+
+
+def printed(capsys, *arguments):
+    assert run([str(argument) for argument in arguments]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_report_ends_with_the_headline(capsys, flown):
+    text = printed(capsys, "report", flown)
+    assert "State level: success rates" in text and "How missions ended" not in text
+    assert "· Without a fault" in text and "report.md" in text
+    assert {"report.md", "readme_block.md", "summary.json", "success.png"} <= {path.name for path in flown.iterdir()}
+    assert "How missions ended" in printed(capsys, "report", flown, "--all")
+    data = json.loads(printed(capsys, "report", flown, "--json"))
+    assert data["campaign"]["name"] == "small" and data["tables"]["endings"]["rows"]
+
+
+@pytest.mark.slow
+def test_the_help_names_every_kind_of_file_that_is_written(capsys, flown):
+    printed(capsys, "report", flown)
+    said = printed(capsys, "report", "--help")
+    assert all(path.name in said for path in flown.iterdir() if path.suffix in (".md", ".json"))
+
+
+def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
+    shutil.copytree(flown, tmp_path / "states")
+    write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path)
+    text = printed(capsys, "report", tmp_path, "--figures", tmp_path / "out")
+    assert "State level: success rates" in text and "wrote study.md, study.json, tables (1) in " in text
+    shutil.rmtree(tmp_path / "states")
+    assert run(["report", str(tmp_path)]) == 2
+    assert f"{tmp_path / 'states'}: holds no campaign" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_several_processes_write_the_same_reports_of_a_study(flown, tmp_path):
+    study = Study(name="two", campaigns={"states": "table1"})
+    write = (
+        "import sys; from pathlib import Path\n"
+        "from mavfi.extras.paper.study import Study; from mavfi.cli import study_report\n"
+        "assert not study_report._polars_has_threads()\n"
+        "study = Study.model_validate_json(sys.argv[1])\n"
+        "study_report.write_study_report(study, 'quick', Path(sys.argv[2]), None, 0, 2)"
+    )
+    for way in ("one", "two"):
+        shutil.copytree(flown, tmp_path / way / "states")
+    written, _ = study_report.write_study_report(study, "quick", tmp_path / "one", None, 0, 1)
+    assert study_report._polars_has_threads()  # private: what decides on the way, which else would pass unseen
+    subprocess.run([sys.executable, "-c", write, study.model_dump_json(), str(tmp_path / "two")], check=True)
+    files = {path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file()}
+    assert len(files) >= 6 and {path.name for path in written.files} <= {file.name for file in files}
+    for file in files:
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), file
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["instructions_as_in_the_paper", "by_unit", "platforms", "memory_success", "schemes_instructions"],
+)
+def test_a_table_of_other_faults_is_refused(capsys, flown, name):
+    assert run(["report", str(flown), "--view", name]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"view '{name}': these runs have nothing to show in it; allowed: " in line
+
+
+def test_one_table_by_name(capsys, flown):
+    assert "How missions ended" in printed(capsys, "report", flown, "--view", "endings")
+    rows = list(csv.DictReader(io.StringIO(printed(capsys, "report", flown, "--view", "endings", "--csv"))))
+    assert {row["setting"] for row in rows} == {"golden", "golden_gaussian", "fi", "dr_gaussian"}
+    assert json.loads(printed(capsys, "report", flown, "--view", "endings", "--json"))["name"] == "endings"
+    names = [line.split()[0] for line in printed(capsys, "report", flown, "--view", "list").splitlines()]
+    assert "endings" in names and "kernel_effects" not in names
+
+
+def test_runs_are_listed(capsys, flown):
+    failed = printed(capsys, "runs", flown, "--failed", "--csv")
+    rows = list(csv.DictReader(io.StringIO(failed)))
+    assert rows and {row["status"] for row in rows} == {"collision"}
+    assert rows[0]["run_id"] in printed(capsys, "runs", flown, "--failed")
+    assert len(json.loads(printed(capsys, "runs", flown, "--json"))["rows"]) == 2 * (2 * (5 + 30) + 3)
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_names_stay_whole(capsys, flown, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    text = printed(capsys, "runs", flown)
+    with_ids = json.loads(printed(capsys, "runs", flown, "--json"))["rows"]
+    assert all(row["run_id"] in text for row in with_ids)
+    assert all(len(line) <= width for line in text.splitlines())
+
+
+def test_all_columns_of_runs_as_a_table(capsys, flown):
+    frame = pl.read_csv(io.StringIO(printed(capsys, "runs", flown, "--csv")))
+    assert frame.height == 146 and {"run_id", "effect", "inflation"} <= set(frame.columns)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["report", "DIR", "--csv"], "--csv: allowed: with --view NAME"),
+        (["report", "DIR", "--view", "success", "--html", "r.html"], "--view: prints one table and writes nothing"),
+        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: endings, by_bits, "),
+        (["report", "NONE"], "holds no campaign"),
+        (["runs", "NONE"], "holds no campaign"),
+        (["report", "DIR", "--view", "golden_flights"], "view 'golden_flights': dropped; use flight_times"),
+        (["runs", "DIR", "--where", "x=1"], "--where: dropped; use mavfi runs DIR --csv"),
+        (["failures", "DIR", "--json"], "--json: dropped; use mavfi report DIR --view failures_per_hour --json"),
+        (["report", "DIR", "--no-draw-run"], "--no-draw-run: dropped; a report draws no flight any more"),
+        (["export", "DIR", "--to", "x.bag"], "name the run, too"),
+    ],
+)
+def test_what_is_not_there_is_one_line(capsys, flown, tmp_path, arguments, message):
+    places = {"DIR": str(flown), "NONE": str(tmp_path)}
+    assert run([places.get(argument, argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
+    page = tmp_path / "report.html"
+    text = printed(capsys, "report", flown, "--html", page, "--flights", "0")
+    assert f"wrote {page}, with 0 flights" in text
+    assert "Campaign small" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_figures_for_papers(capsys, flown, tmp_path):
+    folder = tmp_path / "figures"
+    assert "success.pdf" in printed(capsys, "report", flown, "--figures", folder)
+    assert {path.suffix for path in folder.iterdir()} == {".pdf", ".png"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--html", "report.pdf"], "--html: report.pdf: allowed ending: .html"),
+        (["--html", "/nowhere/report.html"], "/nowhere/report.html"),
+        (["--flights", "3"], "--flights: 3: there is no page; allowed: together with --html"),
+        (["--html", "r.html", "--flights", "-1"], "--flights: -1: allowed: 0 to 10000"),
+    ],
+)
+def test_bad_options_of_the_page_are_refused_in_one_line(capsys, flown, arguments, line):
+    assert run(["report", str(flown), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert line in error and len(error.splitlines()) == 1

@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+
+from mavfi.detectors.autoencoder import AutoencoderDetector
+from mavfi.detectors.scoring import NOT_FINITE
+from mavfi.errors import BadInputError
+from tests.core.unit.detectors.streams import command, flight, fly, later, status, strike, waypoint
+
+
+@pytest.fixture
+def events():
+    return flight(400)
+
+
+@pytest.mark.slow
+def test_the_paper_policy_recomputes_control_and_abandons_a_struck_way_point(models, events):
+    detector = AutoencoderDetector(models["autoencoder-paper"], "paper")
+    struck = later(events, "planning.waypoint", 20)
+    alarms = dict(fly(detector, strike(events, struck, "x", -1e30)))
+    assert (alarms[struck].stage, alarms[struck].abandon_waypoint, alarms[struck].stop) == ("control", True, False)
+    assert alarms[struck].fields == ("planning.waypoint.x",)
+    struck = later(events, "control.command", 333)
+    alarms = dict(fly(detector, strike(events, struck, "vy", 1e30)))
+    assert (alarms[struck].stage, alarms[struck].abandon_waypoint, alarms[struck].stop) == ("control", False, False)
+
+
+def test_alarms_persist_when_the_way_point_in_force_was_anomalous_too(models, events):
+    detector = AutoencoderDetector(models["autoencoder-paper"], "paper")
+    first, second = (later(events, "planning.waypoint", count) for count in (20, 21))
+    alarms = dict(fly(detector, strike(strike(events, first, "x", -1e30), second, "x", 1e30)))
+    assert (alarms[first].stop, alarms[second].stop) == (False, True)
+
+
+def test_an_accepted_anomaly_is_not_held_against_what_follows(models, events):
+    for name in ("autoencoder-paper", "autoencoder-tuned"):
+        detector = AutoencoderDetector(models[name])
+        golden = {number for number, _ in fly(detector, events)}
+        struck, after = (later(events, "planning.waypoint", count) for count in (20, 21))
+        alarms = {number for number, _ in fly(detector, strike(events, struck, "x", -1e30))} - golden
+        assert alarms == {struck, after}  # the jump there and the jump back, no command in between
+
+
+def test_a_repaired_value_leaves_no_trace(models, events):
+    detector, undisturbed = (AutoencoderDetector(models["autoencoder-tuned"]) for _ in range(2))
+    struck = later(events, "planning.waypoint", 20)
+    for number, (state, time_us) in enumerate(events):
+        if number == struck:
+            wrong = waypoint([1e3, 0, 0], [1, 0, 0], trajectory=int(state.header["trajectory_seq"][0]))
+            assert detector.check(wrong, time_us) is not None
+        assert detector.check(state, time_us) == undisturbed.check(state, time_us)
+        detector.accept(state, time_us)
+        undisturbed.accept(state, time_us)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "field", "value", "stage"),
+    [
+        ("perception.collision_status", 40, "future_collision_seq", 4096, "perception"),
+        ("planning.waypoint", 20, "vx", -1e20, "planning"),
+        ("control.command", 333, "vz", 1e20, "control"),
+    ],
+)
+def test_the_keyed_policy_recomputes_the_stage_of_the_largest_residual(
+    models, events, name, count, field, value, stage
+):
+    struck = later(events, name, count)
+    alarms = dict(fly(AutoencoderDetector(models["autoencoder-tuned"]), strike(events, struck, field, value)))
+    assert (alarms[struck].stage, alarms[struck].abandon_waypoint) == (stage, False)
+
+
+def test_the_policy_can_be_chosen(models, events):
+    struck = later(events, "planning.waypoint", 20)
+    wrong = strike(events, struck, "x", -1e30)
+    keyed = dict(fly(AutoencoderDetector(models["autoencoder-paper"], policy="keyed"), wrong))
+    assert (keyed[struck].stage, keyed[struck].abandon_waypoint) == ("planning", False)
+    paper = dict(fly(AutoencoderDetector(models["autoencoder-tuned"], policy="paper"), wrong))
+    assert (paper[struck].stage, paper[struck].abandon_waypoint) == ("control", True)
+    with pytest.raises(BadInputError, match="allowed: paper, keyed"):
+        AutoencoderDetector(models["autoencoder-paper"], policy="both")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_an_alarm_of_its_own_state(models, events, value):
+    for policy, stage in (("paper", "control"), ("keyed", "planning")):
+        detector = AutoencoderDetector(models["autoencoder-paper"], policy)
+        struck = later(events, "planning.waypoint", 20)
+        alarms = dict(fly(detector, strike(events, struck, "vz", value)))
+        assert (alarms[struck].score, alarms[struck].fields) == (NOT_FINITE, ("planning.waypoint.vz",))
+        assert alarms[struck].stage == stage
+
+
+def test_tuned_is_silent_in_golden_flights_and_sees_two_metres(models):
+    detector = AutoencoderDetector(models["autoencoder-tuned"])
+    for seed in range(500, 504):
+        golden = flight(seed)
+        assert len(fly(detector, golden)) <= 1  # 30 flights of training are few
+        struck = later(golden, "planning.waypoint", 23)
+        y = float(golden[struck][0].header["y"][0])
+        assert struck in dict(fly(detector, strike(golden, struck, "y", y + 2.0)))
+
+
+def test_check_remembers_nothing(models):
+    detector, undisturbed = (AutoencoderDetector(models["autoencoder-paper"], "paper") for _ in range(2))
+    for state, time_us in flight(77, ticks=200):
+        for strange in (command([np.nan, 1e300, 0]), waypoint([5e5, 0, 0], [0, 0, 0], trajectory=9), status(0, 7)):
+            detector.check(strange, time_us + 3)
+        assert detector.check(state, time_us) == undisturbed.check(state, time_us)
+        detector.accept(state, time_us)
+        undisturbed.accept(state, time_us)
+        assert detector.memory() == undisturbed.memory()
+
+
+def test_a_new_flight_starts_afresh(models, events):
+    detector = AutoencoderDetector(models["autoencoder-paper"])
+    struck = later(events, "planning.waypoint", 20)
+    wrong = strike(events, struck, "x", -1e30)
+    assert fly(detector, wrong) == fly(detector, wrong)

@@ -1,0 +1,214 @@
+"""The rule of the estimated odometry: what a filter publishes passes, whatever its sensors say; other values do not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.detectors import estimates
+from mavfi.detectors.acceptance import COMPILED, SOURCE, AcceptanceTest
+from mavfi.detectors.estimates import ATTITUDE, ESTIMATE, FIX, VELOCITY, WIDTH
+from mavfi.kernels.perception.state_estimation import Noise
+from mavfi.pipeline.estimation import StateEstimator
+from mavfi.sim import imu
+from mavfi.states import STATES, floats, new_state
+from tests.core.unit.detectors.streams import LIMITS
+
+STEP_US, PER_FIX = 4_000, 25
+NOISE = Noise(
+    imu.ACCELEROMETER_RANDOM_WALK, imu.GYRO_RANDOM_WALK, imu.ACCELEROMETER_BIAS_WALK, imu.GYRO_BIAS_WALK, 0.05, 0.025
+)
+ESTIMATED = replace(LIMITS["published"], fix_noise=(NOISE.position, NOISE.heading))
+HOVER = np.array([0.0, 0.0, 9.80665, 0.0, 0.0, 0.0])
+HERE = np.array([10.0, 0.0, 3.0, 0.4])
+NAMES = [field.name for field in STATES[ESTIMATE].header]
+
+
+def message(name, values):
+    state = new_state(name)
+    floats(state.header, len(values))[:] = values
+    return state
+
+
+def filtered(steps, *, fixes=lambda number: HERE, samples=lambda number: HOVER, seed=1):
+    """(state, time) of all fixes and estimates of a filter that hovers; `None` = no fix."""
+    kernel, random, events = StateEstimator(NOISE), np.random.default_rng(seed), []
+    for number in range(steps):
+        now = STEP_US * number
+        if number % PER_FIX == 0 and (fix := fixes(number // PER_FIX)) is not None:
+            measured = message(FIX, fix + random.normal(0.0, 1.0, 4) * (0.05, 0.05, 0.05, 0.025))
+            events.append((measured, now))
+            kernel.receive(measured, now)
+        kernel.receive(message("sensor.imu", samples(number) + random.normal(0.0, 0.01, 6)), now)
+        events += [(state, now) for state in kernel.step(now)]
+    return events
+
+
+@cache
+def hovering():
+    return filtered(500)
+
+
+def alarms(events, detector=None):
+    """Fields of all alarms; every publication is accepted."""
+    detector = detector or AcceptanceTest(ESTIMATED)
+    found = []
+    for state, now in events:
+        alarm = detector.check(state, now)
+        found += [alarm.fields[0]] if alarm is not None else []
+        detector.accept(state, now)
+    return found
+
+
+def flying():
+    """A detector in flight, the next estimate, and its time."""
+    detector, events = AcceptanceTest(ESTIMATED), hovering()
+    alarms(events[:-1], detector)
+    return detector, *events[-1]
+
+
+def corner(number):
+    return np.array([160.0, -160.0, 160.0, 35.0, 35.0, -35.0]) if 300 <= number < 320 else HOVER
+
+
+FLIGHTS = {
+    "calm": {},
+    "samples in the corner of the range": {"samples": corner},
+    "no fixes for a while": {"fixes": lambda number: None if 5 <= number < 25 else HERE},
+    "fixes elsewhere, until it believes them": {
+        "fixes": lambda number: HERE + (9.0, -5.0, 0.0, 1.0) * np.array(number >= 8),
+    },
+    "a fix that it refuses": {"fixes": lambda number: HERE + (1e4, 0.0, 0.0, 0.0) * np.array(number == 8)},
+    "carried along at a speed that the IMU has not seen": {
+        "fixes": lambda number: HERE + (0.6 * max(number - 8, 0), 0.0, 0.0, 0.0),
+    },
+    "in motion after re-initialization": {
+        "samples": lambda number: HOVER + (3.0, 0.0, 0.0, 0.0, 0.0, 0.0) * np.array(200 <= number < 400),
+        "fixes": lambda number: HERE + (0.3 * max(number - 20, 0), 5.0 * (number > 12), 0.0, 0.0),
+    },
+}
+
+
+@pytest.mark.parametrize("case", FLIGHTS)
+def test_what_a_filter_publishes_passes_whatever_its_sensors_say(case):
+    assert alarms(filtered(1500, **FLIGHTS[case])) == []
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *((name, value) for name in NAMES[:WIDTH] for value in (np.nan, -np.inf, 1e300)),
+        ("x", 10.6), ("y", -0.6), ("z", -3.0), ("vx", 2.5), ("vy", -8.0), ("vz", 1e3), ("qw", 0.5), ("qw", -0.98),
+        ("qz", -0.3), ("qx", 1e-4), ("qy", 0.9),
+    ],
+)  # fmt: skip
+def test_one_value_that_no_filter_says_is_a_hard_alarm_that_names_it(field, value):
+    detector, state, now = flying()
+    corrupted = state.copy()
+    corrupted.header[field] = value
+    alarm = detector.check(corrupted, now)
+    assert alarm is not None and (alarm.source, alarm.stage, alarm.hard) == (SOURCE, "perception", True)
+    assert alarm.fields == (f"{ESTIMATE}.{field}",) and alarm.score > 1.0
+    assert detector.check(state, now) is None, "its copy"
+
+
+@pytest.mark.parametrize("field", NAMES[WIDTH:])
+def test_what_no_consumer_reads_has_no_rule(field):
+    detector, state, now = flying()
+    corrupted = state.copy()
+    corrupted.header[field] = np.nan
+    assert detector.check(corrupted, now) is None
+
+
+def test_a_turn_that_leaves_the_quaternion_of_length_one_is_found_and_its_sign_is_none():
+    detector, state, now = flying()
+    values = floats(state.header, WIDTH)[ATTITUDE:]
+    for turned, fine in ((-values, True), (values * (1, -1, -1, -1), False), (values[[3, 1, 2, 0]], False)):
+        corrupted = state.copy()
+        floats(corrupted.header, WIDTH)[ATTITUDE:] = turned
+        assert (detector.check(corrupted, now) is None) == fine
+
+
+def test_the_longer_nothing_is_published_the_farther_it_may_move():
+    detector, state, now = flying()
+    moved = state.copy()
+    moved.header["x"] += 4.0
+    assert detector.check(moved, now) is not None
+    assert detector.check(moved, now + 200_000) is None
+
+
+def test_the_first_estimate_lies_in_the_flight_box_at_a_possible_speed():
+    near, far, fast = (message(ESTIMATE, [x, 0.0, 3.0, vx, 0.0, 0.0, 1.0]) for x, vx in ((5, 0), (500, 0), (5, 40)))
+    detector = AcceptanceTest(ESTIMATED)
+    assert [detector.check(state, 0) is None for state in (near, far, fast)] == [True, False, False]
+    detector.accept(message(ESTIMATE, [np.nan] * WIDTH), 0)
+    assert [detector.check(state, 0) is None for state in (near, far, fast)] == [True, False, False], "nothing is known"
+
+
+def test_velocity_and_attitude_are_free_after_a_new_start_at_a_fix_and_only_then():
+    detector, state, now = flying()
+    fix = HERE + (20.0, 3.0, 0.0, 0.0)
+    start, other = message(ESTIMATE, [*fix[:3], 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), state.copy()
+    other.header["vy"] = 7.0
+    assert detector.check(start, now) is not None
+    detector.accept(message(FIX, fix), now)
+    assert detector.check(start, now) is None
+    detector.accept(start, now)
+    other = message(ESTIMATE, [*fix[:3] + 1e-3, 3.0, 7.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    assert detector.check(other, now + STEP_US) is None, "the filter does not know them yet"
+    for number in range(1, 1000):
+        detector.accept(message(ESTIMATE, [*fix[:3] + 1e-3, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), now + number * STEP_US)
+    other = message(ESTIMATE, [*fix[:3] + 1e-3, 3.0, 7.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    assert detector.check(other, now + 1000 * STEP_US).fields == (f"{ESTIMATE}.vy",)
+
+
+def test_judging_changes_nothing_and_memory_is_restored():
+    detector, state, now = flying()
+    memory, other = detector.memory(), AcceptanceTest(ESTIMATED)
+    far = state.copy()
+    far.header["x"] += 1.0
+    for seen in (state, far):
+        assert other.check(seen, now) is None or seen is far
+        alarm = detector.check(seen, now)
+        assert detector.memory() == memory
+        other.restore(memory)
+        assert other.memory() == memory and other.check(seen, now) == alarm
+        other.start()
+    assert {name for name in detector.arrays() if name.startswith("estimate.")} == {
+        "estimate.last", "estimate.time_us", "estimate.aligned_us", "estimate.fix",
+    }  # fmt: skip
+
+
+def test_it_reads_the_estimate_in_its_other_rules_too():
+    detector, state, _ = flying()
+    assert {ESTIMATE, FIX} <= detector.states
+    assert floats(detector.odometry, VELOCITY).tolist() != floats(state.header, VELOCITY).tolist()
+    detector.accept(state, 0)
+    assert floats(detector.odometry, VELOCITY).tolist() == floats(state.header, VELOCITY).tolist()
+
+
+def test_flights_without_an_estimator_have_neither_rule_nor_memory_of_it():
+    detector = AcceptanceTest(LIMITS["published"])
+    kept = detector.memory()
+    corrupted = message(ESTIMATE, [np.nan] * WIDTH)
+    assert detector.check(corrupted, 0) is None and FIX not in detector.states
+    detector.accept(message(FIX, HERE), 0)
+    assert detector.memory() == kept and not any(name.startswith("estimate.") for name in detector.arrays())
+
+
+def test_compiled_rules_agree_with_plain_python(monkeypatch):
+    last, now = hovering()[-1]
+    events = [*filtered(600, **FLIGHTS["fixes elsewhere, until it believes them"])[:-1], *hovering()[-1:]]
+    for number, (field, value) in enumerate([("x", 10.6), ("vy", 9.0), ("qz", -0.3), ("qx", np.nan), ("qy", 1e-9)]):
+        corrupted = last.copy()
+        corrupted.header[field] = value
+        events += [(corrupted, now + STEP_US * (2 * number + 1)), (last, now + STEP_US * (2 * number + 2))]
+    compiled = alarms(events)
+    assert len(compiled) > 5, "and those at the sound ones that follow"
+    for name, found in list(vars(estimates).items()):
+        monkeypatch.setattr(estimates, name, getattr(found, "py_func", found))
+    detector = AcceptanceTest(ESTIMATED)
+    names = ("judge_estimate", "note_estimate", "note_fix")
+    detector.instrument({name: COMPILED[name].py_func for name in names})
+    assert alarms(events, detector) == compiled

@@ -1,0 +1,140 @@
+import numpy as np
+import pytest
+
+from mavfi.detectors import features
+from mavfi.detectors.preprocess import Preprocessor
+from mavfi.errors import BadInputError
+from mavfi.states import MONITORED_SETS, ODOMETRY
+from tests.core.unit.detectors.streams import command, odometry, status, waypoint
+
+
+class Stream:
+    """Deltas of one publication after the other."""
+
+    def __init__(self, profile, prediction="interval", monitored="paper-13"):
+        self.preprocessor = Preprocessor(monitored, profile, prediction)
+
+    def publish(self, state):
+        if state.spec.name == ODOMETRY["truth"]:
+            features.note_vehicle(state.header.view(np.uint8), self.preprocessor.watch.vehicle)
+        slot = self.preprocessor.slots.get(state.spec.name)
+        if slot is None:
+            return None, None
+        deltas = np.zeros(len(self.preprocessor.fields), np.int16)
+        content, watch = state.header.view(np.uint8), self.preprocessor.watch
+        regime = features.measure(content, slot, watch, deltas)
+        features.commit(content, slot, watch)
+        first, last = self.preprocessor.range_of(slot)
+        return deltas[first:last].tolist(), regime
+
+
+def test_the_vector_is_in_the_order_of_the_monitored_set():
+    assert Preprocessor("paper-13", "paper").fields == tuple(".".join(pair) for pair in MONITORED_SETS["paper-13"])
+
+
+def test_the_paper_profile_takes_the_code_first_and_then_the_difference():
+    stream = Stream("paper")
+    assert stream.publish(waypoint([0.4, -60.0, 3.0], [1.0, 0.0, 0.0]))[0] == [0] * 7  # no delta yet
+    deltas, _ = stream.publish(waypoint([0.6, 60.0, 3.9], [0.0, -0.3, 0.2], yaw=0.25))
+    # Octaves above 0.5 m for positions, above 0.25 for the rest: 0.4 -> 0.6 is 0 -> 1, -60 -> 60 is -7 -> 7.
+    assert deltas == [1, 14, 0, 1, -3, -1, 0]
+
+
+def test_a_status_has_the_octaves_of_its_time_and_the_difference_of_its_counter():
+    for profile in ("paper", "tuned"):
+        stream = Stream(profile)
+        stream.publish(status(30.0, 0))
+        assert stream.publish(status(6.0, 1))[0] == [-2, 1]
+        assert stream.publish(status(6.0, -(2**31)))[0] == [0, -32767]
+        assert stream.publish(status(6.0, 2**31 - 1))[0] == [0, 32767]
+
+
+def test_the_tuned_profile_sees_a_jump_that_the_code_hides():
+    paper, tuned = Stream("paper"), Stream("tuned")
+    for stream in (paper, tuned):
+        stream.publish(waypoint([60.0, 0.0, 3.0], [2.0, 0.0, 0.0]))
+    jumped = waypoint([63.0, 0.0, 3.0], [2.0, 0.0, 0.0])  # 61 m expected
+    assert paper.publish(jumped)[0][0] == 0
+    assert tuned.publish(jumped)[0][0] == 5  # 2 m are 5 octaves above 0.125 m
+
+
+@pytest.mark.parametrize("prediction", ["interval", "trapezoid"])
+def test_a_motion_at_constant_speed_has_no_innovation(prediction):
+    stream = Stream("tuned", prediction)
+    for step in range(5):
+        deltas, regime = stream.publish(waypoint([30.0 + step, -step, 2.0], [2.0, -2.0, 0.0], index=step))
+        assert deltas == [0] * 7
+        assert regime == (features.SWITCH if step else features.NEW_TRAJECTORY)
+
+
+@pytest.mark.parametrize(("prediction", "x"), [("interval", 11.5), ("trapezoid", 11.0)])
+def test_the_first_way_point_of_a_trajectory_is_predicted_from_the_vehicle(prediction, x):
+    stream = Stream("tuned", prediction)
+    stream.publish(waypoint([90.0, 0.0, 2.0], [2.0, 0.0, 0.0], trajectory=1))
+    stream.publish(odometry([10.0, 5.0, 2.0], [1.0, 0.0, 0.0]))
+    deltas, regime = stream.publish(waypoint([x, 5.0, 2.0], [3.0, 0.0, 0.0], trajectory=2))
+    assert deltas[:3] == [0] * 3
+    assert regime == features.NEW_TRAJECTORY
+    assert stream.publish(waypoint([x, 6.5, 2.0], [3.0, 0, 0], trajectory=3))[0][1] == 4
+
+
+def test_a_vehicle_position_that_is_not_finite_is_not_taken():
+    stream = Stream("tuned", "trapezoid")
+    stream.publish(odometry([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]))
+    stream.publish(odometry([np.nan, 2.0, 3.0], [0.0, 0.0, 0.0]))
+    assert stream.preprocessor.watch.vehicle.tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
+    assert stream.publish(waypoint([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]))[0] == [0] * 7
+
+
+def test_a_yaw_that_wraps_is_no_jump_and_one_that_explodes_is():
+    stream = Stream("tuned")
+    stream.publish(waypoint([0, 0, 0], [0, 0, 0], yaw=3.1))
+    assert stream.publish(waypoint([0, 0, 0], [0, 0, 0], yaw=-3.1))[0][3] == 0
+    assert stream.publish(waypoint([0, 0, 0], [0, 0, 0], yaw=1e200))[0][3] > 600
+
+
+def test_a_command_knows_what_was_planned_since_the_last_one():
+    stream = Stream("tuned")
+    events = [
+        (waypoint([0, 0, 0], [1, 0, 0], trajectory=1), features.NEW_TRAJECTORY),
+        (command([1, 0, 0]), features.NEW_TRAJECTORY),
+        (command([1, 0, 0]), features.PLAIN),
+        (waypoint([0.5, 0, 0], [1, 0, 0], trajectory=1), features.SWITCH),
+        (command([1, 0, 0]), features.SWITCH),
+        (waypoint([0, 0, 0], [1, 0, 0], trajectory=2), features.NEW_TRAJECTORY),
+        (waypoint([0.5, 0, 0], [1, 0, 0], trajectory=2), features.SWITCH),
+        (command([1, 0, 0]), features.NEW_TRAJECTORY),
+        (status(30.0, 0), features.NEW_TRAJECTORY),
+        (status(30.0, 0), features.PLAIN),
+    ]
+    assert [stream.publish(state)[1] for state, _ in events] == [regime for _, regime in events]
+
+
+@pytest.mark.parametrize("profile", ["paper", "tuned"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_said_by_itself_and_never_overflows(profile, value):
+    stream = Stream(profile)
+    stream.publish(waypoint([1.0, 2.0, 3.0], [1.0, 0.0, 0.0]))
+    stream.publish(waypoint([1.5, 2.0, 3.0], [1.0, 0.0, 0.0]))
+    deltas, regime = stream.publish(waypoint([2.0, 2.0, value], [1.0, 0.0, 0.0]))
+    assert regime == -1 - features.SWITCH
+    assert abs(deltas[2]) > 1000
+    deltas, regime = stream.publish(waypoint([1.7e308, -1.7e308, 3.0], [-1.7e308, 1.7e308, 0.0]))
+    assert regime == features.SWITCH
+    assert abs(deltas[0]) > 1000
+
+
+def test_nineteen_fields_can_be_watched_too():
+    stream = Stream("paper", monitored="published-19")
+    assert len(stream.preprocessor.fields) == 19
+    stream.publish(waypoint([0, 0, 0], [0, 0, 0], duration=0.5))
+    deltas, _ = stream.publish(waypoint([0, 0, 0], [0, 0, 0], duration=2.0, trajectory=4))
+    assert deltas == [0] * 10 + [2, 3, 0]
+
+
+@pytest.mark.parametrize(
+    "names", [("paper-14", "paper", "interval"), ("paper-13", "best", "interval"), ("paper-13", "tuned", "x")]
+)
+def test_unknown_names_are_refused_with_what_is_allowed(names):
+    with pytest.raises(BadInputError, match="not known; allowed: "):
+        Preprocessor(*names)

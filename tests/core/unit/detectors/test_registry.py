@@ -1,0 +1,220 @@
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.plan import arms_of
+from mavfi.detectors import detector_names, load_detector
+from mavfi.detectors.autoencoder import AutoencoderDetector
+from mavfi.detectors.detector import Chain, NoDetector
+from mavfi.detectors.gaussian import GaussianDetector
+from mavfi.detectors.registry import OF_OWN, OF_RECOVERY, check_detector, contains, mission_keys
+from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.flight.watching import with_keys_of
+from mavfi.mission import RECOVERY, MissionSpec
+from tests.core.architecture.source import ROOT
+from tests.core.unit.campaign.fakes import small
+from tests.core.unit.detectors.streams import LIMITS, command, flight, fly, waypoint
+
+FITS = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
+
+
+@pytest.mark.parametrize(("name", "kind"), [("gaussian", GaussianDetector), ("autoencoder", AutoencoderDetector)])
+def test_the_detectors_of_the_paper_come_with_their_models(models, model_folder, name, kind):
+    detector, sha256 = load_detector(name, "paper", model_folder, FITS)
+    assert isinstance(detector, kind)
+    assert sha256 == models[f"{name}-paper"].sha256
+
+
+def test_the_physics_gate_stands_in_front_of_tuned_detectors(model_folder):
+    wrong = waypoint([1.0, 0, 0], [400.0, 0, 0])
+    for profile, gate, source in (("paper", None, None), ("tuned", None, "physics_gate"), ("tuned", False, None)):
+        options = {} if gate is None else {"gate": gate}
+        detector, _ = load_detector("gaussian", profile, model_folder, FITS, options=options)
+        alarm = detector.check(wrong, 0)
+        assert (alarm.source if alarm else None) == source
+        assert isinstance(detector, Chain) == (source is not None)
+
+
+def test_the_arena_reaches_the_gate(model_folder):
+    fits = {**FITS, "limits": replace(LIMITS["published"], arena=((0.0, 0.0, 0.0), (10.0, 10.0, 10.0)))}
+    detector, _ = load_detector("gaussian", "tuned", model_folder, fits)
+    assert detector.check(waypoint([11.0, 5, 5], [0, 0, 0]), 0).fields == ("planning.waypoint.x",)
+
+
+@pytest.mark.slow
+def test_options_reach_the_detector(model_folder):
+    detector, _ = load_detector("autoencoder", "paper", model_folder, FITS, options={"policy": "keyed"})
+    detector.accept(waypoint([1, 0, 0], [0, 0, 0]), 0)
+    assert detector.check(waypoint([1e30, 0, 0], [0, 0, 0]), 0).stage == "planning"
+    refusals = (({"sigma": 1.0}, "has no option sigma"), ({"features": "all"}, "allowed: code, predicted"))
+    for options, message in refusals:
+        with pytest.raises(BadInputError, match=message):
+            load_detector("gaussian", "paper", model_folder, FITS, options=options)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "autoencoder"])
+def test_profiles_are_presets_of_features_policy_and_gate(model_folder, name):
+    policy = "paper" if name == "autoencoder" else "keyed"
+    presets = {
+        "paper": {"features": "code", "policy": policy, "gate": False},
+        "tuned": {"features": "predicted", "policy": "keyed", "gate": True},
+    }
+    for profile, other in (("paper", "tuned"), ("tuned", "paper")):
+        plain, sha256 = load_detector(name, profile, model_folder, FITS)
+        chosen, same = load_detector(name, other, model_folder, FITS, options=presets[profile])
+        assert same == sha256 and type(chosen) is type(plain)
+        wrong = [waypoint([400.0, 0, 0], [0, 0, 0]), command([np.nan, 0, 0])]
+        assert [chosen.check(state, 0) for state in wrong] == [plain.check(state, 0) for state in wrong]
+    assert contains(name, "tuned", "physics_gate") and not contains(name, "paper", "physics_gate")
+    assert contains(name, "paper", "physics_gate", {"gate": True})
+
+
+@pytest.mark.parametrize("number", range(1, 6))
+def test_dropped_names_say_what_replaced_them(number):
+    for refused in (lambda name: load_detector(name, "paper", None, FITS), lambda name: check_detector(name, "paper")):
+        with pytest.raises(BadInputError, match=rf"use acceptance, options: {{rules: \[{number}\]}}"):
+            refused(f"rule_{number}")
+
+
+def test_none_watches_nothing():
+    detector, sha256 = load_detector("none", "paper", None, {})
+    assert isinstance(detector, NoDetector)
+    assert sha256 == ""
+    assert fly(detector, flight(3, ticks=50)) == []
+
+
+def test_a_detector_of_ones_own_is_found(monkeypatch):
+    monkeypatch.chdir(ROOT / "examples")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    detector, sha256 = load_detector("detector_speed_limit:SpeedLimit", "paper", None, FITS)
+    assert sha256 == ""
+    assert detector.check(command([3, 0, 0]), 0) is None
+    assert detector.check(waypoint([1e9, 0, 0], [1e9, 0, 0]), 0) is None
+    assert detector.check(command([1e200, 0, 0]), 0).stage == "control"
+    assert detector.check(command([np.nan, 0, 0]), 0).score == 1e9
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "gausian",
+            r"not known \(did you mean 'gaussian'\?\); allowed: acceptance, .*, none, .*, or package:object",
+        ),
+        ("no_such_package:Detector", "cannot be imported"),
+        ("json:NoSuchClass", "cannot be imported"),
+        ("fractions:Fraction", "lacks start, check, accept"),
+        (
+            f"{__name__}:Foreign",
+            rf"detector {__name__}:Foreign: allowed: an object whose class inherits mavfi.Detector",
+        ),
+        (":", "not known"),
+    ],
+)
+def test_what_is_no_detector_is_refused_in_one_line(name, message):
+    with pytest.raises(BadInputError, match=message) as error:
+        load_detector(name, "paper", None, FITS)
+    assert "\n" not in str(error.value)
+
+
+def test_profiles_and_models_that_are_not_there_are_named(model_folder, tmp_path):
+    with pytest.raises(BadInputError, match="profile 'best': not known; allowed: paper, tuned"):
+        load_detector("gaussian", "best", model_folder, FITS)
+    with pytest.raises(BadInputError, match=r"gaussian-paper\.json: no model is trained"):
+        load_detector("gaussian", "paper", tmp_path, FITS)
+    with pytest.raises(BadInputError, match=r"^published-none-gaussian-paper\.json: no model"):  # not where it would be
+        load_detector("gaussian", "paper", None, {**FITS, "platform": "none"})
+    with pytest.raises(SpecMismatchError, match=r"trained for v_max 3\.0, used with v_max 5\.0"):
+        load_detector("gaussian", "paper", model_folder, {**FITS, "v_max": 5.0})
+
+
+def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_path):
+    other = {**FITS, "platform": "slow", "planner": "rrt", "v_max": 5.0}
+    own = load_detector("gaussian", "paper", model_folder, FITS)[1]
+    assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == own
+    with pytest.raises(BadInputError, match="'hardened/none': there is no model hardened-none-gaussian-paper.json"):
+        load_detector("gaussian", "paper", None, FITS, trained_for="hardened/none")
+    with pytest.raises(SpecMismatchError, match="or fly with this one, key trained_for: published/i9-9940x"):
+        load_detector("gaussian", "paper", model_folder, {**FITS, "planner": "rrt"})
+    renamed = model_folder / "published-i9-9940x-gaussian-paper.json"
+    (tmp_path / "hardened-slow-gaussian-paper.json").write_bytes(renamed.read_bytes())
+    with pytest.raises(SpecMismatchError, match="trained for stack 'published', used with stack 'hardened'"):
+        load_detector("gaussian", "paper", tmp_path, FITS, trained_for="hardened/slow")
+
+
+class Foreign:
+    """It has what a detector has, but is none."""
+
+    def start(self): ...
+
+    def check(self, state, time_us): ...
+
+    def accept(self, state, time_us): ...
+
+
+class Mine(NoDetector):
+    """A detector of one's own, with the recovery that goes with it."""
+
+    recovery = {"grain": "message", "answer_s": 0.5}  # noqa: RUF012 - as in the documentation
+
+
+class Silent(NoDetector):
+    """It says nothing about recovery."""
+
+
+class Wrong(NoDetector):
+    """A value of its recovery is none."""
+
+    recovery = {"grain": "house"}  # noqa: RUF012
+
+
+class Other(NoDetector):
+    """It would fly elsewhere."""
+
+    recovery = {"environment": "dense"}  # noqa: RUF012
+
+
+class Method(NoDetector):
+    """It has a method of this name."""
+
+    def recovery(self):
+        """What happens then."""
+
+
+def test_a_detector_of_ones_own_brings_its_recovery():
+    name = f"{__name__}:Mine"
+    assert mission_keys(name) == {"grain": "message", "same_twice": "limit", "answer_s": 0.5}
+    assert mission_keys("nowhere:Mine") == mission_keys("gaussian") == {}
+    assert mission_keys(NoDetector()) == {} and mission_keys(f"{__name__}:Silent") == OF_OWN
+    chosen = with_keys_of(MissionSpec(answer_s=2.0), name)
+    assert (chosen.grain, chosen.answer_s) == ("message", 2.0), "what is chosen stays"
+    assert with_keys_of(MissionSpec(grain="stage"), name).grain == "stage", "a default, too"
+    with pytest.raises(
+        BadInputError,
+        match=r"Wrong': recovery: key 'grain': 'house': not known; allowed: 'stage', 'kernel' or 'message'",
+    ):
+        with_keys_of(MissionSpec(), f"{__name__}:Wrong")
+    assert with_keys_of(MissionSpec(), Mine()).grain == "message", "an object, too"
+    for own in (Other, Method):
+        with pytest.raises(BadInputError, match=rf"{own.__name__}': recovery: .*allowed: values of coupling, grain, "):
+            mission_keys(f"{__name__}:{own.__name__}")
+    campaign = small(arms={"mine": {"detector": name, "answer_s": 1.0}}, host="local")
+    assert arms_of(campaign)[-1].overrides == {"same_twice": "limit", "grain": "message", "answer_s": 1.0}
+
+
+def test_a_detector_may_set_what_becomes_of_its_alarms_and_of_nodes():
+    assert set(OF_RECOVERY) == {*RECOVERY, "dead_node", "alarm", "epoch_liveness"} < set(MissionSpec.model_fields)
+    assert mission_keys("recommended").keys() <= set(OF_RECOVERY)
+
+
+def test_a_model_of_another_kind_under_this_name_is_refused(model_folder, tmp_path):
+    other = model_folder / "published-i9-9940x-gaussian-tuned.json"
+    (tmp_path / "published-i9-9940x-gaussian-paper.json").write_bytes(other.read_bytes())
+    with pytest.raises(BadInputError, match="is a model gaussian-tuned; needed: gaussian-paper"):
+        load_detector("gaussian", "paper", tmp_path, FITS)
+
+
+def test_all_names_are_listed():
+    assert {"none", "gaussian", "autoencoder"} <= set(detector_names())

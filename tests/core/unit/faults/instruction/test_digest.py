@@ -1,0 +1,174 @@
+"""The digest of the fault space: the same in every process, whatever its hashes, cache and order of compilation."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numba
+import pytest
+
+from mavfi.faults.levels.instruction import RefusedError
+from mavfi.faults.levels.instruction.build import build
+from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.ir import build as building
+from mavfi.ir.digest import digest_of_text
+from mavfi.ir.forked import Ended
+from mavfi.ir.refusal import BuildError
+from mavfi.numerics.jit import kernel_jit, uncached_copy
+from tests.core.unit.faults.instruction.test_refusals import calling
+from tests.core.unit.kernels.cases import CASES
+
+COMPILE = """
+import json, sys
+import numba
+from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.ir.build import source_of
+from tests.core.unit.kernels.cases import CASES
+
+digests = {}
+for name in sys.argv[1:]:
+    case = CASES[name]
+    signature = tuple(numba.typeof(argument) for argument in case.arguments())
+    digests[name] = instrument(source_of(case.function, signature).text, name).ir_sha256
+print(json.dumps(digests))
+"""
+TWO = ("track", "back_project")
+OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+
+
+def ir_digests(names, cache, variables):
+    """Digests of the fault spaces of kernels, compiled in this order in a process with an empty cache."""
+    environment = os.environ | {
+        "XDG_CACHE_HOME": str(cache), "PYTHONPATH": os.pathsep.join([".", *sys.path]), **variables
+    }  # fmt: skip
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILE, *names], env=environment, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
+
+
+@kernel_jit
+def scolding(x):
+    """A kernel that makes a text while it runs."""
+    text = "a number below zero: "
+    if x < 0.0:
+        text = text + "far "
+    return x * len(text)
+
+
+def text_of(kernel):
+    copy = uncached_copy(kernel)
+    copy.compile((numba.float64,))
+    return copy.inspect_llvm((numba.float64,))
+
+
+@pytest.mark.slow
+def test_the_digest_does_not_depend_on_hashes_of_texts():
+    """Numba names constant texts by their hash, which is another one in each process, and may be negative."""
+    text = text_of(scolding)
+    names = [word for word in text.replace(",", " ").split() if word.startswith("@.bytes.")]
+    assert names
+    digests = set()
+    for number in ("123456789012345678", "-123456789012345678", "-8812345678901234567"):
+        other = text.replace(names[0], f"@.bytes.{number}")
+        assert other != text
+        digests.add(instrument(other, "scolding").ir_sha256)
+    assert digests == {instrument(text, "scolding").ir_sha256}
+    assert instrument(text.replace("fmul double", "fadd double"), "scolding").ir_sha256 not in digests
+
+
+@pytest.mark.slow
+def test_a_kernel_is_prepared_for_any_cpu_where_nothing_was_compiled_before(monkeypatch, tmp_path):
+    """What LLVM inlines depends on what a process did before (compiled a callee, or loaded it), vectors on the CPU."""
+
+    in_fork = Ended("exception", detail="prepared in a fork of this process")
+    monkeypatch.setattr(building, "run_in_child", lambda *_: in_fork)
+    case = CASES["time_to_collision"]
+    signature = tuple(numba.typeof(argument) for argument in case.arguments())
+    built = build(case.function, signature)
+    assert built.owned and built.ir_sha256 == ir_digests(["time_to_collision"], tmp_path, OLDEST)["time_to_collision"]
+
+    @kernel_jit
+    def hidden(x):
+        return 2.0 * x
+
+    with pytest.raises(BuildError, match="prepared in a fork"):
+        build(hidden, (numba.float64,))  # another process would not find it
+
+
+def test_a_kernel_that_another_process_would_not_find_is_prepared_in_a_fork():
+    @kernel_jit
+    def twice(x):
+        return doubled(x) + doubled(x + 1.0)
+
+    assert build(twice, (numba.float64,)).table.sizes()
+
+
+@kernel_jit
+def doubled(x):
+    return 2.0 * x
+
+
+@pytest.mark.slow
+def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
+    with pytest.raises(RefusedError, match=r"calling: cannot be instrumented: fast math \('fast'"):
+        build(calling, (numba.float64,))
+
+
+@pytest.mark.slow
+def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
+    found = [
+        ir_digests(order, tmp_path / str(number), {"PYTHONHASHSEED": str(number)})
+        for number, order in enumerate((TWO, TWO[::-1]))
+    ]
+    assert set(found[0]) == set(TWO)
+    assert found[0] == found[1]
+
+
+PICKLED = """
+define i32 @f(ptr %out) {{
+entry:
+  %size = getelementptr i8, ptr %out, i64 8
+  store ptr @.const.pickledata.{name}, ptr %out, align 8
+  %next = getelementptr i8, ptr %out, i64 {step}
+  store i32 {size}, ptr %size, align 8
+  %sum = add i32 %first, 411
+  ret i32 %sum
+}}
+"""
+
+
+def test_the_digest_does_not_depend_on_the_folder_of_the_installation():
+    """An exception that is raised in two steps is pickled with the path of its source: name and length follow it."""
+
+    def digest(name, size, step=8):
+        return digest_of_text(PICKLED.format(name=name, size=size, step=step))
+
+    assert digest("ef8f37db74", "411") == digest("538f24ddc4", "406")
+    assert digest("ef8f37db74", "411") != digest("ef8f37db74", "411", step=16)
+
+
+CALLING = """
+define i32 @_ZN{module}6kernelB2v{uid}Ed(ptr %out, ptr %record) {{
+entry:
+  %v1 = call i32 @"_ZN{module}6settleB2v5B4c8tJE5ArrayI6RecordILi{record}EELi1E1C7mutable" ( ptr %out )
+  ret i32 %v1
+}}
+"""
+
+
+def test_the_digest_does_not_depend_on_what_else_is_compiled_nor_on_names_of_modules():
+    """Numba numbers functions and record types in the order in which a process first compiles them."""
+
+    def digest(module="5known", uid=1, record=919):
+        return digest_of_text(CALLING.format(module=module, uid=uid, record=record))
+
+    assert digest() == digest(uid=7, record=2410) == digest(module="6mavfi7unknown")
+
+
+def test_the_digest_tells_one_callee_from_another():
+    twice = "call void @_ZN1fEd()\ncall void @_ZN1fEd()"
+    assert digest_of_text(twice) != digest_of_text("call void @_ZN1fEd()\ncall void @_ZN1gEd()")
+    assert digest_of_text("call double @sin()") != digest_of_text("call double @cos()")

@@ -1,0 +1,161 @@
+"""Without a fault an instrumented kernel is as the kernel, bit for bit; and kernels are as without line tables."""
+
+import re
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+import pytest
+
+from mavfi.faults.levels.instruction import Profiling, resolve
+from mavfi.faults.levels.instruction.api import digest
+from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.faults.levels.instruction.variant import variant_for
+from mavfi.flight.compose import resolve as scenario_of
+from mavfi.flight.fly import fly
+from mavfi.ir.module import width
+from mavfi.kernels.control import pid
+from mavfi.mission import MissionSpec
+from mavfi.numerics.jit import uncached_copy
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
+from tests.core.unit.kernels.cases import CASES
+
+COMPILED = {name: case for name, case in CASES.items() if hasattr(case.function, "py_func")}
+QUICK = ("back_project", "time_to_collision", "track", "shortcut_greedy", "voxel_of", "steer")
+LARGE = ("insert_scan",)
+"""Large: loops within loops, callees of callees.  The planner is counted in a flight below."""
+
+
+def marked(name):
+    marks = () if name in QUICK else pytest.mark.slow if name in LARGE else (pytest.mark.slow, pytest.mark.long)
+    return pytest.param(name, marks=marks)
+
+
+NAMES = [marked(name) for name in COMPILED]
+
+
+def signature(args):
+    return tuple(numba.typeof(argument) for argument in args)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_results_and_arguments_are_the_same_bits(name):
+    case = COMPILED[name]
+    plain, counted, tallied, traced, resolved = (case.arguments() for _ in range(5))
+    result = case.function(*plain)
+    variant = variant_for(case.function, tuple(counted))
+    again, total = variant.count(*counted)
+    assert digest((again, counted)) == digest((result, plain))
+    again, times = variant.tally(*tallied)
+    assert digest((again, tallied)) == digest((result, plain))
+    _, oracle, blocks = variant.profile(*traced, room=total)
+    assert times.tolist() == oracle.tolist()
+    assert variant.written(times) == total
+    trace = [site for block in blocks for site in variant.table.blocks[block]]
+    some = [*np.random.default_rng(0).integers(total, size=300).tolist(), 0, total - 1]
+    assert len(trace) == total
+    assert resolve(case.function, [*some, total], *resolved) == [*(trace[index] for index in some), None]
+    assert len({digest(args) for args in (plain, counted, tallied, traced, resolved)}) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [marked(name) for name in (*QUICK, "insert_scan", "rrt_connect")])
+def test_the_table_has_the_types_that_llvm_has(name):
+    """LLVM's own reading of the text is the oracle of ours."""
+    case = COMPILED[name]
+    signature_ = signature(case.arguments())
+    copy = uncached_copy(case.function)
+    copy.compile(signature_)
+    text = copy.inspect_llvm(signature_)
+    made = instrument(text, name)
+    own = [(site.opcode, site.kind, site.width) for block in made.table.blocks for site in block]
+    assert own == [(op, kind, width(kind)) for op, kind in llvm_reads(text)]
+    variant = variant_for(case.function, tuple(case.arguments()))
+    if variant.ir_sha256 == made.ir_sha256:  # where callees were compiled here, they may be inlined otherwise
+        assert own == [(site.opcode, site.kind, site.width) for block in variant.table.blocks for site in block]
+
+
+def llvm_reads(text):
+    outside = re.compile(r"_ZN7cpython|cfunc\.|NRT_|numba_|\.dtor|__excinfo")
+    dropped = re.compile(r"@llvm\.(lifetime|assume|experimental\.noalias)")
+    for function in llvm.parse_assembly(text).functions:
+        if function.is_declaration or outside.match(function.name):
+            continue
+        for block in function.blocks:
+            for instruction in block.instructions:
+                kind = str(instruction.type)
+                if kind != "void" and instruction.opcode != "alloca" and not dropped.search(str(instruction)):
+                    yield instruction.opcode, kind
+
+
+def assembly(dispatcher, signature_):
+    """Instructions and labels, without what only tells debuggers something."""
+    dispatcher.compile(signature_)
+    text = dispatcher.inspect_asm(signature_)
+    body = text[text.index(".type\t_ZN5mavfi7kernels") : text.index("_ZN7cpython5mavfi7kernels")]
+    lines = [line.split("#")[0].rstrip() for line in body.split("\n")]
+    labels = {}
+    kept = [line for line in lines if re.match(r"\t[a-z]", line)]
+    return [re.sub(r"\.L\w+|_ZN\S+", lambda m: labels.setdefault(m[0], f"L{len(labels)}"), line) for line in kept]
+
+
+@pytest.mark.slow
+def test_machine_code_is_as_without_line_tables():
+    flags = {name: value for name, value in pid.track.targetoptions.items() if name != "nopython"}
+    plain = numba.njit(**flags)(pid.track.py_func)
+    signature_ = signature(COMPILED["track"].arguments())
+    with_tables = assembly(uncached_copy(pid.track), signature_)
+    assert len(with_tables) > 100
+    assert with_tables == assembly(plain, signature_)
+
+
+# ---- whole flights --------------------------------------------------------------------------------------------------
+def counted_flight(scenario, names):
+    counting = {}
+
+    def make(name, function):
+        counting[name] = Profiling(function)
+        return counting[name]
+
+    return fly(scenario, functions=PLAIN.instrumented(names, make)), counting
+
+
+def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
+    assert PLAIN.track is pid.track
+    assert PLAIN.instrumented((), lambda name, function: None) == PLAIN
+
+
+def short(planner="rrt_connect", autopilot="hardened", map_kind="dense"):
+    spec = MissionSpec(
+        environment="sparse", seed=7, autopilot=autopilot, planner=planner, map=map_kind, goal=(9.0, 0.0, 3.0),
+        start=(2.0, 0.0, 3.0),
+    )  # fmt: skip
+    return scenario_of(spec)
+
+
+def test_a_counted_flight_is_the_golden_one():
+    golden, (flight, counting) = fly(short()), counted_flight(short(), INJECTABLE["pid"] + INJECTABLE["point_cloud"])
+    assert flight.log.digest() == golden.log.digest()
+    assert all(own.counts and min(own.counts) > 0 for own in counting.values())
+    assert all(len(set(own.digests)) == 1 for own in counting.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("planner", "autopilot", "map_kind"),
+    [
+        ("rrt_connect", "published", "dense"),
+        pytest.param("rrt_connect", "hardened", "octree", marks=pytest.mark.long),
+        pytest.param("rrt", "published", "dense", marks=pytest.mark.long),
+        pytest.param("rrt_star", "hardened", "dense", marks=pytest.mark.long),
+    ],
+)
+def test_every_kernel_counted_in_a_flight_changes_nothing(planner, autopilot, map_kind):
+    scenario = short(planner, autopilot, map_kind)
+    others = {"rrt", "rrt_connect", "rrt_star"} - {planner}
+    names = tuple({name for kernel, names in INJECTABLE.items() if kernel not in others for name in names})
+    flight, counting = counted_flight(scenario, names)
+    assert flight.log.digest() == fly(scenario).log.digest()
+    called = {name for name, own in counting.items() if own.counts}
+    assert all(called & set(names) for kernel, names in INJECTABLE.items() if kernel not in others)

@@ -1,0 +1,88 @@
+"""Counts of block executions: equal to those of the slow path, whatever the control flow."""
+
+import numpy as np
+import pytest
+
+from mavfi.faults.levels.instruction.api import digest, histogram
+from mavfi.faults.levels.instruction.variant import signature_of, variant_for
+from mavfi.numerics.jit import kernel_jit
+
+
+@kernel_jit
+def collatz(number):
+    steps = 0
+    while number != 1:
+        number = number // 2 if number % 2 == 0 else 3 * number + 1
+        steps += 1
+    return steps
+
+
+@kernel_jit
+def first_above(values, limit):
+    for i in range(len(values)):
+        if values[i] > limit:
+            return i
+    raise ValueError("none")
+
+
+@kernel_jit
+def fill(rows, values):
+    for i in range(rows.shape[0]):
+        for j in range(i):
+            if values[j] > 0.5:
+                rows[i, j] = np.sqrt(values[j]) + values[i]
+    return rows.sum()
+
+
+def arguments(function):
+    values = np.random.default_rng(0).random(40)
+    return {collatz: (27,), first_above: (values, 0.97), fill: (np.zeros((40, 40)), values)}[function]
+
+
+@pytest.mark.parametrize("function", [collatz, first_above, fill])
+def test_counts_results_and_arguments_are_those_of_the_slow_path(function):
+    plain, fast, slow = (arguments(function) for _ in range(3))
+    result = function(*plain)
+    variant = variant_for(function, fast)
+    again, times = variant.tally(*fast)
+    oracle, wanted, _ = variant.profile(*slow)
+    assert digest((again, fast)) == digest((oracle, slow)) == digest((result, plain))
+    assert times.tolist() == wanted.tolist()
+    assert times.sum() > 0
+
+
+def test_the_counts_of_a_loop_are_those_of_the_interpreter():
+    steps = collatz.py_func(27)
+    variant = variant_for(collatz, (27,))
+    assert steps in variant.tally(27)[1]
+
+
+def test_each_call_is_counted_from_zero():
+    variant = variant_for(collatz, (27,))
+    assert variant.tally(27)[1].tolist() == variant.tally(27)[1].tolist()
+
+
+def test_a_call_that_raises_is_an_exception_as_without_counts():
+    with pytest.raises(ValueError, match="none"):
+        variant_for(first_above, arguments(first_above)).tally(np.zeros(3), 2.0)
+
+
+def test_executions_are_listed_by_site():
+    found = histogram(collatz, 27)
+    assert {times for _, times in found} >= {collatz.py_func(27)}
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        (np.zeros(3), 1.0), (np.zeros((3, 2))[:, 0], 1.0), (np.zeros((3, 2), np.float32), True),
+        (np.broadcast_to(0.0, 4), np.float32(1)), (1, "text"), ((np.zeros(2, np.int8), 2.0), None),
+        (-(1 << 63), (1 << 63) - 1), (1 << 63, True), (False, 0),
+    ],
+)  # fmt: skip
+def test_types_from_the_cache_are_numbas(args):
+    import numba
+
+    wanted = tuple(numba.typeof(argument) for argument in args)
+    assert signature_of(args) == wanted
+    assert signature_of(args) == wanted

@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import NO_SITE
+from mavfi.faults.sampling import draw, group_target, live_fields, stage_target
+from mavfi.record import Profile
+from mavfi.states import PPC_STAGES, STATES
+
+
+def profile(**counts: int) -> Profile:
+    times = {name.replace("__", "."): np.arange(5, dtype=np.int64) * 100_000 for name in counts}
+    return Profile(times, {name.replace("__", "."): np.full(5, count, np.int32) for name, count in counts.items()})
+
+
+WAYPOINTS = profile(planning__waypoint=0)
+
+
+def test_dead_fields_are_not_live():
+    assert "ax" not in live_fields(STATES["planning.waypoint"], "published")
+    assert "ax" in live_fields(STATES["planning.waypoint"], "hardened")
+    assert live_fields(STATES["perception.map_update"], "hardened") == ("voxel", "log_odds")
+    either = {
+        *live_fields(STATES["planning.waypoint"], "published"),
+        *live_fields(STATES["planning.waypoint"], "hardened"),
+    }
+    assert set(live_fields(STATES["planning.waypoint"], "of my own")) == either
+
+
+def test_states_without_a_live_field_are_not_drawn():
+    assert "control.tracking" in stage_target("control", "published").fields
+    assert "control.tracking" not in stage_target("control", "hardened").fields
+
+
+def test_only_states_that_exist_are_drawn():
+    for stage in PPC_STAGES:
+        assert all(STATES[name].exists_with("truth") for name in stage_target(stage, "published").fields)
+    with_filter = stage_target("perception", "published", localization="estimator").fields
+    assert with_filter["perception.odometry"] == ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz")
+    assert set(with_filter) - {"perception.odometry"} == set(stage_target("perception", "published").fields)
+    assert group_target("mine", ["sensor.imu.fx"], "estimator").fields == {"sensor.imu": ("fx",)}
+    with pytest.raises(BadInputError, match="group 'mine': sensor.imu.fx: only flights with localization estimator"):
+        group_target("mine", ["sensor.imu.fx"])
+
+
+def test_monitored_only():
+    target = stage_target("planning", "published", "paper-13")
+    assert target.fields == {"planning.waypoint": ("x", "y", "z", "yaw", "vx", "vy", "vz")}
+
+
+def test_the_same_address_gives_the_same_fault_and_another_address_another():
+    target = stage_target("planning", "published")
+    some = profile(planning__waypoint=0, planning__path=4, planning__trajectory=9)
+    faults = {
+        (seed, index, place): draw(target, "mantissa", some, seed, place, index)
+        for seed in range(5)
+        for index in range(5)
+        for place in ("sparse", "dense")
+    }
+    again = draw(target, "mantissa", some, 3, "dense", 2)
+    assert again == faults[3, 2, "dense"]
+    assert len({(f.site, f.time_us, f.bit) for f in faults.values()}) > 20
+
+
+def test_a_state_that_was_never_published_is_kept_as_no_site():
+    fault = draw(stage_target("control", "published"), "sign_exponent", Profile(), 1, 0)
+    assert fault.time_us == NO_SITE
+    assert not fault.has_site
+    assert fault.where.state in ("control.command", "control.tracking")
+    assert fault.bit is not None
+
+
+def test_an_element_is_drawn_only_from_publications_that_carry_some():
+    target = group_target("path", ["planning.path.x"])
+    some = Profile(
+        {"planning.path": np.array([10, 20, 30], np.int64)}, {"planning.path": np.array([0, 3, 0], np.int32)}
+    )
+    drawn = [draw(target, "sign_exponent", some, seed, 0) for seed in range(60)]
+    assert {fault.time_us for fault in drawn} == {20}
+    assert {fault.where.element for fault in drawn} == {0, 1, 2}
+
+
+def test_weights_lead_back_to_the_whole_word():
+    target = group_target("x", ["planning.waypoint.x"])
+    assert draw(target, "sign_exponent", WAYPOINTS, 0, 0).weight == 12 / 64
+    assert draw(target, "mantissa", WAYPOINTS, 0, 0).weight == 52 / 64
+
+
+def test_weights_count_the_fields_that_a_stratum_leaves_out():
+    names = ["time_to_collision", "future_collision_seq", "collision"]
+    target = group_target("status", [f"perception.collision_status.{name}" for name in names])
+    expected = {"time_to_collision": 52 / 64 * 2 / 3, "future_collision_seq": 31 / 32 * 2 / 3}
+    drawn = [draw(target, "mantissa", Profile(), seed, 0) for seed in range(40)]
+    assert {fault.where.field: fault.weight for fault in drawn} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+@pytest.mark.parametrize("stage", ["perception", "planning", "control"])
+@pytest.mark.parametrize("strata", [("sign_exponent", "mantissa"), ("sign", "exponent", "mantissa")])
+def test_the_mean_weights_of_strata_that_make_up_words_add_up_to_one(stage, autopilot, strata):
+    target = stage_target(stage, autopilot)
+    total = 0.0
+    for stratum in strata:
+        part = target.within(stratum)
+        fault_weight = {}
+        for seed in range(400):
+            fault = draw(target, stratum, Profile(), seed, 0)
+            fault_weight[fault.where.state, fault.where.field] = fault.weight
+        for (state, _), weight in fault_weight.items():
+            total += part.probability(state) * weight
+        assert sum(map(len, part.fields.values())) == len(fault_weight)
+    assert total == pytest.approx(1)
+
+
+def test_what_cannot_be_drawn_is_refused():
+    with pytest.raises(BadInputError, match="stage 'vision'"):
+        stage_target("vision", "published")
+    with pytest.raises(BadInputError, match="no field has bits of the stratum"):
+        group_target("flag", ["perception.collision_status.collision"]).within("mantissa")
+    with pytest.raises(BadInputError, match="names no site"):
+        group_target("empty", [])
+    with pytest.raises(BadInputError, match="no state"):
+        group_target("typo", ["planning.waipoint.x"])
+    with pytest.raises(BadInputError, match="monitored set"):
+        stage_target("control", "published", "all-99")

@@ -1,0 +1,314 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
+from mavfi.faults.levels.state_injector import ActedOn, StateInjector, flip
+from mavfi.states import STATES, State, new_state
+
+WAYPOINT = FaultSite("planning.waypoint", "x")
+
+
+def waypoint(x=50.0) -> State:
+    state = new_state("planning.waypoint")
+    state.header["x"] = x
+    return state
+
+
+def trajectory(count: int) -> State:
+    state = new_state("planning.trajectory", count)
+    state.elements["y"] = 10.0 + np.arange(count)
+    return state
+
+
+def collision_status(seq: int, time=12.0) -> State:
+    state = new_state("perception.collision_status")
+    state.header["future_collision_seq"] = seq
+    state.header["time_to_collision"] = time
+    return state
+
+
+@pytest.mark.parametrize(
+    ("bit", "after"), [(63, -50.0), (62, 50.0 * 2.0**-1024), (52, 100.0), (51, 34.0), (0, 50.000000000000007)]
+)
+def test_flip_changes_the_bit_that_ieee_754_says(bit, after):
+    state = waypoint()
+    changed, before, value = flip(state, WAYPOINT, bit)
+    assert (before, value) == (50.0, after)
+    assert changed.header["x"][0] == after
+    assert state.header["x"][0] == 50.0
+
+
+def test_flip_inverts_a_flag_and_changes_an_integer_in_twos_complement():
+    state = collision_status(5)
+    assert flip(state, FaultSite("perception.collision_status", "collision"), 0)[1:] == (False, True)
+    assert flip(state, FaultSite("perception.collision_status", "future_collision_seq"), 31)[1:] == (5, 5 - 2**31)
+
+
+def test_flip_injects_the_element_and_nothing_else():
+    state = trajectory(4)
+    changed, before, after = flip(state, FaultSite("planning.trajectory", "y", 2), 63)
+    assert (before, after) == (12.0, -12.0)
+    assert changed.elements["y"].tolist() == [10.0, 11.0, -12.0, 13.0]
+    differing = np.frombuffer(changed.elements.tobytes(), np.uint8) != np.frombuffer(state.elements.tobytes(), np.uint8)
+    assert differing.sum() == 1
+
+
+def test_flip_clamps_the_element_to_what_is_there():
+    changed, before, _ = flip(trajectory(2), FaultSite("planning.trajectory", "y", 9), 63)
+    assert before == 11.0
+    assert changed.elements["y"].tolist() == [10.0, -11.0]
+
+
+@pytest.mark.parametrize(("site", "bit"), [("x", 64), ("x", -1), ("trajectory_seq", 32)])
+def test_flip_refuses_a_bit_that_the_field_does_not_have(site, bit):
+    with pytest.raises(BadInputError, match="no bit"):
+        flip(waypoint(), FaultSite("planning.waypoint", site), bit)
+
+
+def test_flip_refuses_an_empty_list():
+    with pytest.raises(BadInputError, match="no point"):
+        flip(trajectory(0), FaultSite("planning.trajectory", "y", 0), 1)
+
+
+# ---- the injector, and mutants of it that these checks must catch ---------------------------------------------------
+def run_injector(injector) -> list[State]:
+    """Publications at 0.5 s pitch of which the one at 2 s must be changed, with others in between."""
+    published = []
+    for step in range(10):
+        injector(new_state("control.command"), 500_000 * step)
+        published.append(injector(trajectory(0 if step == 4 else 5), 500_000 * step))
+    return published
+
+
+FAULT = StateFault(FaultSite("planning.trajectory", "y", 3), 1_700_000, 52)
+
+
+def check_injector(make) -> None:
+    injector = make(FAULT)
+    published = run_injector(injector)
+    differing = [place for place, state in enumerate(published) if not state.same_bits(trajectory(len(state.elements)))]
+    assert differing == [5], "exactly the first publication after the instant that has elements"
+    expected = [10.0, 11.0, 12.0, 26.0, 14.0]  # 13 = 1.625 x 2^3: the lowest bit of the exponent doubles it
+    assert published[5].elements["y"].tolist() == expected
+    [injection] = injector.finish()
+    assert injection.activated
+    assert (injection.before, injection.after, injection.bit) == (13.0, 26.0, 52)
+    assert injection.time_s == pytest.approx(2.5)
+    assert injection.site == "planning.trajectory.y[3]"
+
+
+class OffByOneBit(StateInjector):
+    def __init__(self, fault):
+        super().__init__(StateFault(fault.where, fault.time_us, fault.bit + 1))
+
+
+class OffByOneElement(StateInjector):
+    def __init__(self, fault):
+        site = FaultSite(fault.where.state, fault.where.field, fault.where.element + 1)
+        super().__init__(StateFault(site, fault.time_us, fault.bit))
+
+
+class OnePublicationLate(StateInjector):
+    def __init__(self, fault):
+        super().__init__(StateFault(fault.where, fault.time_us + 1_000_000, fault.bit))
+
+
+class Never(StateInjector):
+    def __call__(self, state, time_us):
+        return state
+
+
+class Sticky(StateInjector):
+    def __call__(self, state, time_us):
+        if self.injections and state.spec is self._spec and len(state.elements):
+            return flip(state, self._fault.where, self._fault.bit)[0]
+        return super().__call__(state, time_us)
+
+
+class Twice(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, times=2))
+
+
+class Liar(StateInjector):
+    def _inject(self, state, time_us):
+        super()._inject(state, time_us)
+        return state
+
+
+def test_injector_injects_as_the_fault_says():
+    check_injector(StateInjector)
+
+
+@pytest.mark.parametrize("mutant", [OffByOneBit, OffByOneElement, OnePublicationLate, Never, Sticky, Twice, Liar])
+def test_the_checks_catch_mutants_of_the_injector(mutant):
+    with pytest.raises(AssertionError):
+        check_injector(mutant)
+
+
+def test_injector_leaves_the_original_as_it_was():
+    state = waypoint()
+    changed = StateInjector(StateFault(WAYPOINT, 0, 63))(state, 0)
+    assert state.header["x"][0] == 50.0
+    assert changed.header["x"][0] == -50.0
+
+
+def test_untouched_publications_are_the_same_objects():
+    injector = StateInjector(StateFault(WAYPOINT, 1_000_000, 63))
+    early, other = waypoint(), new_state("control.command")
+    assert injector(early, 999_999) is early
+    assert injector(other, 2_000_000) is other
+    assert injector(early, 1_000_000) is not early
+    assert injector(early, 1_000_001) is early
+
+
+def test_null_fault_goes_the_whole_path_and_changes_nothing():
+    injector = StateInjector(StateFault(WAYPOINT, 0, None))
+    state = waypoint()
+    passed = injector(state, 40_000)
+    assert passed is not state
+    assert passed.same_bits(state)
+    [injection] = injector.finish()
+    assert injection.activated
+    assert injection.bit is None
+    assert injection.before == injection.after == 50.0
+
+
+def test_a_publication_that_never_comes_is_reported_as_not_activated():
+    injector = StateInjector(StateFault(WAYPOINT, 5_000_000, 3))
+    injector(waypoint(), 4_000_000)
+    [injection] = injector.finish()
+    assert not injection.activated
+    assert injection.before is None
+    assert injection.time_s == 5.0
+
+
+def test_a_fault_without_a_site_never_injects():
+    injector = StateInjector(StateFault(WAYPOINT, NO_SITE, 3))
+    state = waypoint()
+    assert injector(state, 0) is state
+    assert not injector.finish()[0].activated
+
+
+def test_event_states_are_struck_only_when_consumers_act_on_them():
+    site = FaultSite("perception.collision_status", "time_to_collision")
+    injector = StateInjector(StateFault(site, 1_000_000, 63))
+    sequence = [(0, 0), (1, 500_000), (1, 1_000_000), (1, 1_500_000), (2, 2_000_000), (3, 2_500_000)]
+    times = [time for seq, time in sequence if injector(collision_status(seq), time).header[site.field][0] < 0]
+    assert times == [2_000_000]
+
+
+def test_acted_on_tells_increments_from_repetitions():
+    acted_on = ActedOn(STATES["perception.collision_status"])
+    assert [acted_on(collision_status(seq)) for seq in (0, 1, 1, 2, 1, 2)] == [False, True, False, True, False, True]
+    assert ActedOn(STATES["planning.waypoint"])(waypoint())
+
+
+def test_injector_refuses_a_site_that_does_not_exist():
+    with pytest.raises(BadInputError, match="no state"):
+        StateInjector(StateFault(FaultSite("planning.nowhere", "x")))
+    with pytest.raises(BadInputError, match="no field"):
+        StateInjector(StateFault(FaultSite("planning.waypoint", "roll")))
+
+
+def test_injection_is_strict_json_even_if_the_value_is_not_finite():
+    state = waypoint(1.5)
+    injector = StateInjector(StateFault(WAYPOINT, 0, 62))
+    injector(state, 0)
+    [injection] = injector.finish()
+    assert injection.to_json()["after"] == "nan"
+
+
+# ---- faults that last -----------------------------------------------------------------------------------------------
+PERIOD_US = 20_000
+
+
+def lasting_values(make, fault, values) -> list[int]:
+    """Words of the way-points that consumers see, published at the control period."""
+    injector, seen = make(fault), []
+    for number, value in enumerate(values):
+        state = injector(waypoint(value), number * PERIOD_US)
+        seen.append(int(state.header["x"].view(np.uint64)[0]))
+    return seen
+
+
+def expected_values(fault, values) -> list[int]:
+    """The same, from the definition, without a share."""
+    words = [int(np.array([value]).view(np.uint64)[0]) for value in values]
+    first = next((place for place in range(len(words)) if place * PERIOD_US >= fault.time_us), len(words))
+    mask = sum(1 << bit for bit in range(fault.bit, fault.bit + fault.width))
+    for place in range(first, len(words)):
+        if place == first:
+            stuck = ~words[place] & mask
+        in_time = (place - first) * PERIOD_US <= 1e6 * fault.lasts_s
+        if place - first < fault.times or in_time:
+            words[place] = words[place] & ~mask | stuck
+    return words
+
+
+@given(
+    st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=12), st.integers(0, 60), st.integers(1, 4),
+    st.integers(1, 4), st.sampled_from([0.0, 0.02, 0.05, float("inf")]), st.integers(0, 250_000),
+)  # fmt: skip
+def test_a_fault_that_lasts_sticks_as_its_definition_says(values, bit, width, times, lasts_s, time_us):
+    fault = StateFault(WAYPOINT, time_us, bit, lasts_s=lasts_s, width=width, times=times)
+    assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)
+
+
+class Toggling(StateInjector):
+    def _inject(self, state, time_us):
+        self._stuck = ~int(state.header["x"].view(np.uint64)[0])
+        return super()._inject(state, time_us)
+
+
+class TooShort(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, lasts_s=fault.lasts_s - 1e-6 * PERIOD_US))
+
+
+class Narrow(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, width=fault.width - 1))
+
+
+class OnceOnly(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, lasts_s=0.0))
+
+
+@pytest.mark.parametrize("mutant", [Toggling, TooShort, Narrow, OnceOnly, Never, Liar])
+def test_the_definition_catches_mutants_of_faults_that_last(mutant):
+    fault, values = StateFault(WAYPOINT, 40_000, 52, lasts_s=0.06, width=2), [1.0, 2.0, 3.0, 9.0, 5.0, 6.0, 7.0, 8.0]
+    assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)
+    assert lasting_values(mutant, fault, values) != expected_values(fault, values)
+
+
+def test_an_intermittent_fault_hits_its_share_and_the_seed_says_which():
+    values = [float(number) for number in range(1, 2001)]
+
+    def hits(seed, share=0.3):
+        fault = StateFault(WAYPOINT, 0, 63, seed=seed, lasts_s=float("inf"), share=share)
+        return [word >> 63 for word in lasting_values(StateInjector, fault, values)]
+
+    assert hits(1) == hits(1) and hits(1) != hits(2) and hits(1)[0] == hits(2)[0] == 1
+    assert abs(sum(hits(1)) - 600) < 5 * np.sqrt(2000 * 0.3 * 0.7)
+    assert all(hits(1, 1.0))
+
+
+def test_the_record_counts_what_was_changed_and_says_when_it_is_over():
+    fault = StateFault(WAYPOINT, 0, 63, lasts_s=0.05)
+    injector = StateInjector(fault)
+    for number in range(3):
+        injector(waypoint(), number * PERIOD_US)
+    copy = injector.copy()
+    assert not injector.spent
+    assert injector(state := waypoint(), 3 * PERIOD_US) is state and injector.spent and not copy.spent
+    [injection] = injector.finish()
+    assert injection.details == {"publications": 3} and (injection.before, injection.after) == (50.0, -50.0)
+    assert copy(waypoint(), 50_000).header["x"][0] == -50.0 and copy.finish()[0].details == {"publications": 4}
+    assert StateInjector(StateFault(WAYPOINT, 0, 63)).finish()[0].details == {}

@@ -1,0 +1,36 @@
+import pytest
+
+from mavfi.config import PlatformConfig, shipped
+from mavfi.errors import BadInputError
+from mavfi.flight.compute import latency, redo_latency, stage_latency
+from mavfi.states import KERNELS, PPC_STAGES, STATES, Stage
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("i9-9940x", (289_000, 83_000, 460)), ("cortex-a57", (502_000, 248_000, 1_300))]
+)
+def test_stages_cost_what_the_definitions_say(name, expected):
+    platform = shipped("platforms", PlatformConfig, name)
+    assert tuple(stage_latency(platform, stage) for stage in PPC_STAGES) == expected
+
+
+@pytest.mark.parametrize("name", ["i9-9940x", "cortex-a57"])
+def test_every_kernel_that_writes_a_state_has_a_latency(name):
+    platform = shipped("platforms", PlatformConfig, name)
+    for spec in STATES.values():
+        if spec.stage is not Stage.SENSOR:
+            assert latency(platform, spec.writer) == platform.latency_us.get(spec.writer, 0)
+            assert KERNELS[spec.writer].stage is spec.stage
+
+
+def test_what_runs_on_the_flight_controller_costs_nothing():
+    platform = PlatformConfig(name="toy", latency_us={"point_cloud": 5, "octomap": 6, "collision_check": 7})
+    assert latency(platform, "state_estimation") == 0
+    assert redo_latency(platform, "state_estimation", Stage.PERCEPTION) == 0
+    assert redo_latency(platform, "octomap", Stage.PERCEPTION) == 18
+
+
+def test_a_kernel_that_the_platform_does_not_know_is_named():
+    platform = PlatformConfig(name="toy", latency_us={"pid": 5})
+    with pytest.raises(BadInputError, match="platform toy: key 'latency_us': no kernel 'octomap'; it has pid"):
+        latency(platform, "octomap")

@@ -1,0 +1,128 @@
+"""The state estimator as a kernel: its memory, what it refuses, how it restarts."""
+
+import numpy as np
+import pytest
+
+from mavfi.pipeline.estimation import PATIENCE, StateEstimator
+from mavfi.states import floats, new_state
+from tests.core.reference.kernels.estimation import AIRSIM
+from tests.core.unit.pipeline.parts import same
+
+HOVER = (0.0, 0.0, 9.80665, 0.0, 0.0, 0.0)
+STEP_US = 4_000
+
+
+def sample(values=HOVER):
+    state = new_state("sensor.imu")
+    floats(state.header, 6)[:] = values
+    return state
+
+
+def fix(x=1.0, y=2.0, z=3.0, heading=0.5):
+    state = new_state("sensor.position")
+    floats(state.header, 4)[:] = (x, y, z, heading)
+    return state
+
+
+class Flight:
+    """Feeds an estimator at its rates."""
+
+    def __init__(self):
+        self.kernel, self.time_us = StateEstimator(AIRSIM), 0
+
+    def step(self, position=None, imu=None):
+        if position is not None:
+            assert not self.kernel.receive(position, self.time_us)
+        assert self.kernel.receive(sample() if imu is None else imu, self.time_us)
+        states = self.kernel.step(self.time_us)
+        self.time_us += STEP_US
+        return states
+
+    def hover(self, steps, **where):
+        for number in range(steps):
+            (state,) = self.step(fix(**where) if number % 25 == 0 else None)
+        return floats(state.header, 19)
+
+
+def test_it_says_nothing_before_the_first_fix():
+    flight = Flight()
+    assert flight.step() == [] and flight.step() == []
+    assert flight.step(fix(x=np.nan)) == []
+    (state,) = flight.step(fix())
+    values = floats(state.header, 19)
+    np.testing.assert_allclose(values[:3], (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(values[6:10], (np.cos(0.25), 0.0, 0.0, np.sin(0.25)))
+    assert not values[3:6].any() and not values[13:].any()
+
+
+def test_a_step_is_due_at_a_sample_and_a_fix_waits_for_it():
+    flight = Flight()
+    flight.hover(50)
+    flight.kernel.receive(fix(x=1.05), flight.time_us)
+    (state,) = flight.step()
+    assert state.header["x"][0] > 1.005
+
+
+@pytest.mark.parametrize("place", range(6))
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, -500.0])
+def test_a_sample_that_cannot_be_is_replaced_by_the_last_one(place, value):
+    struck, calm = Flight(), Flight()
+    for flight in (struck, calm):
+        flight.hover(50)
+    wrong = np.array(HOVER)
+    wrong[place] = value
+    struck.step(imu=sample(wrong))
+    calm.step()
+    assert same(struck.step(), calm.step())
+
+
+def test_one_wrong_fix_changes_nothing():
+    struck, calm = Flight(), Flight()
+    for flight in (struck, calm):
+        flight.hover(50)
+    struck.step(fix(x=1e5))
+    calm.step()
+    assert same(struck.step(), calm.step())
+
+
+def test_a_vehicle_that_is_elsewhere_is_believed_in_the_end():
+    flight = Flight()
+    flight.hover(50)
+    moved = flight.hover(25 * (PATIENCE - 1), x=40.0)
+    assert moved[0] < 2.0
+    moved = flight.hover(25 * 40, x=40.0)
+    assert moved[0] == pytest.approx(40.0, abs=0.05) and np.abs(moved[3:6]).max() < 0.05
+
+
+def test_a_sound_fix_between_wrong_ones_renews_the_patience():
+    flight = Flight()
+    flight.hover(50)
+    for _ in range(3):
+        flight.hover(25 * (PATIENCE - 1), x=40.0)
+        assert flight.hover(25)[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_rolled_back_step_gives_the_same_again():
+    flight = Flight()
+    flight.hover(50)
+    kernel = flight.kernel
+    for position in (None, fix(x=1.03), fix(x=1e5)):
+        if position is not None:
+            kernel.receive(position, flight.time_us)
+        kernel.receive(sample((0.1, 0.2, 9.7, 0.1, 0.0, -0.1)), flight.time_us)
+        kernel.mark()
+        first = kernel.step(flight.time_us)
+        covariance = kernel.covariance.copy()
+        for _ in range(2):
+            kernel.rollback()
+            assert same(kernel.step(flight.time_us), first)
+            np.testing.assert_array_equal(kernel.covariance, covariance)
+        flight.time_us += STEP_US
+
+
+def test_what_was_published_does_not_change_with_the_memory():
+    flight = Flight()
+    (state,) = flight.step(fix())
+    before = state.header.tobytes()
+    flight.hover(100, x=1.2)
+    assert state.header.tobytes() == before

@@ -1,0 +1,112 @@
+import json
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from mavfi.analysis.table import Column, Table
+from mavfi.cli import report as cli
+from mavfi.errors import BadInputError
+from mavfi.report.campaign_report import markdown_table, report_of, write_report
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def written(flown):
+    return write_report(flown)
+
+
+def read(written, name):
+    return next(path for path in written.files if path.name == name).read_text(encoding="utf-8")
+
+
+def test_all_files_are_there_and_pictures_are_pictures(written):
+    names = {path.name for path in written.files}
+    assert {"report.md", "readme_block.md", "summary.json", "success.png", "flight_time.png"} <= names
+    for path in written.files:
+        content = path.read_bytes()
+        assert len(content) > 500
+        assert not path.name.endswith(".png") or content.startswith(PNG)
+
+
+def test_report_shows_every_table_and_figure(written):
+    text = read(written, "report.md")
+    for title in (
+        "Success of missions",
+        "Success by inter-kernel state",
+        "Effects of faults",
+        "False alarms",
+    ):
+        assert f"## {title}" in text
+    assert "![success.png](success.png)" in text and "## Findings" in text
+    assert "have the digest of their golden runs" in text
+
+
+def test_markdown_tables_are_rectangular(written):
+    blocks = [block.splitlines() for block in read(written, "report.md").split("\n\n") if block.startswith("| ")]
+    assert len(blocks) > 8
+    for block in blocks:
+        assert len({line.count("|") for line in block}) == 1
+
+
+def test_readme_block_is_the_success_table_with_its_origin(written):
+    text = read(written, "readme_block.md")
+    assert text.startswith("**State level: success rates, one fault per mission**\n\nGenerated on ")
+    parts = (
+        "campaign tiny",
+        "autopilot profile published",
+        "numba",
+        "seeds 10000 to 10001",
+        "| Golden run | here |",
+    )
+    for part in parts:
+        assert part in text
+    assert "## " not in text
+
+
+def test_summary_holds_every_table_in_numbers(written):
+    summary = json.loads(read(written, "summary.json"))
+    assert summary["campaign"]["digest"] == written.runs.campaign["digest"]
+    assert summary["null_runs"] == {"n": 2, "differing": []} and summary["unknown"] == []
+    assert {table.name for table in written.tables} <= set(summary["tables"])
+    [fi] = [row for row in summary["tables"]["success"]["rows"] if row["setting"] == "fi"]
+    assert fi["success"]["n"] == 3 and fi["paper"] == 0.883
+
+
+def test_an_idle_detector_changes_nothing(runs):
+    rows = {
+        row["setting"]: row for table in report_of(runs).tables if table.name == "success" for row in table.entries()
+    }
+    assert list(rows) == ["golden", "golden_idle", "fi", "dr_idle"]
+    for key in ("success", "success_whole_word", "success_mantissa"):
+        assert rows["fi"][key] == rows["dr_idle"][key]
+
+
+@pytest.mark.parametrize("show_all", [False, True])
+def test_the_terminal_shows_the_headline_or_everything(runs, monkeypatch, show_all):
+    out = StringIO()
+    monkeypatch.setattr(cli, "console", lambda: Console(file=out, width=100))
+    found = report_of(runs)
+    cli.show_report(found, show_all)
+    text = out.getvalue()
+    assert "State level: success rates" in text and "Null runs: all 2" in text
+    assert ("How missions ended" in text) == show_all
+    assert all(line.split()[0] in text for line in found.findings) and found.findings
+
+
+def test_no_campaign_no_report(tmp_path):
+    with pytest.raises(BadInputError, match="holds no campaign"):
+        write_report(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_bars_in_cells_do_not_end_them():
+    table = Table.of_text("T", ("a", "b"), [("x|y", "1"), ("x|y", "2")], ("note",))
+    assert markdown_table(table) == "## T\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n|  | 2 |\n\n- note"
+
+
+def test_leading_columns_of_text_are_aligned_left():
+    columns = (Column("a", "a"), Column("b", "b"), Column("c", "c"), Column("n", "n", "number"), Column("d", "d"))
+    lines = markdown_table(Table("t", "T", columns, [("x", "y", "z", 1, "w")])).splitlines()
+    assert lines[3] == "| --- | --- | --- | ---: | ---: |"

@@ -1,0 +1,58 @@
+"""Tables in the terminal: no word is broken, nothing is lost, at any width that holds the longest word."""
+
+from collections import Counter
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from mavfi.analysis.table import Table
+from mavfi.report.terminal import rendered
+
+RUN = "sparse-10016-fi-collision_check-16-1f14e4b6"
+TABLE = Table.of_text(
+    "Lines", ("kernel", "rate", "run", "worst flight time"),
+    [("collision_check", "12.0 [3.0, 44.0] 1/9", RUN, "+12.5 %"), ("pid", "—", RUN, "—")], (),
+)  # fmt: skip
+
+
+def printed(table, width):
+    console = Console(file=StringIO(), width=width)
+    console.print(rendered(table, console.width))
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize("width", [140, 90, 80, 76, 62])
+def test_no_word_is_broken(width):
+    shown = printed(TABLE, width)
+    assert all(len(line) <= width for line in shown.splitlines())
+    words = shown.split()
+    for cell in (*(column.heading for column in TABLE.columns), *(cell for row in TABLE.rows for cell in row)):
+        assert set(cell.split()) <= set(words), cell
+
+
+def test_columns_that_do_not_fit_stand_below_with_the_first_one_again():
+    assert printed(TABLE, 62).split().count("pid") == 3, "once in each block"
+    assert printed(TABLE, 140).split().count("pid") == 1
+
+
+def test_nothing_is_lost_in_a_narrow_terminal():
+    table = Table.of_text("Lines", ("kernel", "run"), [("collision_check", RUN)], ())
+    shown = printed(table, 40)
+    assert max(map(len, shown.splitlines())) <= 40
+    held = "".join((table.title, "kernel", "run", "collision_check", RUN))
+    assert letters(shown) >= letters(held)
+
+
+def letters(text):
+    """How often each letter and digit is there."""
+    return Counter(filter(str.isalnum, text))
+
+
+def test_rows_that_begin_alike_are_grouped():
+    table = Table.of_text("T", ("environment", "n"), [("sparse", "1"), ("sparse", "2"), ("dense", "3")], ())
+    assert printed(table, 80).count("sparse") == 1
+
+
+def test_markup_in_cells_is_text():
+    assert "[r9]" in printed(Table.of_text("[r8]", ("[a]",), [("[r9]",)], ()), 80)

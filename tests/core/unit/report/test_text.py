@@ -1,0 +1,108 @@
+import math
+import struct
+
+import pytest
+
+from mavfi.analysis.statistics import EventRate, Rate
+from mavfi.analysis.table import Column, Table
+from mavfi.report import text
+from tests.core.unit.analysis.handmade import ABOUT, GOLDEN, UNKNOWN, flown, golden, injected, null, runs
+
+
+def test_rate_with_count():
+    assert text.rate(Rate(30, 28 / 30, 0.787, 0.982, 28)) == "93.3 [78.7, 98.2] 28/30"
+
+
+def test_weighted_rate_has_no_count():
+    assert text.rate(Rate(8, 0.5, 0.25, 0.75)) == "50.0 [25.0, 75.0] n=8"
+
+
+def test_absent_figures():
+    nothing = Rate(0, None, None, None, 0)
+    assert text.rate(None) == text.rate(nothing) == text.percent(None) == text.number(None) == text.ABSENT
+
+
+def test_changes_carry_a_sign():
+    assert text.signed_percent(0.5) == "+50.0 %"
+    assert text.signed_percent(-0.015) == "-1.5 %"
+    assert text.signed_percent(-0.0001) == "+0.0 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "shown"),
+    [
+        (None, "rate", "—"), ("no estimate", "percent with interval", "no estimate"), (0.917, "rate", "91.7"),
+        (Rate(6, -1 / 6, -0.571, 0.265), "percent with interval", "-16.7 % [-57.1, 26.5]"),
+        (Rate(6, 0.1, 0.02, 0.2), "points", "+10.0 [2.0, 20.0]"), (Rate(4, 0.25, 0.1, 0.5, 1), "percent", "25.0 %"),
+        (EventRate(7, 0.36, 19.3, 5.7, 39.8, 36.2), "per hour", "19.3 [5.7, 39.8]"),
+        (21404.7, "number .1f kJ", "21.4 kJ"), (42.89, "number .1f s", "42.9 s"), (0.000488, "number .3g", "0.000488"),
+        (12.0, "number g", "12"), (7, "number", "7"), ("fi", "text", "fi"), (0.0000023, "small percent", "0.00023 %"),
+    ],
+)  # fmt: skip
+def test_cells(value, form, shown):
+    assert text.cell(value, form) == shown
+
+
+def test_hidden_columns_are_for_files():
+    table = Table("t", "T", (Column("a", "A"), Column("b", "B", hidden=True)), [("x", "y")])
+    columns, rows = text.shown(table)
+    assert ([column.key for column in columns], rows) == (["a"], [["x"]])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        (2.5, 1e300, ("2.5", "1e+300")),
+        (2.7495712345, 2.7495712346, ("2.7495712345", "2.7495712346")),
+        (0.0, -0.0, ("0", "-0")),
+        (3, 4, ("3", "4")),
+        (1.5, "inf", ("1.5", "inf")),
+        (False, True, ("False", "True")),
+        (2.5, 2.5, ("2.5", "2.5")),
+    ],
+)
+def test_as_short_as_shows_the_difference(before, after, expected):
+    assert text.change(before, after) == expected
+
+
+def test_digits_are_given_by_the_caller():
+    assert text.change(51.30162, 9.463487e20, digits=4) == ("51.3", "9.463e+20")
+    assert text.change(51.30162, 51.30163, digits=4) == ("51.30162", "51.30163")
+
+
+def test_nans_are_shown_by_their_bits():
+    (other,) = struct.unpack(">d", bytes.fromhex("7ff8000000000001"))
+    assert text.change(math.nan, other) == ("nan (0x7ff8000000000000)", "nan (0x7ff8000000000001)")
+
+
+def test_null_runs_are_reported_either_way():
+    assert text.null_line(runs(golden(1))) == "Null runs: none flown."
+    assert text.null_line(runs(golden(1), null(1, GOLDEN))).startswith("Null runs: all 1 with an empty mask")
+    broken = runs(golden(1), golden(2), null(1, flown()), null(2, GOLDEN))
+    assert "1 of 2 DIFFER" in text.null_line(broken)
+    assert broken.null["run_id"][0] in text.null_line(broken)
+
+
+def test_runs_that_could_not_be_judged_are_named():
+    assert text.checks(runs(golden(1))) == ["Null runs: none flown."]
+    own = runs(golden(1), injected(1, UNKNOWN))
+    unknown = f"Unknown: 1 runs could not be judged: {own.injected['run_id'][0]}"
+    assert text.checks(own) == ["Null runs: none flown.", unknown]
+
+
+def test_a_campaign_that_is_not_complete_or_on_design_seeds_says_so():
+    assert not any("Not complete" in line or "design seeds" in line for line in text.header(ABOUT))
+    lines = text.header({**ABOUT, "done": 1, "on_design_seeds": True})
+    assert any("Not complete" in line for line in lines)
+    assert any("design seeds" in line for line in lines)
+
+
+def test_what_was_flown_comes_first_and_our_version_before_others():
+    assert text.header(ABOUT) == [
+        "campaign handmade", "9 missions", "9 of 9 runs done · digest dddddddddddddddd…", "mavfi 1 · numba 2"
+    ]  # fmt: skip
+
+
+def test_a_markdown_grid_aligns_numbers_and_escapes_bars():
+    assert text.markdown_grid(("a", "n"), [("x|y", "1")], left=1) == "| a | n |\n| --- | ---: |\n| x\\|y | 1 |"
+    assert text.markdown_grid(("a", "b"), []) == "| a | b |\n| --- | --- |"

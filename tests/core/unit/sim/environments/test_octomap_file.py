@@ -1,0 +1,158 @@
+"""Reading OctoMap's files: small ones that the tests write, and a real scan."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mavfi.errors import BadInputError
+from mavfi.sim.environments import build_world, environment_for_file
+from mavfi.sim.environments import octomap_file as octomap_file_module
+from mavfi.sim.environments.octomap_file import octomap_file, read_octree
+from tests.core.unit.sim.environments.octrees import bits, tree_of, values
+
+SCAN = Path(__file__).parents[6] / "shared" / "data" / "geb079.bt"
+RESOLUTION = 0.25
+CENTRE = 32768
+START, GOAL = (0.3, 0.3, 0.3), (0.6, 0.3, 0.3)
+
+
+def write(path, voxels, body, kind="OcTree", resolution=RESOLUTION):
+    title = b"# Octomap OcTree binary file" if body is bits else b"# Octomap OcTree file"
+    header = b"%s\n# a comment\nid %s\nsize 1\nres %g\ndata\n" % (title, kind.encode(), resolution)
+    path.write_bytes(header + body(tree_of(voxels)))
+    return path
+
+
+@pytest.fixture
+def voxels():
+    """A free room of 6 x 4 x 4 voxels with a pruned cube in it, one occupied voxel, and an occupied wall."""
+    found = {(CENTRE + i, CENTRE + j, CENTRE + k): False for i in range(6) for j in range(4) for k in range(4)}
+    found |= {(CENTRE + 6, CENTRE + j, CENTRE + k): True for j in range(4) for k in range(4)}
+    return found | {(CENTRE + 4, CENTRE + 2, CENTRE + 1): True}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ending", "body"), ((".bt", bits), (".ot", values)))
+def test_a_written_map_is_read_voxel_by_voxel(tmp_path, voxels, ending, body):
+    path = write(tmp_path / f"room{ending}", voxels, body)
+    world = octomap_file(0, str(path), START, GOAL)
+    assert world.resolution == RESOLUTION
+    solid = np.ones(world.occupied.shape, bool)
+    for key, occupied in voxels.items():
+        index = tuple(np.round((np.array(key) - CENTRE) - world.origin / RESOLUTION).astype(int))
+        solid[index] = occupied
+    np.testing.assert_array_equal(world.occupied, solid)
+    assert world.occupied.shape == (9, 6, 6)
+
+
+def test_unknown_space_is_solid_and_distances_follow(tmp_path, voxels):
+    world = octomap_file(0, str(write(tmp_path / "room.bt", voxels, bits)), START, GOAL)
+    points = np.array([(0.5, 0.5, 0.5), (0.1, 0.5, 0.5), (0.75, 0.625, 0.375), (-0.1, 0.5, 0.5), (9.0, 9.0, 9.0)])
+    np.testing.assert_allclose(world.clearance(points), (0.5, 0.1, 0.25, 0.0, 0.0), atol=1e-12)
+    assert math.isnan(world.clearance(np.array([math.nan, 0.0, 0.0]))[0])
+
+
+def test_pruned_leaves_are_kept_together(tmp_path, voxels):
+    leaves, _ = read_octree(write(tmp_path / "room.bt", voxels, bits))
+    assert leaves.edge.max() == 4
+    assert (leaves.edge.astype(int) ** 3).sum() == len(voxels)
+
+
+@pytest.mark.parametrize(("ending", "body"), ((".bt", bits), (".ot", values)))
+@pytest.mark.parametrize("lost", (1, 3, 20))
+def test_a_truncated_map_is_refused_by_name(tmp_path, voxels, ending, body, lost):
+    path = write(tmp_path / f"room{ending}", voxels, body)
+    path.write_bytes(path.read_bytes()[:-lost])
+    with pytest.raises(BadInputError, match=rf"room{ending}.*truncated"):
+        octomap_file(0, str(path), START, GOAL)
+
+
+@pytest.mark.parametrize(
+    "content",
+    (
+        b"",
+        b"\x89PNG\r\n\x1a\n" + bytes(400),
+        b"# Octomap OcTree binary file\nid OcTree\nres 0.1\n",
+        b"# Octomap OcTree binary file\nid ColorOcTree\nres 0.1\ndata\n\x00\x00",
+        b"# Octomap OcTree binary file\nid OcTree\nres nan\ndata\n\x00\x00",
+        b"# Octomap OcTree binary file\nid OcTree\nres -1\ndata\n\x00\x00",
+        b"# Octomap OcTree binary file\nid OcTree\ndata\n\x00\x00",
+        b"# Octomap OcTree binary file\nid OcTree\nres 0.1\ndata\n\x00\x00",
+        b"# Octomap OcTree binary file\nid OcTree\nres 0.1\ndata\n" + b"\xff" * 4000,
+        b"# Octomap OcTree file\nid OcTree\nres 0.1\ndata\n" + b"\xff" * 4000,
+        b"# Octomap OcTree binary file\nid OcTree\nres 0.1\ndata\n\xaa\xaa",
+    ),
+)
+def test_a_foreign_file_is_refused_in_one_line(tmp_path, content):
+    path = tmp_path / "foreign.bt"
+    path.write_bytes(content)
+    with pytest.raises(BadInputError, match=r"foreign\.bt") as caught:
+        octomap_file(0, str(path), START, GOAL)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_absent_file_or_end_is_refused(tmp_path, voxels):
+    with pytest.raises(BadInputError, match="cannot be read"):
+        octomap_file(0, str(tmp_path / "none.bt"), START, GOAL)
+    with pytest.raises(BadInputError, match="give both"):
+        octomap_file(0, str(write(tmp_path / "room.bt", voxels, bits)), START, None)
+    with pytest.raises(BadInputError, match="path"):
+        octomap_file(0, 7, START, GOAL)
+
+
+def hall(wall=()):
+    """Free space of 20 x 10 x 4 m in voxels of 0.25 m, with solid slices at x = 10 m."""
+    occupied = np.ones((82, 42, 18), bool)
+    occupied[1:-1, 1:-1, 1:-1] = False
+    for low, high in wall:
+        occupied[40, low:high] = True
+    return occupied
+
+
+@pytest.mark.parametrize(
+    ("wall", "half_width"),
+    (
+        ((), 1.0),
+        (((0, 20), (24, 42)), 1.0),  # a door in the middle
+        (((0, 32), (36, 42)), 4.0),  # a door 3 m aside
+    ),
+)
+def test_planners_are_kept_to_the_narrowest_box_with_a_way(tmp_path, monkeypatch, wall, half_width):
+    path = tmp_path / "hall.bt"
+    path.write_bytes(b"")
+    monkeypatch.setattr(octomap_file_module, "_read_grid", lambda *_: (hall(wall), np.array([0.0, -5.25, 0.0]), 0.25))
+    world = octomap_file(0, str(path), (5.0, 0.0, 1.5), (15.0, 0.0, 2.0))
+    np.testing.assert_allclose(world.flight_lower, (5.0 - half_width, -half_width, 0.6))
+    np.testing.assert_allclose(world.flight_upper, (15.0 + half_width, half_width, 2.9))
+
+
+def test_ends_without_a_way_between_them_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "hall.bt"
+    path.write_bytes(b"")
+    blocked = (hall([(0, 42)]), np.array([0.0, -5.25, 0.0]), 0.25)
+    monkeypatch.setattr(octomap_file_module, "_read_grid", lambda *_: blocked)
+    with pytest.raises(BadInputError, match="no way"):
+        octomap_file(0, str(path), (5.0, 0.0, 1.5), (15.0, 0.0, 2.0))
+
+
+def test_a_changed_file_is_read_again(tmp_path, voxels):
+    path = tmp_path / "room.bt"
+    first = octomap_file(0, str(write(path, voxels, bits)), START, GOAL).digest()
+    write(path, voxels | {(CENTRE + 1, CENTRE + 1, CENTRE + 1): True}, bits)
+    assert octomap_file(0, str(path), START, GOAL).digest() != first
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not SCAN.is_file(), reason="the scan of building 079 is not at ../shared/data")
+def test_spheres_of_0_2_m_pass_the_corridor_of_the_real_scan():
+    world = build_world(environment_for_file(str(SCAN)), 0, (-5.0, 0.0, 1.2), (27.0, 0.0, 1.2))
+    assert world.resolution == 0.08 and world.occupied.nbytes < 10e6
+    assert 0.05 < 1.0 - world.occupied.mean() < 0.5
+    wide = ndimage.distance_transform_edt(~world.occupied) * world.resolution > 0.2 + 0.5 * world.resolution
+    regions, _ = ndimage.label(wide)
+    ends = (np.stack([world.start, world.goal - (1.0, 0.0, 0.0)]) - world.origin) / world.resolution
+    start, before_goal = (regions[tuple(slice(int(c) - 4, int(c) + 5) for c in end)] for end in ends)
+    assert set(start[start > 0]) & set(before_goal[before_goal > 0])

@@ -1,0 +1,125 @@
+"""The flight controller, the rotors and the airframe."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mavfi.config import VehicleConfig, shipped
+from mavfi.numerics.rotations import yaw_of
+from mavfi.sim.cascade import MEMORY_SIZE, STEP, mix_rotors, wanted_thrust
+from mavfi.sim.engine import GRAVITY
+from mavfi.sim.vehicle import airframe_of, apply_forces
+from tests.core.unit.sim.flights import fly, open_world, simulator
+
+VEHICLES = ("airsim_quad", "small_quad")
+
+
+def airframe(name="airsim_quad", **changes):
+    return airframe_of(shipped("vehicles", VehicleConfig, name).model_copy(update=changes))
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_hover_stays_put(vehicle):
+    flight = simulator(vehicle=vehicle)
+    start = flight.odometry.copy()
+    flight.advance(20_000_000)
+    np.testing.assert_allclose(flight.odometry, start, atol=1e-9)
+    assert not flight.collided
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+@pytest.mark.parametrize("yaw_rate", (0.0, 2.0))
+@pytest.mark.parametrize(
+    "velocity", ((3.0, 0.0, 0.0), (0.0, -3.0, 0.0), (0.0, 0.0, 1.5), (0.0, 0.0, -1.5), (2.0, 2.0, 0.5))
+)
+def test_velocity_steps_settle_cleanly(vehicle, velocity, yaw_rate):
+    rows = fly(simulator(vehicle=vehicle), (*velocity, yaw_rate), 5.0)
+    size = np.linalg.norm(velocity)
+    along = rows[:, 3:6] @ np.array(velocity) / size**2
+    across = rows[:, 3:6] - along[:, None] * np.array(velocity)
+    assert 0.94 < along[-1] < 1.01
+    assert along.max() < 1.10 * along[-1]
+    assert 0.3 < 0.02 * np.argmax(along > 0.632 * along[-1]) < 0.5
+    assert np.abs(across[-1]).max() < 0.02 * size and np.abs(across).max() < 0.1 * size + 0.05
+
+
+def test_a_ramp_is_followed_with_the_lag_of_the_velocity_gain():
+    flight = simulator()
+    for tick in range(150):
+        flight.command(np.array([0.02 * tick, 0.0, 0.0, 0.0]), 1.0)
+        flight.advance((tick + 1) * 20_000)
+    lag = 0.02 * 149.5 - flight.odometry[3]
+    assert lag == pytest.approx(1.0 / 2.5, abs=0.03)
+
+
+def test_a_speed_above_the_setpoint_limit_is_not_flown():
+    assert fly(simulator(v_max=3.0), (40.0, 0.0, 0.0, 0.0), 6.0)[-1, 3] < 1.33 * 3.0
+
+
+def test_the_heading_follows_the_yaw_rate_and_is_held():
+    flight = simulator()
+    turning = fly(flight, (0.0, 0.0, 0.0, 1.0), 2.0)
+    assert turning[-1, 12] == pytest.approx(1.0, abs=0.02)
+    assert yaw_of(turning[-1, 6:10]) == pytest.approx(2.0, abs=0.25)
+    stopped = fly(flight, (0.0, 0.0, 0.0, 0.0), 3.0)
+    later = fly(flight, (3.0, 1.0, 0.0, 0.0), 3.0)
+    assert yaw_of(stopped[-1, 6:10]) == pytest.approx(2.0, abs=0.02)
+    assert yaw_of(later[-1, 6:10]) == pytest.approx(2.0, abs=0.03)
+
+
+def test_tilt_stays_within_its_limit():
+    rows = fly(simulator(v_max=20.0), (20.0, 0.0, 0.0, 0.0), 1.0)
+    cosine = 1.0 - 2.0 * (rows[:, 7] ** 2 + rows[:, 8] ** 2)
+    assert np.degrees(np.arccos(cosine)).max() < 36.0
+
+
+def test_the_mixer_gives_the_thrust_and_the_torque_asked_for():
+    frame, wanted, forces = airframe(), np.empty(4), np.empty(6)
+    torque = (0.05, -0.03, 0.01)
+    mix_rotors(frame, 9.5, torque, wanted)
+    apply_forces(frame, wanted, np.zeros(3), np.eye(3), forces)
+    np.testing.assert_allclose(forces, (0.0, 0.0, 9.5, *torque), atol=1e-12)
+
+
+@pytest.mark.parametrize("thrust", (-1e3, 0.0, 9.8, 1e300))
+@pytest.mark.parametrize("torque", ((1e300, 0.0, 0.0), (-1e3, 1e3, 1e3), (0.0, 0.0, -1e300)))
+def test_rotors_saturate_within_what_they_can_give(thrust, torque):
+    frame, wanted = airframe(), np.empty(4)
+    mix_rotors(frame, thrust, torque, wanted)
+    assert (wanted >= 0.0).all() and (wanted <= frame.max_thrust).all()
+
+
+def test_roll_keeps_its_authority_when_thrust_and_yaw_saturate():
+    frame, wanted, forces = airframe(), np.empty(4), np.empty(6)
+    mix_rotors(frame, 1e3, (0.1, 0.0, 1e3), wanted)
+    apply_forces(frame, wanted, np.zeros(3), np.eye(3), forces)
+    assert forces[3] == pytest.approx(0.1)
+
+
+def test_a_level_vehicle_at_its_setpoint_wants_its_weight():
+    frame = airframe()
+    force = wanted_thrust(frame, np.zeros(MEMORY_SIZE), np.zeros(4), np.zeros(3))
+    np.testing.assert_array_equal(force, (0.0, 0.0, GRAVITY))
+
+
+def test_rotors_lag_by_their_time_constant():
+    assert airframe(rotor_time_constant=0.005).rotor_step == pytest.approx(1.0 - math.exp(-STEP / 0.005))
+    assert airframe(rotor_time_constant=0.0).rotor_step == 1.0
+
+
+def test_free_fall_and_terminal_speed_follow_the_closed_form():
+    """v = u tanh(g t / u), u = sqrt(m g / k): quadratic drag, rotors without thrust."""
+    flight = simulator(open_world(height=900.0), max_rotor_thrust=1e-9)
+    terminal = math.sqrt(1.0 * GRAVITY / 0.1347)
+    for seconds in (0.2, 1.0, 4.0, 20.0):
+        flight.advance(round(seconds * 1e6))
+        expected = -terminal * math.tanh(GRAVITY * seconds / terminal)
+        assert flight.odometry[5] == pytest.approx(expected, rel=4e-3)
+    assert flight.odometry[5] == pytest.approx(-terminal, rel=1e-6)
+
+
+def test_horizontal_drag_balances_the_velocity_error():
+    """At rest in the moving frame gain x error x mass = k v^2 (level flight, small tilt)."""
+    speed = fly(simulator(), (3.0, 0.0, 0.0, 0.0), 12.0)[-1, 3]
+    assert 2.5 * (3.0 - speed) == pytest.approx(0.00659 * speed**2, rel=0.05)

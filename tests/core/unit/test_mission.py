@@ -1,0 +1,85 @@
+import json
+
+import pytest
+
+from mavfi.config import PlatformConfig, parse, shipped
+from mavfi.errors import BadInputError
+from mavfi.flight.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus, Scenario, time_limit
+
+
+def test_the_time_limit_is_150_s_at_the_defaults():
+    platform = shipped("platforms", PlatformConfig, "i9-9940x")
+    assert time_limit(100.0, 3.0, platform) == pytest.approx(150.0)
+    slow = shipped("platforms", PlatformConfig, "cortex-a57")
+    assert time_limit(100.0, 3.0, slow) == pytest.approx(150.0 * slow.time_limit_factor)
+    assert time_limit(50.0, 1.5, platform) == pytest.approx(150.0)
+
+
+def test_every_end_is_a_sentence():
+    assert all(status.value[0].isupper() and status.value.endswith(".") for status in MissionStatus)
+    assert MissionStatus.FLY_AWAY.label == "fly_away"
+    assert MissionStatus.FLY_AWAY.words == "fly away"
+
+
+def test_a_scenario_survives_json_with_the_same_key():
+    scenario = resolve(MissionSpec(environment="dense", seed=7, autopilot="hardened", start=(10.0, 0.0, 3.0)))
+    text = json.dumps(scenario.to_json())
+    again = Scenario.model_validate(json.loads(text))
+    assert again == scenario and again.key() == scenario.key()
+
+
+def test_renamed_fields_are_stored_by_their_older_names_and_read_by_both():
+    scenario = resolve(MissionSpec(environment="dense", seed=7))
+    data = scenario.to_json()
+    assert list(data)[:4] == ["environment", "seed", "stack", "vehicle"] and list(data["vehicle"])[4] == "hull_radius"
+    newer = {**data, "vehicle": {**data["vehicle"]}}
+    newer["autopilot"] = newer.pop("stack")
+    newer["vehicle"]["collision_radius"] = newer["vehicle"].pop("hull_radius")
+    assert Scenario.model_validate(newer) == Scenario.model_validate(data) == scenario
+
+
+def test_options_that_are_off_are_not_in_the_key():
+    plain = resolve(MissionSpec(environment="dense", seed=7)).to_json()
+    assert not {"wind", "localization", "dead_node"} & set(plain) and "alarm" not in plain["stack"]
+    on = {"wind": 2.0, "localization": "estimator", "dead_node": "readback", "alarm": "repeated"}
+    full = resolve(MissionSpec(environment="dense", seed=7, **on))
+    data = json.loads(json.dumps(full.to_json()))
+    assert data["wind"]["gust"] == 2.0 and data["localization"]["kind"] == "estimator"
+    assert data["dead_node"] == "readback" and data["stack"]["alarm"] == "repeated"
+    assert Scenario.model_validate(data) == full
+
+
+def test_whatever_decides_the_flight_changes_the_key():
+    base = {"environment": "dense", "seed": 7}
+    changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"autopilot": "hardened"}, {"platform": "cortex-a57"},
+               {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}, {"wind": 3.0},
+               {"localization": "estimator"}, {"dead_node": "end"}, {"alarm": "repeated"},
+               {"epoch_liveness": 1.0}]  # fmt: skip
+    assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
+
+
+@pytest.mark.parametrize(
+    ("data", "message", "found"),
+    [
+        ({"stack": "hardened"}, "own.yaml: key 'stack': dropped; use autopilot", {"autopilot": "hardened"}),
+        ({"dead_node": "restart"}, "own.yaml: key 'dead_node': 'restart': dropped; use 'fresh'", {}),
+    ],
+)
+def test_older_names_are_for_what_earlier_versions_stored(data, message, found):
+    with pytest.raises(BadInputError) as refusal:
+        parse(MissionSpec, data, "own.yaml")
+    assert str(refusal.value) == message
+    assert parse(MissionSpec, data, "own.yaml", stored=True) == MissionSpec(**found)
+
+
+def test_names_that_stay_in_stored_scenarios_are_no_older_ones_there():
+    scenario = resolve(MissionSpec(environment="dense", seed=7))
+    assert parse(Scenario, scenario.to_json(), "flight.npz", stored=True) == scenario
+
+
+def test_a_mission_changes_rules_of_its_profile():
+    plain = resolve(MissionSpec(autopilot="hardened"))
+    assert resolve(MissionSpec(autopilot="hardened", alarm="one_shot", epoch_liveness=3.0)) == plain
+    own = resolve(MissionSpec(autopilot="hardened", alarm="repeated", epoch_liveness=0.0)).autopilot
+    assert own == plain.autopilot.model_copy(update={"alarm": "repeated", "epoch_liveness": 0.0})

@@ -1,0 +1,211 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from mavfi import cli
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.errors import BadInputError
+from mavfi.plugins import allow_plugins, allow_typed, build, known, load_object, plugin_failure
+
+ROOT = Path(__file__).parents[3]
+SHIPPED = {"here": "mavfi.errors:MavfiError"}
+GROUP = "mavfi.no_such_group"
+
+
+def load(name):
+    return load_object("thing", name, GROUP, SHIPPED)
+
+
+def test_shipped_names_entry_points_and_addresses_are_found():
+    assert load("here").__name__ == "MavfiError"
+    assert load("mavfi.errors:BadInputError") is BadInputError
+    assert "cuboids" in known("mavfi.environments", {})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere", "allowed: here, or package:object"),
+        ("no_such_package:X", "cannot be imported .ModuleNotFoundError"),
+        ("mavfi.errors:Missing", "cannot be imported .AttributeError"),
+        (".relative:X", "not known"),
+        (":X", "not known"),
+        ("folder/module.py:X", "not known; allowed: here, or package:object"),
+        ("mavfi.errors:__doc__", "cannot be called"),
+    ],
+)
+def test_what_cannot_be_loaded_is_one_line(name, message):
+    with pytest.raises(BadInputError, match=message) as caught:
+        load(name)
+    assert str(caught.value).startswith(f"thing {name!r}: ") and "\n" not in str(caught.value)
+
+
+def test_a_module_that_raises_is_the_users_mistake(tmp_path, monkeypatch):
+    (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('two\\nlines')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    with pytest.raises(BadInputError, match="RuntimeError: two lines"):
+        load("broken_plugin:X")
+
+
+def test_a_constructor_that_raises_and_a_missing_method_are_named():
+    with pytest.raises(BadInputError, match="cannot be built .TypeError"):
+        build("thing", "x", dict, 1, 2, 3)
+    with pytest.raises(BadInputError, match="lacks search"):
+        build("thing", "x", dict, needs={"keys": "", "search": "counter"})
+    assert build("thing", "x", dict, needs={"keys": ""}, a=1) == {"a": 1}
+
+
+def test_a_method_with_other_parameters_is_refused_before_its_first_call():
+    def made(check):
+        return lambda: SimpleNamespace(check=check)
+
+    needs = {"check": "state, time_us"}
+    for fine in (lambda state, now: None, lambda *values: None, lambda state, now, more=1: None, max):
+        assert build("thing", "x", made(fine), needs=needs)
+    for wrong, own in ((lambda state: None, r"\(state\)"), (lambda a, b, c: None, r"\(a, b, c\)")):
+        with pytest.raises(BadInputError, match=rf"^thing 'x': check{own}: allowed: check\(state, time_us\)$"):
+            build("thing", "x", made(wrong), needs=needs)
+
+
+@pytest.fixture
+def strangers_files(monkeypatch):
+    monkeypatch.delenv("MAVFI_ALLOW_PLUGINS")
+
+
+@pytest.mark.usefixtures("strangers_files")
+def test_code_that_is_only_named_in_a_file_is_neither_imported_nor_run(tmp_path, monkeypatch):
+    (tmp_path / "evil_plugin.py").write_text(
+        "import pathlib\npathlib.Path('was_run').touch()\nX = dict\n", encoding="utf-8"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("evil_plugin:X", "pydoc:pipepager", "builtins:dict"):
+        with pytest.raises(BadInputError, match="named in a file, and so not run; allowed: .*--allow-plugins"):
+            load(name)
+    assert not (tmp_path / "was_run").exists() and str(tmp_path) not in sys.path
+    allow_typed(["fly", "--planner", "evil_plugin:X", None, "state:planning.waypoint.x:bit=62@20"])
+    assert load("evil_plugin:X") is dict and (tmp_path / "was_run").exists()
+    with pytest.raises(BadInputError):
+        load("builtins:dict")
+    allow_plugins()
+    assert load("builtins:dict") is dict
+    assert load("here").__name__ == "MavfiError", "shipped ones need nothing"
+
+
+@pytest.mark.usefixtures("strangers_files")
+@pytest.mark.parametrize(
+    ("text", "arguments"),
+    [
+        ("name: gates\ngenerator: pydoc:pipepager\n", ["fly", "--environment", "FILE"]),
+        ("name: pydoc:pipepager\n", ["fly", "--planner", "FILE"]),
+        (
+            "name: c\nenvironments: [sparse]\nmissions: 1\nmission: {map: 'pydoc:pipepager'}\n",
+            ["campaign", "run", "FILE", "--out", "OUT"],
+        ),
+        (
+            "name: c\nenvironments: [sparse]\nmissions: 1\nhost: 'pydoc:pipepager'\n",
+            ["campaign", "run", "FILE", "--out", "OUT"],
+        ),
+        (
+            "name: c\nenvironments: [sparse]\nmissions: 1\narms: {own: {detector: 'pydoc:pipepager'}}\n",
+            ["campaign", "run", "FILE", "--out", "OUT"],
+        ),
+    ],
+)
+def test_a_strangers_file_is_refused_in_one_line(text, arguments, tmp_path, capsys):
+    (tmp_path / "file.yaml").write_text(text, encoding="utf-8")
+    places = {"FILE": str(tmp_path / "file.yaml"), "OUT": str(tmp_path / "out")}
+    assert cli.run([places.get(word, word) for word in arguments]) == 2
+    stderr = capsys.readouterr().err
+    assert "'pydoc:pipepager': named in a file, and so not run" in stderr and stderr.count("\n") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--environment", "sparse", "--planner", "examples.planner_detour:Detour"],
+        ["--environment", "sparse", "--detector", "examples.detector_speed_limit:SpeedLimit"],
+        ["--environment", "gates.yaml"],
+    ],
+)
+def test_examples_fly_from_the_console_script(options, tmp_path):
+    gates = tmp_path / "gates.yaml"
+    gates.write_text("name: gates\ngenerator: examples.environment_gates:gates\n", encoding="utf-8")
+    options = [str(gates) if option == "gates.yaml" else option for option in options]
+    program = Path(sys.executable).with_name("mavfi")
+    done = subprocess.run(
+        [program, "fly", "--seed", "7", *options], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+_BOTH = """
+import json
+from mavfi.errors import allowed
+
+
+class One:
+    def check(self, text):
+        return self.deeper(text)
+
+    def deeper(self, text):
+        return json.loads(text)
+
+
+class Other(One):
+    def check(self, names):
+        return allowed(names)
+"""
+
+
+def _failure(call, *arguments):
+    with pytest.raises(Exception) as caught:  # noqa: PT011 - any
+        call(*arguments)
+    return plugin_failure(caught.value)
+
+
+def test_an_exception_of_a_plugin_is_one_line_with_its_place(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    one, other = load("two_plugins:One")(), load("two_plugins:Other")()
+    assert _failure(one.check, 5).startswith("two_plugins:One: TypeError: the JSON object")
+    assert _failure(one.check, 5).endswith("(two_plugins.py:11, deeper)"), "frames of libraries are their caller's"
+    assert _failure(other.deeper, "}").startswith("two_plugins:Other: JSONDecodeError: Expecting value: line 1")
+
+
+def test_an_exception_of_mavfi_is_none_of_a_plugin(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    other = load("two_plugins:Other")()
+    assert _failure(other.check, 5) == "", "raised in a function of mavfi"
+    assert _failure(lambda: 1 / 0) == "", "no plug-in takes part"
+    assert plugin_failure(ValueError("never raised")) == ""
+    monkeypatch.setattr(json, "loads", _without_memory)
+    assert _failure(other.deeper, "{}") == "", "of the machine"
+
+
+def _without_memory(text):
+    raise MemoryError
+
+
+def _decode(text):
+    yield load("two_plugins:One")().check(text)
+
+
+def test_an_exception_of_a_plugin_in_a_worker_keeps_its_place(tmp_path, monkeypatch):
+    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    allow_plugins()
+    with pytest.raises(BadInputError, match=r"^two_plugins:One: JSONDecodeError: .* \(two_plugins.py:11, deeper\)$"):
+        list(LocalExecutor(1).map(_decode, ["}"]))

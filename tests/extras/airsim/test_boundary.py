@@ -1,0 +1,131 @@
+"""Faults and a detector at the boundary."""
+
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim.boundary import Boundary, Recording, parse_fault
+from mavfi.extras.airsim.table import CALLS
+
+VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
+
+
+def call(boundary, name, given, result, now_us=0):
+    given = boundary.arguments(name, given, now_us)
+    return given, boundary.returned(name, given, result, now_us)
+
+
+def test_an_argument_is_changed_once_from_its_instant_on():
+    boundary = Boundary(parse_fault("moveByVelocity.vy:bit=63@2"))
+    assert call(boundary, "moveByVelocity", list(VELOCITY), True, 1_999_999)[0] == VELOCITY
+    assert call(boundary, "hover", [""], True, 3_000_000)[0] == [""]
+    assert call(boundary, "moveByVelocity", list(VELOCITY), True, 3_000_000)[0][:3] == [1.0, -2.0, 0.0]
+    assert call(boundary, "moveByVelocity", list(VELOCITY), True, 4_000_000)[0] == VELOCITY
+    found = boundary.injection
+    assert (found.time_s, found.bit, found.before, found.after, found.activated) == (3.0, 63, 2.0, -2.0, True)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "given", "after"),
+    [
+        ("moveByVelocity.vx:bit=62", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 0.0),
+        ("moveByVelocity.arguments#0:bit=52", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 4.0),
+        ("moveByVelocity.drivetrain:bit=1", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 2),
+        ("moveByVelocity.yaw_mode.is_rate:bit=0", "moveByVelocity", [2, 0, 0, 1, 0, {"is_rate": True}, ""], False),
+        ("moveByVelocity.yaw_mode.yaw_or_rate:bit=63", "moveByVelocity", [2, 0, 0, 1, 0, {"yaw_or_rate": 9}, ""], -9.0),
+        ("moveOnPath.path.0.x_val:bit=63", "moveOnPath", [[{"x_val": 3}]], -3.0),
+        ("moveByAngleZ.roll:bit=63", "moveByAngleZ", [0, 1, -3, 0, 1, ""], -1.0),
+        ("simPlotPoints.arguments#0:bit=1", "simPlotPoints", [1], 3),
+    ],
+)
+def test_a_number_has_the_type_of_airsim_s_signature_however_the_program_writes_it(text, name, given, after):
+    boundary = Boundary(parse_fault(text))
+    boundary.arguments(name, given, 0)
+    assert boundary.injection.after == after and type(boundary.injection.after) is type(after)
+
+
+def test_every_number_of_a_task_has_its_type():
+    words = {"path", "yaw_mode", "vehicle_name"}
+    tasks = [one for one in CALLS.values() if one.is_task]
+    assert len(tasks) > 20 and {
+        parameter.annotation for one in tasks for parameter in one.parameters if parameter.name not in words
+    } == {int, float}
+
+
+@pytest.mark.parametrize(
+    "text", ["simGetVehiclePose.return.position.x_val:bit=63#2", "simGetVehiclePose.return#0:bit=63#2"]
+)
+def test_a_returned_value_is_changed_in_the_nth_call(text):
+    boundary = Boundary(parse_fault(text))
+    for wanted in (1.0, -1.0, 1.0):
+        _, result = call(boundary, "simGetVehiclePose", [""], {"position": {"x_val": 1.0}})
+        assert result["position"]["x_val"] == wanted
+    assert boundary.injection.details["number"] == 2
+
+
+def test_a_number_of_all_is_not_the_nth_call():
+    fault = parse_fault("simGetVehiclePose.return#7").fault
+    assert (fault.field, fault.at) == ("return#7", 1)
+
+
+def test_a_path_leads_into_objects():
+    boundary = Boundary(parse_fault("moveOnPath.path.1.x_val:bit=63"))
+    path = [{"x_val": 1.0, "y_val": 0.0, "z_val": 0.0}, {"x_val": 2.0, "y_val": 0.0, "z_val": 0.0}]
+    given, _ = call(boundary, "moveOnPath", [path], True)
+    assert [point["x_val"] for point in given[0]] == [1.0, -2.0]
+
+
+@pytest.mark.parametrize(
+    "text", ["moveOnPath.path.9.x_val:bit=1", "simGetVehiclePose.return.none:bit=1", "hover.return#7"]
+)
+def test_a_number_that_is_not_there_leaves_the_fault_not_activated(text):
+    boundary = Boundary(parse_fault(text))
+    call(boundary, text.partition(".")[0], [[]], {"position": 1.0})
+    assert boundary.injection is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nonsense", "allowed: CALL.PATH"),
+        ("fly.x:bit=1", "call 'fly': not known"),
+        ("moveByVelocity.speed:bit=1", "'speed': not known; allowed: vx, vy, vz, duration"),
+        ("moveByVelocity.vx:bit=64", "bit 64: allowed: 0 to 63"),
+        ("moveByVelocity.vx:bit=1@-3", "allowed: 0 to 1e6 s"),
+        ("moveByVelocity.vx:bit=1#0", "allowed: CALL.PATH"),
+        ("moveByVelocity.arguments:bit=1", "'arguments': not known; allowed: vx"),
+        ("moveByVelocity.arguments#:bit=1", "allowed: CALL.PATH"),
+    ],
+)
+def test_what_cannot_be_is_refused(text, message):
+    with pytest.raises(BadInputError, match=message):
+        parse_fault(text)
+
+
+def test_the_seed_draws_the_bit_that_is_not_named():
+    drawn = {parse_fault("moveByVelocity.vx", seed).fault.bit for seed in range(40)}
+    assert len(drawn) > 20 and parse_fault("moveByVelocity.vx", 3) == parse_fault("moveByVelocity.vx", 3)
+
+
+def test_every_call_that_passes_is_counted_with_its_numbers():
+    boundary = Boundary(keeps=True)
+    call(boundary, "moveByVelocity", list(VELOCITY), True)
+    assert [(one.name, one.arguments, one.returned) for one in boundary.passed] == [("moveByVelocity", 7, 1)]
+
+
+def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
+    recording, random = Recording(), np.random.default_rng(1)
+    calls = [[float(x), float(y), 0.0, 1.0] for x, y in random.normal(2.0, 0.1, (200, 2))]
+    for given in calls:
+        call(Boundary(recording=recording), "moveByVelocity", list(given), True)
+    watch = recording.train("gaussian", "paper")
+    boundary = Boundary(parse_fault("moveByVelocity.vx:bit=61#20"), watch=watch)
+    for number, given in enumerate(calls[:60]):
+        call(boundary, "moveByVelocity", list(given), True, 20_000 * number)
+    assert {alarm.state for alarm in watch.alarms} == {"moveByVelocity(arguments)"} and len(watch.alarms) < 4
+    assert watch.alarms[0].time_s == pytest.approx(0.38) and "vx" in watch.alarms[0].fields[0]
+
+
+def test_too_few_calls_teach_nothing():
+    with pytest.raises(BadInputError, match="no call happened 50 times"):
+        Recording().train("gaussian", "paper")

@@ -1,0 +1,361 @@
+"""Calls of the API in this process: what they return, how tasks end, what is refused."""
+
+import math
+import re
+import struct
+import zlib
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavfi.extras.airsim.boundary import Boundary
+from mavfi.extras.airsim.clock import Real, Steps
+from mavfi.extras.airsim.frames import LEVEL, geo_point, pose, vector
+from mavfi.extras.airsim.program import make_api
+from mavfi.extras.airsim.server import Server
+from mavfi.extras.airsim.table import CALLS
+from mavfi.mission import MissionSpec
+from mavfi.sim.environments import build_world
+from mavfi.sim.simulator import Simulator
+from tests.core.architecture.source import ROOT
+from tools import airsim_survey
+
+STILL = {"is_rate": True, "yaw_or_rate": 0.0}
+AHEAD = {"is_rate": False, "yaw_or_rate": 0.0}
+FORWARD_ONLY = 1
+SPEC = MissionSpec(environment="sparse", seed=7)
+
+
+class Client:
+    """Calls a server as its own protocol does; `wait` lets its task end first."""
+
+    def __init__(self, *, clock=None, **options):
+        self.server = Server(make_api(SPEC, **options), clock or Steps(limit_us=10**9), Boundary())
+        self.vehicle = self.server.api.vehicle
+        self.answers = {}
+
+    def post(self, name, *given):
+        number = len(self.answers)
+        self.answers[number] = None
+        self.server.serve_call(name, list(given), lambda error, result: self.answers.update({number: (error, result)}))
+        return number
+
+    def __call__(self, name, *given):
+        number = self.post(name, *given)
+        if self.answers[number] is None:
+            self.post("mavfiFinish")
+        error, result = self.answers[number]
+        if error is not None:
+            raise RuntimeError(error)
+        return result
+
+    def ready(self):
+        self("enableApiControl", True, "")
+        self("armDisarm", True, "")
+        return self
+
+    @property
+    def at(self):
+        return np.array(self.vehicle.position)
+
+
+@pytest.fixture(scope="module")
+def flying():
+    client = Client().ready()
+    assert client("takeoff", 20.0, "")
+    return client
+
+
+def test_take_off_land_and_what_the_state_says():
+    client = Client().ready()
+    assert client("getMultirotorState", "")["landed_state"] == 0
+    assert client("takeoff", 20.0, "") is True and -2.0 < client.at[2] < -1.4
+    state = client("getMultirotorState", "")
+    assert state["landed_state"] == 1 and not state["collision"]["has_collided"]
+    assert state["kinematics_estimated"]["position"] == vector(client.vehicle.position)
+    assert client("land", 60.0, "") is True and client("getMultirotorState", "")["landed_state"] == 0
+    assert client("armDisarm", False, "") and not client("simGetCollisionInfo", "")["has_collided"]
+    with pytest.raises(RuntimeError, match="takeoff: the motors are off; allowed: after armDisarm"):
+        client("takeoff", 20.0, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "wanted"),
+    [
+        ("moveToPosition", (3.0, 2.0, -4.0, 2.0, 60.0, 0, STILL, -1.0, 1.0, ""), (3.0, 2.0, -4.0)),
+        ("moveToZ", (-5.0, 2.0, 60.0, STILL, -1.0, 1.0, ""), (None, None, -5.0)),
+        ("goHome", (60.0, ""), (0.0, 0.0, 0.0)),
+        (
+            "moveOnPath",
+            ([vector((2, 0, -4)), vector((2, 3, -4))], 2.0, 60.0, FORWARD_ONLY, AHEAD, 2.0, 1.0, ""),
+            (2, 3, -4),
+        ),
+    ],
+)
+def test_a_place_is_reached_within_half_a_metre(flying, name, given, wanted):
+    assert flying(name, *given) is True
+    off = [abs(is_at - should) for is_at, should in zip(flying.at, wanted, strict=True) if should is not None]
+    assert max(off) <= 0.5
+
+
+def test_velocities_in_both_frames_and_yaw(flying):
+    assert flying("rotateToYaw", 90.0, 20.0, 2.0, "") and flying.vehicle.yaw == pytest.approx(math.pi / 2, abs=0.06)
+    before = flying.at
+    assert flying("moveByVelocityBodyFrame", 1.0, 0.0, 0.0, 3.0, 0, STILL, "")
+    east, north = flying.at[1] - before[1], flying.at[0] - before[0]
+    assert east == pytest.approx(2.6, abs=0.4) and abs(north) < 0.3
+    assert flying("moveByVelocityZ", -1.0, 0.0, -5.0, 4.0, 0, STILL, "") and flying.at[2] == pytest.approx(
+        -5.0, abs=0.3
+    )
+    assert flying("rotateByYawRate", 30.0, 1.0, "") and flying("hover", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("moveByRollPitchYawZ", (0.0, 0.0, 0.0, -5.0, 3.0, "")),
+        ("moveByRollPitchYawThrottle", (0.0, 0.0, 0.0, 0.5866, 1.0, "")),
+        ("moveByRollPitchYawrateZ", (0.0, 0.0, 0.5, -5.0, 3.0, "")),
+        ("moveByAngleRatesZ", (0.0, 0.0, 0.0, -5.0, 2.0, "")),
+        ("moveByMotorPWMs", (0.5866, 0.5866, 0.5866, 0.5866, 0.5, "")),
+    ],
+)
+def test_commands_below_the_velocity_loop_fly(flying, name, given):
+    flying("moveToZ", -5.0, 2.0, 60.0, STILL, -1.0, 1.0, "")
+    assert flying(name, *given) and flying.at[2] == pytest.approx(-5.0, abs=0.8)
+    flying("hover", "")
+
+
+def test_a_pitch_flies_and_a_roll_flies_to_the_right(flying):
+    flying("rotateToYaw", 0.0, 20.0, 2.0, "")
+    before = flying.at
+    flying("moveByRollPitchYawZ", 0.1, -0.1, 0.0, -5.0, 1.5, "")
+    assert (flying.at - before)[:2].min() > 0.3  # nose down: ahead (north); right wing down: to the right (east)
+    flying("hover", "")
+
+
+def test_a_new_task_ends_the_one_before_with_false(flying):
+    first = flying.post("moveToPosition", 50.0, 0.0, -5.0, 1.0, 60.0, 0, STILL, -1.0, 1.0, "")
+    assert flying("hover", "") is True and flying.answers[first] == (None, False)
+    last = flying.post("moveByVelocity", 1.0, 0.0, 0.0, 60.0, 0, STILL, "")
+    flying("cancelLastTask", "")
+    assert flying.answers[last] == (None, False)
+
+
+def test_reset_answers_the_task_and_goes_back_to_the_start():
+    client = Client().ready()
+    client("takeoff", 20.0, "")
+    task = client.post("moveToPosition", 50.0, 0.0, -5.0, 1.0, 60.0, 0, STILL, -1.0, 1.0, "")
+    before = client.vehicle.now_us
+    client("reset")
+    assert client.answers[task] == (None, False) and client.vehicle.now_us >= before
+    assert not client.at.any() and client.vehicle.landed and not client("isApiControlEnabled", "")
+    with pytest.raises(RuntimeError, match="API control is off"):
+        client("hover", "")
+
+
+def test_a_reset_that_is_refused_changes_nothing():
+    client = Client().ready()
+    client("takeoff", 20.0, "")
+    client("simSpawnObject", "wall", "Cube", pose((0.0, 0.0, 0.0), LEVEL), vector((1, 1, 1)))
+    with pytest.raises(RuntimeError, match="an obstacle stands at"):
+        client("reset")
+    assert client.at[2] < -1.0 and client("hover", "") is True
+
+
+def test_a_collision_is_remembered_after_a_change_of_pose():
+    client = Client().ready()
+    client("simSpawnObject", "wall", "Cube", pose((3.0, 0.0, -2.0), LEVEL), vector((1, 6, 8)))
+    client("takeoff", 20.0, "")
+    client("moveByVelocity", 2.0, 0.0, 0.0, 3.0, 0, STILL, "")
+    assert client.vehicle.has_collided
+    zero = vector((0, 0, 0))
+    state = {**pose((0.0, 0.0, -2.0), LEVEL), "linear_velocity": zero, "angular_velocity": zero}
+    client("simSetKinematics", state, True, "")
+    assert not client.vehicle.has_collided and client.vehicle.has_ever_collided
+
+
+def test_time_passes_in_calls_only_and_a_pause_stops_it():
+    client = Client().ready()
+    client("simPause", True)
+    before = client.vehicle.now_us
+    for _ in range(5):
+        client("simGetVehiclePose", "")
+    assert client.vehicle.now_us == before and client("simIsPaused")
+    first, second = client("mavfiNow"), client("mavfiNow")
+    assert second > first  # a program that waits by polling its clock does not wait for ever
+    client("simContinueForTime", 0.5)
+    assert client.vehicle.now_us == before + 500_000 and client("simIsPaused")
+    client("simContinueForFrames", 3)
+    assert client.vehicle.now_us == before + 560_000
+    client("simPause", False)
+    client("mavfiSleep", 1.0)
+    assert client.vehicle.now_us >= before + 1_560_000
+
+
+def test_the_clock_of_the_wall_pauses_too():
+    clock = Real(1000.0)
+    client = Client(clock=clock).ready()
+    client("simContinueForTime", 0.1)
+    before = client.vehicle.now_us
+    for _ in range(1000):
+        clock.tick(client.server.api)
+    assert client.vehicle.now_us == before + 100_000 and client("simIsPaused")
+
+
+def test_depth_is_that_of_the_mission_s_camera_bit_for_bit():
+    client = Client(on_ground=False)
+    scenario = client.vehicle.scenario
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    ranges, _ = Simulator(world, scenario).depth()
+    request = {"camera_name": "0", "image_type": 2, "pixels_as_float": True, "compress": False}
+    (image,) = client("simGetImages", [request], "", False)
+    found = np.array(image["image_data_float"], np.float32)
+    found[found >= scenario.camera.range] = np.inf
+    assert (image["width"], image["height"]) == (64, 48) and found.tobytes() == ranges.tobytes()
+    (planar,) = client("simGetImages", [{**request, "image_type": 1}], "", False)
+    assert (np.array(planar["image_data_float"]) <= np.array(image["image_data_float"]) + 1e-6).all()
+
+
+def test_pictures_are_png_or_bytes_and_segments_have_their_ids(flying):
+    data = flying("simGetImage", "bottom_center", 0, "", False)
+    width, height = struct.unpack(">II", data[16:24])
+    rows = zlib.decompress(data[data.index(b"IDAT") + 4 : -16])
+    assert data.startswith(b"\x89PNG") and (width, height) == (256, 144) and len(rows) == 144 * (1 + 3 * 256)
+    raw = {"camera_name": "bottom_center", "image_type": 5, "pixels_as_float": False, "compress": False}
+    flying("simSetSegmentationObjectID", "Ground", 42, False)
+    (image,) = flying("simGetImages", [raw], "", False)
+    colours = np.unique(np.frombuffer(image["image_data_uint8"], np.uint8).reshape(-1, 3), axis=0)
+    assert [42 * 97 % 256, 42 * 57 % 256, 42 * 181 % 256] in colours.tolist()
+
+
+def test_cameras_are_turned_and_zoomed(flying):
+    request = {"camera_name": "1", "image_type": 1, "pixels_as_float": True, "compress": False}
+    flying("simSetCameraPose", "1", pose((0.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0)), "")  # down
+    flying("simSetCameraFov", "1", 20.0, "")
+    (image,) = flying("simGetImages", [request], "", False)
+    height = flying.vehicle.sim.odometry[2]
+    assert np.median(image["image_data_float"]) == pytest.approx(height, rel=0.05)
+    assert flying("simGetCameraInfo", "1", "")["fov"] == 20.0
+
+
+def test_sensors_agree_with_the_state(flying):
+    flying("hover", "")
+    flying("mavfiSleep", 2.0)
+    imu = flying("getImuData", "", "")
+    assert imu["linear_acceleration"]["z_val"] == pytest.approx(-9.80665, abs=0.3)
+    assert flying("getBarometerData", "", "")["altitude"] == pytest.approx(122.0 - flying.at[2])
+    assert flying("getGpsData", "", "")["gnss"]["geo_point"]["altitude"] == pytest.approx(122.0 - flying.at[2])
+    cloud = np.array(flying("getLidarData", "", "")["point_cloud"]).reshape(-1, 3)
+    ground = cloud[np.abs(cloud[:, 2] - 0.35) < 0.05]  # NED: the origin is one radius above the ground
+    assert len(ground) > 0.3 * len(cloud) > 100
+    assert 0.2 <= flying("getDistanceSensorData", "", "")["distance"] <= 40.0
+    rotors = flying("getRotorStates", "")["rotors"]
+    assert sum(rotor["thrust"] for rotor in rotors) == pytest.approx(9.80665, rel=0.02)
+    full_thrust, full_speed = 4.179446268, 6396.667 * 2.0 * math.pi / 60.0  # AirSim's RotorParams
+    expected = full_speed * math.sqrt(rotors[0]["thrust"] / full_thrust)
+    assert rotors[0]["speed"] == pytest.approx(expected, rel=1e-4)
+    assert flying("getMagnetometerData", "", "")["magnetic_field_body"]["z_val"] > 0.3
+
+
+def test_objects_are_listed_moved_spawned_and_met():
+    client = Client().ready()
+    names = client("simListSceneObjects", "box_.*")
+    assert len(names) == len(client.vehicle.sim.world.lower) > 3
+    assert (
+        client("simSpawnObject", "wall", "Cube", pose((5.0, 0.0, -2.0), LEVEL), vector((1, 6, 8)), False, False)
+        == "wall"
+    )
+    assert client("simGetObjectPose", "wall", True)["position"] == pytest.approx(vector((5.0, 0.0, -2.0)))
+    a, b = geo_point((0, 0, -2)), geo_point((9, 0, -2))
+    assert client("simTestLineOfSightBetweenPoints", a, b) is False
+    client("takeoff", 20.0, "")
+    client("moveToPosition", 9.0, 0.0, -2.0, 2.0, 8.0, 0, STILL, -1.0, 1.0, "")
+    hit = client("simGetCollisionInfo", "")
+    assert hit["has_collided"] and hit["object_name"] == "wall" and hit["time_stamp"] > 1_600_000_000_000_000_000
+    assert hit["normal"]["x_val"] == pytest.approx(-1.0) and hit["impact_point"]["x_val"] == pytest.approx(
+        4.5, abs=0.05
+    )
+    assert client("simDestroyObject", "wall") and client("simTestLineOfSightBetweenPoints", a, b) is True
+    assert client("simGetCollisionInfo", "")["object_name"] == ""
+    assert math.isnan(client("simGetObjectPose", "wall", True)["position"]["x_val"])
+
+
+def test_wind_blows_and_a_pose_is_taken(flying):
+    flying("simSetVehiclePose", pose((1.0, 2.0, -6.0), LEVEL), True, "")
+    np.testing.assert_allclose(flying.at, (1.0, 2.0, -6.0), atol=1e-3)
+    flying("simSetWind", vector((0.0, 10.0, 0.0)))
+    flying("mavfiSleep", 3.0)
+    assert flying.at[1] > 2.1
+    flying("simSetWind", vector((0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "text"),
+    [
+        ("simFly", (), "could not find function 'simFly'"),
+        ("simSwapTextures", ("a", 0), "simSwapTextures: objects have no material, texture or light"),
+        ("setVelocityControllerGains", ({}, ""), "setVelocityControllerGains: gains are those of the vehicle's file"),
+        ("simSetDistortionParam", ("0", "K1", 0.1), "simSetDistortionParam: pictures have no distortion"),
+        ("moveByVelocity", (1.0,), "moveByVelocity: 1 arguments; allowed: vx, vy, vz"),
+        ("hover", ("Drone2",), "hover: vehicle 'Drone2': not known; allowed: SimpleFlight"),
+        ("simAddVehicle", ("Drone2", "simpleflight", None, ""), "simAddVehicle: one vehicle flies here"),
+        ("simSetWeatherParameter", (0, 1.0), r"0 \(Rain\): not drawn; allowed: 7 \(Fog\)"),
+        ("simGetImage", ("periscope", 0, ""), "camera 'periscope': not known; allowed: 0, 1"),
+        ("simGetImage", ("0", 8, ""), "image type 8: not drawn; allowed: 0, 1"),
+        (
+            "moveToPosition",
+            ("a", 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""),
+            "^moveToPosition: x: 'a': allowed: a number$",
+        ),
+        ("armDisarm", ([], ""), r"^armDisarm: arm: \[\]: allowed: a number$"),
+        ("takeoff", (None, ""), "^takeoff: timeout_sec: None: allowed: a number$"),
+        ("moveToPosition", (math.nan, 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""), "allowed: finite points"),
+        ("moveOnPath", ([], 1.0, 9.0, 0, STILL, -1, 1, ""), "moveOnPath: no path"),
+        ("simSetVehiclePose", ({}, True, ""), "simSetVehiclePose: {}: allowed: a Pose"),
+        ("simLoadLevel", ("Blocks",), "level 'Blocks': not known; allowed: "),
+        ("simListSceneObjects", ("[",), "allowed: a regular expression"),
+        ("simSetSegmentationObjectID", ("[", 1, True), "allowed: a regular expression"),
+        ("simSetObjectPose", ("box_0", pose((0, 0, 0), (0.8, 0.0, 0.0, 0.6))), "stay aligned with the axes"),
+        ("moveByAngleZ", (0.0, 0.0), "moveByAngleZ: 2 arguments; allowed: pitch, roll, z, yaw, duration, vehicle_name"),
+        ("simContinueForTime", (-1.0,), "allowed: 0 to 1e6 s"),
+    ],
+)
+def test_what_cannot_be_is_answered_with_an_error_that_names_it(flying, name, given, text):
+    with pytest.raises(RuntimeError, match=text):
+        flying(name, *given)
+
+
+@pytest.mark.parametrize("name", ["simPlotPoints", "simFlushPersistentMarkers", "simSetTraceLine", "simSetTimeOfDay"])
+def test_drawing_into_a_window_that_does_not_exist_does_nothing(flying, name):
+    assert flying(name) is None
+
+
+def test_the_survey_of_public_programs_is_that_of_the_page():
+    found = airsim_survey.pairs()
+    assert len(set(found)) == len(found)
+    for read, least in (("before", 400), ("after", 100)):
+        own = [airsim_survey.is_served(pair.call) for pair in found if pair.read == read]
+        assert len(own) > least and sum(own) / len(own) >= 300 / 307
+    assert airsim_survey.summary(found) in (ROOT / "docs" / "airsim.md").read_text(encoding="utf-8")
+
+
+def test_a_method_is_served_only_if_all_of_its_calls_are():
+    assert airsim_survey.is_served("hover") and airsim_survey.is_served("confirmConnection")
+    assert not airsim_survey.is_served("simAddVehicle") and not airsim_survey.is_served("simSetDistortionParams")
+
+
+def test_no_call_of_the_client_library_is_unknown():
+    path = find_spec("cosysairsim")
+    if path is None:
+        pytest.skip("needs the package cosysairsim (extra dev)")
+    text = Path(path.origin).with_name("client.py").read_text(encoding="utf-8")
+    names = set(re.findall(r"call(?:_async)?\(\s*['\"](\w+)['\"]", text))
+    assert len(names) > 100 and names <= set(CALLS)
+
+
+def test_a_recording_is_remembered_and_nothing_is_written(flying):
+    assert flying("startRecording") is None and flying("isRecording") is True
+    assert flying("stopRecording") is None and flying("isRecording") is False

@@ -1,0 +1,55 @@
+"""AirSim's frames and objects."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim import frames
+from mavfi.numerics.rotations import rotation_matrix
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(st.tuples(NUMBERS, NUMBERS, NUMBERS))
+def test_a_vector_comes_back_bit_for_bit(values):
+    assert frames.flipped(frames.flipped(values)) == values
+    assert frames.triple(frames.vector(values)) == values
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 4), st.tuples(*[st.floats(-10.0, 10.0)] * 3))
+def test_turning_in_either_frame_is_the_same(quaternion, values):
+    norm = float(np.linalg.norm(quaternion))
+    if norm < 1e-3:
+        return
+    ours, theirs = np.empty((3, 3)), np.empty((3, 3))
+    unit = np.array(quaternion) / norm
+    rotation_matrix(unit, ours)
+    rotation_matrix(np.array(frames.turned(unit)), theirs)
+    np.testing.assert_allclose(frames.flipped(ours @ values), theirs @ frames.flipped(values), atol=1e-9)
+
+
+def test_places_on_earth_come_back():
+    place = (120.0, -45.0, -30.0)
+    np.testing.assert_allclose(frames.from_geo_point(frames.geo_point(place)), place, atol=1e-6)
+    assert frames.geo_point((0, 0, 0))["altitude"] == frames.HOME[2]
+
+
+def test_a_camera_that_looks_down_looks_down():
+    matrix = np.empty((3, 3))
+    rotation_matrix(np.array(frames.looking(0.0, -90.0)), matrix)
+    np.testing.assert_allclose(matrix[:, 0], (0.0, 0.0, 1.0), atol=1e-12)  # x of the camera is down, in FRD
+    rotation_matrix(np.array(frames.looking(90.0, 0.0)), matrix)
+    np.testing.assert_allclose(matrix[:, 0], (0.0, 1.0, 0.0), atol=1e-12)  # right
+
+
+@pytest.mark.parametrize(
+    ("read", "name"),
+    [(frames.triple, "Vector3r"), (frames.quaternion, "Quaternionr"), (frames.pose_numbers, "Pose"),
+     (frames.from_geo_point, "GeoPoint")],
+)  # fmt: skip
+@pytest.mark.parametrize("data", [None, 3.0, {}, {"x_val": "a"}, []])
+def test_another_object_is_refused_by_name(read, name, data):
+    with pytest.raises(BadInputError, match=f"allowed: a {name}"):
+        read(data)

@@ -1,0 +1,142 @@
+"""Client programs with the real client library (Cosys-AirSim's), unmodified, in simulated time."""
+
+import hashlib
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim.boundary import Boundary, parse_fault
+from mavfi.extras.airsim.cameras import SKY, view
+from mavfi.extras.airsim.config import ProgramConfig, pixels
+from mavfi.extras.airsim.pictures import PERSPECTIVE
+from mavfi.extras.airsim.program import client_version, effect_on, make_api, run_program
+from mavfi.mission import MissionSpec
+from mavfi.record import Injection
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("cosysairsim") is None, reason="needs the package cosysairsim (extra dev)"
+)
+PROGRAMS = Path(__file__).with_name("programs")
+EXAMPLES = Path(__file__).parents[3] / "examples" / "airsim"
+SPEC = MissionSpec(environment="sparse", seed=7)
+
+
+def run(path, *arguments, fault=None, **options):
+    program = ProgramConfig(script=str(path), arguments=arguments, **options)
+    return run_program(program, SPEC, Boundary.of(None if fault is None else parse_fault(fault)))
+
+
+@pytest.fixture(scope="module")
+def box():
+    return run(EXAMPLES / "box.py")
+
+
+def test_a_program_goes_through_the_api():
+    ended = run(PROGRAMS / "everything.py")
+    assert (ended.how, ended.reason) == ("ended", "")
+    found = json.loads(ended.output.splitlines()[-1])
+    ranges = view(make_api(SPEC), "0", PERSPECTIVE).ranges
+    own = np.where(np.isfinite(ranges), ranges, np.float32(SKY))
+    assert found.pop("depth") == hashlib.sha256(own.tobytes()).hexdigest()
+    assert np.abs(np.array(found.pop("at")) - (0, 4, -4)).max() < 0.5
+    assert found.pop("imu") == pytest.approx(-9.80665, abs=0.2) and found.pop("lidar") > 3000
+    assert found.pop("slept") == pytest.approx(1.5, abs=0.02)
+    assert len(found.pop("seen")) == 64
+    assert "API control is off" in found.pop("refused")
+    assert found == {
+        "version": client_version("", __file__), "size": [256, 144], "takeoff": True, "state": 1, "position": True,
+        "path": True, "collided": False, "continued": 500_000_000, "paused": True, "cancelled": False, "api": False,
+        "hit": "wall",
+    }  # fmt: skip
+    assert ended.collided  # also after a reset
+
+
+def test_the_same_program_with_the_same_seed_has_the_same_bytes(box):
+    again = run(EXAMPLES / "box.py")
+    assert (again.digest, again.output, again.calls, again.seconds) == (box.digest, box.output, box.calls, box.seconds)
+    assert box.how == "ended" and not box.collided and "no collision" in box.output
+
+
+@pytest.mark.parametrize(("name", "arguments"), [("survey", ("6", "2")), ("orbit", ("0.3",))])
+def test_programs_in_the_style_of_airsim_s_examples_fly(name, arguments):
+    ended = run(EXAMPLES / f"{name}.py", *arguments)
+    assert (ended.how, ended.collided, ended.errors) == ("ended", False, {}) and ended.seconds > 10.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "effect"),
+    [
+        ("simGetVehiclePose.return.position.x_val:bit=51", "masked"),  # the program prints it only
+        ("moveToPosition.x:bit=51", "deviates"),
+        ("moveToPosition.yaw_mode.none:bit=51", "not activated"),
+        ("armDisarm.arm:bit=0", "deviates"),  # the motors stay off
+        ("sensor:position:wrong@3", "deviates"),
+        ("sensor:depth_camera:off@3", "not activated"),  # the program takes no image
+    ],
+)
+def test_what_a_fault_does_to_a_program(box, fault, effect):
+    injected = run(EXAMPLES / "box.py", fault=fault)
+    assert effect_on(box, injected) == effect
+    assert (injected.boundary.injected is not None) == (effect != "not activated")
+
+
+@pytest.mark.parametrize("module", ["airsim/notes.txt", "airsim/__init__.py", "airsim.py"])
+@pytest.mark.parametrize("place", ["beside", "working"])
+def test_a_folder_named_airsim_is_not_taken_for_the_library(tmp_path, monkeypatch, place, module):
+    script, other = tmp_path / "short.py", tmp_path / ("" if place == "beside" else "work") / module
+    other.parent.mkdir(parents=True, exist_ok=True)
+    other.write_text("")
+    script.write_text("import airsim\nprint(airsim.MultirotorClient().ping())\n")
+    monkeypatch.chdir(tmp_path if place == "beside" else tmp_path / "work")
+    ended = run(script)
+    assert (ended.how, ended.reason, ended.output) == ("ended", "", "True\n")
+
+
+def test_the_worst_that_a_fault_does_comes_first(box):
+    hit = Boundary(injection=Injection("message", "moveToZ.z", 1.0, 1, 0.0, 1.0, True))
+    for changes, effect in (
+        ({}, "masked"), ({"digest": "other"}, "deviates"), ({"digest": "other", "collided": True}, "collision"),
+        ({"how": "program crash", "collided": True}, "program crash"), ({"how": "hang"}, "hang"),
+        ({"how": "time is up"}, "hang"),
+    ):  # fmt: skip
+        assert effect_on(box, replace(box, boundary=hit, **changes)) == effect
+    assert effect_on(box, box) == "not activated"
+    failing = replace(box, how="program crash", code=1)
+    for changes, effect in (
+        ({}, "masked"), ({"digest": "other"}, "deviates"), ({"code": 70, "digest": "other"}, "program crash"),
+    ):  # fmt: skip
+        assert effect_on(failing, replace(failing, boundary=hit, **changes)) == effect
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "options", "how", "reason"),
+    [
+        ("crashing", (), {}, "program crash", "ValueError: the program's own error"),
+        ("endless", ("sleep",), {"seconds": 20.0}, "time is up", ""),
+        ("endless", ("spin",), {"wall_s": 2.0}, "hang", "still running after 2 s of wall-clock time"),
+    ],
+)
+def test_how_a_program_ends(name, arguments, options, how, reason):
+    ended = run(PROGRAMS / f"{name}.py", *arguments, **options)
+    assert (ended.how, ended.reason) == (how, reason)
+    assert not any("time is up" in text for text in ended.errors), "the end of the run is no refused call"
+
+
+def test_what_cannot_run_is_refused_in_one_line(tmp_path):
+    with pytest.raises(BadInputError, match=r"none\.py: there is no such file"):
+        run("none.py")
+    with pytest.raises(BadInputError, match="/.*: is a folder; allowed: a client program of AirSim"):
+        ProgramConfig(script=str(tmp_path)).check()
+    with pytest.raises(BadInputError, match="--python: .*: there is no such file"):
+        run(EXAMPLES / "box.py", python=str(tmp_path / "python"))
+    without = tmp_path / "without.py"
+    without.write_text("import no_such_package\n")
+    with pytest.raises(BadInputError, match="made no call .*no_such_package"):
+        run(without)
+    with pytest.raises(BadInputError, match="--image: 'big'"):
+        pixels("big")

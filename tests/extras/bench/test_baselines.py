@@ -1,0 +1,483 @@
+"""Adapters of libraries: their common part with a model of our own, each library where it is installed."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from mavfi.detectors import load_detector, residual_state
+from mavfi.detectors.autoencoder import INPUT_LIMIT
+from mavfi.detectors.detector import Alarm
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.model import Model
+from mavfi.detectors.registry import figures_of
+from mavfi.detectors.samples import join
+from mavfi.detectors.scoring import Threshold
+from mavfi.errors import BadInputError
+from mavfi.extras.bench import half_space_trees, library
+from mavfi.extras.bench.field_codes import MONITORED, Codes, FieldCodes, sample_of
+from mavfi.extras.bench.forest import Branch, Trees, forest_of, limit_of
+from mavfi.extras.bench.gradient_boosting import (
+    GradientBoostingDetector,
+    Regressor,
+    regressor,
+    regressors,
+    tables_of,
+)
+from mavfi.extras.bench.half_space_trees import HalfSpaceTreesDetector, half_spaces
+from mavfi.extras.bench.library import Inputs, LibraryDetector, columns_of, rates, scaled
+from mavfi.extras.bench.matrix_profile import (
+    BLOCK,
+    LENGTH,
+    MatrixProfileDetector,
+    StretchScorer,
+    judge_stretch,
+    nearest,
+    subsequences,
+)
+from mavfi.extras.bench.outliers import (
+    Components,
+    Ellipsoid,
+    IsolationForestDetector,
+    MahalanobisDetector,
+    PcaDetector,
+    path_length,
+    single_limit,
+)
+from mavfi.faults import strata
+from mavfi.flight.memory_faults import DetectorMemory, flip_bit
+from mavfi.pipeline.words import change, words_of
+from mavfi.states import AUTOPILOTS, BASELINES, DETECTORS
+from tests.core.unit.detectors.streams import PROVENANCE, fly, later, strike
+from tests.core.unit.detectors.test_registry import FITS
+from tests.extras.bench.test_all_fields import flight, with_codes
+
+FIGURES = {"largest_class": 60, "calibrated": 100_000, "margin": 1.25, "smallest_regime": 50}
+LIBRARIES = [
+    IsolationForestDetector, PcaDetector, MahalanobisDetector, HalfSpaceTreesDetector, GradientBoostingDetector,
+    MatrixProfileDetector,
+]  # fmt: skip
+
+
+class EllipsoidDetector(LibraryDetector):
+    """A library that is always installed: mean and covariance."""
+
+    model_kind, package = "ellipsoid", "numpy"
+
+    @classmethod
+    def tables(cls, rows, slots, field_codes, inputs):
+        assert rows.shape == (len(slots), (field_codes.quanta > 0).sum()) and (rows.std(axis=0) > 0).all()
+        covariance = np.cov(rows.T) + 1e-3 * np.eye(rows.shape[1])
+        return Ellipsoid(inputs, rows.mean(axis=0), np.linalg.inv(covariance), np.zeros(rows.shape[1]))
+
+
+class BestStretchDetector(MatrixProfileDetector):
+    """A matrix profile without its library."""
+
+    @classmethod
+    def check_installed(cls):
+        pass
+
+
+@pytest.fixture(scope="module")
+def sample():
+    field_codes = FieldCodes("published")
+    flown = [with_codes(flight(seed, ticks=500)) for seed in range(6)]
+    return join([sample_of(Codes(one.slots, one.regimes, one.codes), field_codes) for one in flown])
+
+
+def fitted(kind, sample, figures):
+    parameters = kind.fit(sample, FieldCodes("published"), figures)
+    return Model(kind.model_kind, "tuned", MONITORED, "", parameters, dict(PROVENANCE))
+
+
+def wild(state, number, events):
+    """Several fields of one publication far away."""
+    struck = later(events, state, number)
+    for field, value in (("vx", -1e3), ("vy", 1e3), ("vz", 1e3)):
+        events = strike(events, struck, field, value)
+    return struck, events
+
+
+def check(kind, sample, figures):
+    model = Model.from_json(fitted(kind, sample, figures).to_json())
+    detector, other = kind(model), kind(model)
+    assert fly(detector, flight(2, ticks=500)) == []
+    struck, events = wild("control.command", 150, flight(40, ticks=300))
+    alarms = dict(fly(detector, events))
+    assert struck in alarms
+    assert (alarms[struck].source, alarms[struck].stage, alarms[struck].fields) == (
+        kind.model_kind, "control", ("control.command",),
+    )  # fmt: skip
+    detector.start()
+    for event in events[:200]:
+        detector.check(*event), detector.accept(*event)
+    memory = detector.memory()
+    rest = [(detector.score(*event), detector.accept(*event)) for event in events[200:]]
+    other.restore(memory)
+    assert other.memory() == memory != detector.memory()
+    assert [(other.score(*event), other.accept(*event)) for event in events[200:]] == rest
+
+
+def stretches(sample):
+    """A model of a matrix profile: half of the series, and limits by a naive search."""
+    field_codes = FieldCodes("published")
+    scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
+    histories, limit = [], []
+    for slot in range(len(field_codes.slots)):
+        own = slice(*field_codes.range_of(slot))
+        codes = sample.vectors[sample.slots == slot, own].astype(np.float64)
+        series = np.abs(scaled(codes, scale[own])).max(axis=1)[:1500]
+        histories.append(series[::2].tolist() if len(series) < LENGTH else series.tolist())
+        limit.append([0.5] * REGIMES)
+    parameters = {"history": histories, "scale": scale.tolist(), "limit": limit}
+    return Model("matrix_profile", "tuned", MONITORED, "", parameters, dict(PROVENANCE))
+
+
+def without_libraries(sample):
+    return [EllipsoidDetector(fitted(EllipsoidDetector, sample, FIGURES)), BestStretchDetector(stretches(sample))]
+
+
+def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
+    check(EllipsoidDetector, sample, FIGURES)
+
+
+def test_detectors_of_one_model_fit_it_once(sample, monkeypatch):
+    model, fits = fitted(EllipsoidDetector, sample, {**FIGURES, "largest_class": 50}), []
+    tables = EllipsoidDetector.tables.__func__
+    monkeypatch.setattr(EllipsoidDetector, "tables", classmethod(lambda *given: fits.append(1) or tables(*given)))
+    one, other = EllipsoidDetector(model), EllipsoidDetector(model)
+    assert len(fits) == 1 and one.scorer.kept["held"] is not other.scorer.kept["held"]
+    EllipsoidDetector(replace(model, parameters={**model.parameters, "rows": model.parameters["rows"][::-1]}))
+    assert len(fits) == 2, "another model"
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
+def test_plain_python_computes_the_same_scores(sample, which):
+    """Its functions in place of the compiled ones, as an injector replaces them."""
+    detector, replaced = without_libraries(sample)[which], without_libraries(sample)[which]
+    called = []
+    plain = replaced.compiled["judge"]
+    replaced.instrument({"judge": lambda *given: called.append(1) or plain(*given)})
+    flown = flight(7, ticks=200)
+    for one in (detector, replaced):
+        one.start()
+    scores = [[(one.score(*event), one.accept(*event))[0] for event in flown] for one in (detector, replaced)]
+    assert scores[0] == scores[1] and len(called) > 100
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["ellipsoid", "matrix_profile"])
+def test_every_word_of_their_memory_can_be_corrupted(sample, which):
+    """And then no publication makes them raise."""
+    detector, flown = without_libraries(sample)[which], flight(8, ticks=60)
+    assert all(DETECTORS[name] == tuple(detector.compiled) for name in BASELINES)
+    holder, names = DetectorMemory(detector), set()
+    for words in words_of(holder):
+        for index in range(0, words.count, max(1, words.count // 6)):
+            fly(detector, flown)
+            before = detector.memory()
+            flip = partial(flip_bit, bit=strata.WORD_BITS[words.dtype] - 2)
+            assert change(holder, words.name, index, flip) is not None and detector.memory() != before
+            for event in flown:
+                assert detector.check(*event) is None or isinstance(detector.check(*event), Alarm)
+                detector.accept(*event)
+            names.add(words.name)
+    assert names >= ({"held"} if which == 0 else {"recent", "published"})
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("kind", LIBRARIES, ids=lambda kind: kind.model_kind)
+def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(kind, sample):
+    package = "stumpy" if kind is MatrixProfileDetector else kind.package
+    pytest.importorskip(package, exc_type=ImportError)
+    figures = dict(figures_of(kind.model_kind, "tuned"))
+    figures["calibrated"] = 100_000 if "margin" in figures and kind is not MatrixProfileDetector else 400
+    check(kind, sample, figures)
+
+
+def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for(monkeypatch):
+    monkeypatch.setattr(library, "find_spec", lambda name: None)
+    packages = {"pca": "pyod", "half_space_trees": "river", "gradient_boosting": "lightgbm", "matrix_profile": "stumpy"}
+    for name, package in packages.items():
+        with pytest.raises(
+            BadInputError, match=rf"{package}.*not installed; install it with: pip install 'mavfi\[bench\]'"
+        ):
+            load_detector(name, "paper", None, FITS)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_columns_of_states_are_all_watched_ones_once(autopilot):
+    field_codes = FieldCodes(autopilot)
+    columns = np.concatenate(columns_of(field_codes))
+    assert columns.tolist() == list(range((field_codes.quanta > 0).sum()))
+
+
+def correlated(seed):
+    """Rows of two states: codes 0 and 1 of the first are equal up to noise, codes 2 and 3 of the second independent."""
+    random = np.random.default_rng(seed)
+    rows = random.uniform(-1.0, 1.0, (600, 4))
+    rows[:, 1] = rows[:, 0] + random.normal(0.0, 0.01, 600)
+    return rows, np.arange(600) % 2
+
+
+COLUMNS, UNIT = [np.array([0, 1]), np.array([2, 3])], 1000.0
+INPUTS = Inputs(np.arange(4), np.full(4, UNIT))
+
+
+def coded(rows):
+    """Codes, and the inputs that they are."""
+    codes = np.round(UNIT * rows).astype(np.int16)
+    return codes, scaled(codes, UNIT)
+
+
+def test_a_code_that_does_not_agree_with_the_others_scores_high_within_its_own_range():
+    pytest.importorskip("lightgbm", exc_type=ImportError)
+    model, (rows, slots) = regressors(*correlated(1), COLUMNS, INPUTS), correlated(2)
+
+    def scores(given):
+        return rates(coded(given)[0], slots, model)
+
+    normal = scores(rows)
+    assert np.mean(normal[slots == 0] > 1.0) < 0.1 and np.mean(normal[slots == 1] > 1.0) < 0.1
+    wrong = rows.copy()
+    wrong[:, 1] = np.where(rows[:, 0] > 0.0, rows[:, 0] - 1.0, rows[:, 0] + 1.0)
+    assert scores(wrong)[slots == 0].min() > 4.0
+    wrong[:, :2] = rows[:, :2]
+    wrong[:, 2] = 3.0
+    struck = scores(wrong)
+    assert struck[slots == 1].min() > 1.5 and np.median(struck[slots == 0]) < 1.0
+
+
+def test_regressors_predict_what_the_library_predicts():
+    pytest.importorskip("lightgbm", exc_type=ImportError)
+    (rows, slots), (others, _) = correlated(3), correlated(5)
+    others[::5] *= 10.0
+    codes, others = coded(others)
+    found, wanted = rates(codes, slots, regressors(rows, slots, COLUMNS, INPUTS)), np.zeros(len(slots))
+    for slot, columns in enumerate(COLUMNS):
+        own, trained = slots == slot, rows[slots == slot]
+        for column in columns:
+            trees = regressor(trained[::2], int(column))
+
+            def residuals(given, trees=trees, column=column):
+                return np.abs(given[:, column] - trees.predict(np.delete(given, column, axis=1)))
+
+            wanted[own] = np.maximum(wanted[own], residuals(others[own]) / np.quantile(residuals(trained[1::2]), 0.99))
+    assert found.tolist() == wanted.tolist()
+
+
+def test_a_state_with_too_few_rows_has_no_regressors():
+    pytest.importorskip("lightgbm", exc_type=ImportError)
+    rows, slots = correlated(4)
+    rare = np.where(np.arange(600) < 7, 1, 0)
+    scores = rates(coded(rows)[0], slots, regressors(rows, rare, COLUMNS, INPUTS))
+    assert (scores[slots == 1] == 0.0).all() and (scores[slots == 0] > 0.0).any()
+
+
+def test_half_spaces_score_what_the_library_scores():
+    pytest.importorskip("river", exc_type=ImportError)
+    (rows, slots), (others, _) = correlated(5), correlated(6)
+    codes, others = coded(others[:200])
+    found = rates(codes, slots[:200], half_spaces(rows, slots, COLUMNS, INPUTS))
+    forests = [half_space_trees.fitted(rows[slots == slot][:, own]) for slot, own in enumerate(COLUMNS)]
+    wanted = [
+        forests[slot].score_one(dict(enumerate(row[COLUMNS[slot]].tolist())))
+        for row, slot in zip(others, slots[:200], strict=True)
+    ]
+    assert found.tolist() == wanted and np.ptp(found) > 0.1
+
+
+def test_a_state_without_codes_or_rows_has_no_scores_in_half_space_trees():
+    pytest.importorskip("river", exc_type=ImportError)
+    rows, slots = correlated(5)
+    codes = coded(rows[:200])[0]
+    scores = rates(codes, slots[:200], half_spaces(rows, slots, [np.arange(4), np.arange(0)], INPUTS))
+    assert (scores[slots[:200] == 1] == 0.0).all() and (scores[slots[:200] == 0] > 0.0).any()
+    assert not rates(codes, slots[:200], half_spaces(rows, np.full(600, 2), [*COLUMNS, np.arange(2)], INPUTS)).any()
+
+
+@pytest.mark.parametrize("kind", LIBRARIES[:3], ids=lambda kind: kind.model_kind)
+def test_outliers_score_what_the_library_scores(kind):
+    pytest.importorskip("pyod", exc_type=ImportError)
+    (rows, slots), (others, _) = correlated(7), correlated(8)
+    others[::5] *= 10.0
+    codes, others = coded(others)
+    library = kind.make().fit(rows)
+    found, wanted = rates(codes, slots, kind.tables_of(library, INPUTS, 2)), library.decision_function(others)
+    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+
+
+def random_tree(random, depth, width=3):
+    """A tree of any form; thresholds are inputs, or between them."""
+    if depth == 0 or random.random() < 0.2:
+        return float(random.normal())
+    threshold = random.integers(-9, 9) / 4.0 if random.random() < 0.5 else random.normal()
+    below, above = random_tree(random, depth - 1, width), random_tree(random, depth - 1, width)
+    return Branch(int(random.integers(width)), float(threshold), below, above)
+
+
+def leaf_of(tree, row):
+    while isinstance(tree, Branch):
+        tree = tree.low if row[tree.column] <= tree.threshold else tree.high
+    return tree
+
+
+FIELDS = Inputs(np.array([1, 2, 4]), np.array([4.0, 40.0, 1.0]))
+"""Inputs: three of five fields."""
+
+
+def some_codes(random, count):
+    codes = np.round(random.normal(size=(count, 5)) * [1.0, 4.0, 40.0, 1.0, 1.0]).astype(np.int16)
+    codes[::7] = random.integers(-(1 << 15), 1 << 15, codes[::7].shape)
+    codes[1], codes[2] = -(1 << 15), (1 << 15) - 1
+    return codes, scaled(codes[:, FIELDS.columns], FIELDS.scale)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_forest_sums_the_leaves_that_a_naive_walk_reaches(seed):
+    random = np.random.default_rng(seed)
+    states = [Trees([random_tree(random, 6) for _ in range(count)], random.uniform(0.1, 2.0)) for count in (5, 0, 9)]
+    (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
+    sums = [sum(leaf_of(tree, row) for tree in states[slot].trees) for row, slot in zip(rows, slots, strict=True)]
+    wanted = np.array(sums) / [states[slot].unit for slot in slots]
+    assert rates(codes, slots, forest_of(states, FIELDS)).tolist() == wanted.tolist()
+    decayed = np.where(slots == 1, 0.0, -0.5 - np.exp(-wanted))
+    assert rates(codes, slots, forest_of(states, FIELDS, True, -1.0, -0.5)) == pytest.approx(decayed, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_regressors_predict_what_a_naive_walk_predicts(seed):
+    """By bits, each tree of at most 16 leaves."""
+    random = np.random.default_rng(seed)
+    states = [
+        [
+            Regressor([random_tree(random, 4) for _ in range(trees)], int(random.integers(3)), random.uniform(0.1, 2.0))
+            for trees in counts
+        ]
+        for counts in ((5, 3), (), (9, 1, 0))
+    ]
+    (codes, rows), slots = some_codes(random, 60), np.arange(60) % 3
+    wanted = [
+        max((abs(row[one.column] - sum(leaf_of(tree, row) for tree in one.trees)) / one.unit for one in states[slot]),
+            default=0.0)
+        for row, slot in zip(rows, slots, strict=True)
+    ]  # fmt: skip
+    assert rates(codes, slots, tables_of(states, FIELDS)).tolist() == wanted
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_limits_in_codes_are_thresholds_of_inputs(seed):
+    random = np.random.default_rng(seed)
+    scale = float(random.choice([1.0, 7.0, 1000.0, 30000.0]))
+    inputs = Inputs(np.zeros(1, np.int64), np.array([scale]))
+    every = np.arange(-(1 << 15), 1 << 15)
+    bounds = (-INPUT_LIMIT, INPUT_LIMIT, np.nextafter(INPUT_LIMIT, 0.0), np.nextafter(-INPUT_LIMIT, -20.0))
+    threshold = float(
+        random.choice([random.normal(), 8.0 * random.normal(), *bounds, random.integers(-99, 99) / scale])
+    )
+    lower = every[scaled(every, np.array([scale])) <= threshold]
+    assert limit_of(Branch(0, threshold, 0.0, 0.0), inputs) == (lower[-1] if len(lower) else -(1 << 15) - 1)
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_the_limit_of_an_input_is_that_of_its_single_precision(seed):
+    random = np.random.default_rng(seed)
+    threshold = float(random.normal() * 10.0 ** random.integers(-6, 3))
+    if seed % 2:
+        threshold = float(np.float32(threshold))
+    limit = single_limit(threshold)
+    assert np.float32(limit) <= threshold < np.float32(np.nextafter(limit, np.inf))
+
+
+def test_path_lengths_are_those_of_the_paper():
+    """c(n) = 2 H(n - 1) - 2 (n - 1) / n, with the harmonic number approximated by ln + Euler's constant."""
+    assert [path_length(rows) for rows in (0, 1, 2)] == [0.0, 0.0, 1.0]
+    harmonic = sum(1.0 / k for k in range(1, 256))
+    assert path_length(256) == pytest.approx(2.0 * harmonic - 2.0 * 255 / 256, abs=0.005)
+
+
+def test_the_score_of_components_is_that_of_a_naive_sum():
+    random = np.random.default_rng(3)
+    mean, deviation, weights = random.normal(size=5), random.uniform(0.5, 2.0, 5), random.uniform(0.1, 1.0, 3)
+    components, rows = random.normal(size=(5, 3)), random.normal(size=(20, 5))
+    codes, rows = coded(rows)
+    model = Components(Inputs(np.arange(5), np.full(5, UNIT)), mean, deviation, components, weights, np.zeros(3))
+    wanted = [
+        sum(np.linalg.norm((row - mean) / deviation - components[:, k]) / weights[k] for k in range(3)) for row in rows
+    ]
+    assert rates(codes, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_the_score_of_an_ellipsoid_is_that_of_a_naive_product():
+    random = np.random.default_rng(4)
+    centre, half, rows = random.normal(size=5), random.normal(size=(5, 5)), random.normal(size=(20, 5))
+    codes, rows = coded(rows)
+    wanted = [(row - centre) @ (half @ half.T) @ (row - centre) for row in rows]
+    model = Ellipsoid(Inputs(np.arange(5), np.full(5, UNIT)), centre, half @ half.T, np.zeros(5))
+    assert rates(codes, np.zeros(20, np.int64), model) == pytest.approx(wanted, rel=1e-12)
+
+
+def distance(stretch, series):
+    columns = subsequences(series)
+    return nearest(stretch, columns, columns.sum(axis=0), np.zeros(BLOCK))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_nearest_stretch_is_that_of_a_naive_search(seed):
+    random = np.random.default_rng(seed)
+    count = int(random.choice([LENGTH, 20, 200, 700]))
+    walk = random.normal(size=count) if seed % 2 else np.cumsum(random.integers(-1, 2, count)) / 7.0
+    for stretch in (random.normal(size=LENGTH), walk[-LENGTH:] + 0.3 * random.normal(size=LENGTH), walk[:LENGTH]):
+        naive = min(np.sqrt(((walk[k : k + LENGTH] - stretch) ** 2).sum()) for k in range(count - LENGTH + 1))
+        assert distance(stretch, walk) == pytest.approx(naive, rel=1e-12, abs=1e-15)
+
+
+def test_a_series_without_a_subsequence_is_at_no_distance_and_equal_ones_are_kept_once():
+    assert distance(np.ones(LENGTH), np.zeros(LENGTH - 1)) == 0.0
+    assert distance(np.ones(LENGTH), np.zeros(100)) == np.sqrt(LENGTH) and subsequences(np.zeros(100)).shape[1] == 1
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_the_search_ends_if_a_value_is_not_finite(value):
+    stretch = np.zeros(LENGTH)
+    stretch[3] = value
+    assert not distance(stretch, np.random.default_rng(3).normal(size=300)) < np.inf
+
+
+def test_the_nearest_stretch_is_that_of_the_library():
+    core = pytest.importorskip("stumpy.core", exc_type=ImportError)
+    random = np.random.default_rng(2)
+    history, stretch = random.normal(size=500), random.normal(size=LENGTH)
+    assert distance(stretch, history) == pytest.approx(core.mass_absolute(stretch, history).min())
+
+
+def test_the_value_is_that_of_an_incremental_matrix_profile():
+    stumpy = pytest.importorskip("stumpy", exc_type=ImportError)
+    random = np.random.default_rng(2)
+    history, stretch = random.normal(size=60), random.normal(size=LENGTH)
+    profile = stumpy.stumpi(history, LENGTH, egress=False, normalize=False)
+    for value in stretch:
+        profile.update(value)
+    # stumpi also compares with stretches that reach into the new values
+    assert profile.P_[-1] <= distance(stretch, history) + 1e-9
+
+
+def test_after_an_anomaly_normal_values_are_normal_again():
+    """If anomalies were left out of the subsequence, what follows one would not fit what came before it."""
+    history = np.array([0.0] * 20 + [0.5] + [1.0] * 20)
+    field_codes = FieldCodes("published")
+    scorer = StretchScorer(field_codes, [history] * len(field_codes.slots), np.ones(len(field_codes.fields)))
+    scorer.use(Threshold(np.full((len(field_codes.slots), REGIMES), 0.25), len(field_codes.slots)))
+    _, _, limit, series = scorer._tables
+    own, judged = scorer.field_codes.measured, scorer._judged_last
+    slot, scores = field_codes.slots["control.tracking"], []
+    for value in [0] * LENGTH + [9] + [1] * (2 * LENGTH):
+        own.codes[slice(*field_codes.range_of(slot))] = value
+        own.place[:] = slot, 0, own.place[residual_state.ACCEPTED], own.place[residual_state.LEARNED]
+        judge_stretch(own, judged, limit, series)
+        scores.append(float(judged.distance[slot]))
+        own.place[residual_state.LEARNED] = slot
+    assert scores[:LENGTH] == [0.0] * LENGTH and scores[LENGTH] > 8.0
+    assert scores[-LENGTH - 1 :] == [0.0] * (LENGTH + 1), "a subsequence after the anomaly"

@@ -1,0 +1,113 @@
+"""Thresholds, areas and curves against what a naive count gives."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score, roc_auc_score
+
+from mavfi.extras.bench.scores import Scores, _Scorer, table, unscored
+from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.states import new_state
+from tests.core.unit.campaign.fakes import small
+
+LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
+
+
+@st.composite
+def made(draw):
+    """Scores of few levels, so that there are ties; every golden publication is given, zeros included."""
+    golden = np.array(draw(st.lists(LEVELS, min_size=1, max_size=40)))
+    corrupted = np.array(draw(st.lists(LEVELS, min_size=1, max_size=20)))
+    harmful = np.array(draw(st.lists(st.booleans(), min_size=len(corrupted), max_size=len(corrupted))), bool)
+    return golden, Scores(np.sort(golden[golden > 0])[::-1], len(golden), draw(st.sampled_from([0.5, 2.0, 10.0])),
+                          corrupted, harmful)  # fmt: skip
+
+
+@given(made(), st.sampled_from([0.1, 1.0, 10.0]))
+def test_no_threshold_alarms_more_often_than_asked(own, rate):
+    golden, found = own
+    threshold = found.threshold_at(rate)
+    if threshold is None:
+        assert rate * found.hours < 1
+        return
+    assert (golden > threshold).sum() <= rate * found.hours
+    lower = np.unique(golden[golden < threshold])
+    if len(lower):  # the next lower one would alarm too often
+        assert (golden > lower[-1]).sum() > int(rate * found.hours)
+
+
+@given(made())
+def test_the_area_is_that_of_scikit_learn(own):
+    golden, found = own
+    harmful = found.corrupted[found.harmful]
+    if not len(harmful):
+        assert found.area() is None
+        return
+    labels = [0] * len(golden) + [1] * len(harmful)
+    assert found.area() == pytest.approx(roc_auc_score(labels, [*golden, *harmful]), abs=1e-12)
+
+
+@given(made())
+def test_curves_fall_in_threshold_and_rise_in_alarms(own):
+    golden, found = own
+    curve = found.curve()
+    for threshold, alarms, share in curve:
+        assert alarms == (golden > threshold).sum() / found.hours
+        own_corrupted = found.corrupted[found.harmful]
+        assert share == ((own_corrupted > threshold).mean() if len(own_corrupted) else 0.0)
+    assert [threshold for threshold, *_ in curve] == sorted({t for t, *_ in curve}, reverse=True)
+
+
+def test_the_table_says_what_an_exposure_cannot_show():
+    found = Scores(np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]))
+    (row,) = table({"one": found}, ["a"]).entries()
+    assert row["harmful"] == 2 and row["at_0.1"] is None
+    assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h
+
+
+@given(made())
+def test_the_average_precision_is_that_of_scikit_learn(own):
+    golden, found = own
+    harmful = found.corrupted[found.harmful]
+    if not len(harmful):
+        assert found.precision() is None
+        return
+    labels = [0] * len(golden) + [1] * len(harmful)
+    expected = average_precision_score(labels, [*golden, *harmful])
+    assert found.precision() == pytest.approx(expected, abs=1e-12)
+
+
+def test_schemes_without_scores_are_named_with_the_reason():
+    arms = {"rules": {"detector": "acceptance"}, "all": {"detector": "recommended"}, "crc": {"detector": "checksum"}}
+    reasons = unscored([small(arms={**arms, "bare": {"dead_node": "readback"}})], {"rules": None})
+    assert reasons == {
+        "all": "its mission differs (alarm, dead_node, epoch_liveness)",
+        "crc": "it compares with a seal, or has no scores",
+    }
+    found = Scores(np.array([3.0]), 100, 1.5, np.array([2.5]), np.array([True]))
+    notes = table({"one": found}, ["a", "b"], reasons).notes
+    assert f"all: not scored: {reasons['all']}" in notes
+    assert "one golden flight for each mission of these parts, their faults together: a, b" in notes
+
+
+class CommandsAlarm:
+    """Every third command scores 2, other commands 0.5; other states have no score."""
+
+    def start(self):
+        self.count = 0
+
+    def score(self, state, time_us):
+        if state.spec.name != "control.command":
+            return None
+        self.count += 1
+        return 2.0 if self.count % 3 == 0 else 0.5
+
+    def accept(self, state, time_us):
+        pass
+
+
+def test_a_message_that_a_fault_loses_has_the_lowest_score():
+    scorer = _Scorer({"one": CommandsAlarm()}, (StateFault(FaultSite("planning.path", "length_x"), 0, 31),))
+    scorer(new_state("planning.path", 3), 7)
+    assert scorer.kept["one"].corrupted == {0: 0.0}

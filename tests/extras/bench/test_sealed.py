@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.detectors import load_detector
+from mavfi.errors import BadInputError
+from mavfi.extras.bench.random_alarms import RandomAlarms
+from mavfi.extras.bench.sealed import ALL, SMALL, Checksum, Duplicate, Oracle
+from mavfi.states import STATES, new_state
+from tests.core.unit.detectors.streams import command, flight
+from tests.core.unit.detectors.test_registry import FITS
+
+CLOUD = "perception.point_cloud"
+BOTH = [lambda: Checksum(large=True), Oracle]
+
+
+def struck(state, bit):
+    """One bit flipped somewhere in header or elements."""
+    found = state.copy()
+    header, elements = found.header.view(np.uint8), found.elements.view(np.uint8) if len(found.elements) else None
+    byte, place = bit // 8 % (len(header) + (0 if elements is None else len(elements))), bit % 8
+    content, byte = (header, byte) if byte < len(header) else (elements, byte - len(header))
+    content[byte] ^= np.uint8(1 << place)
+    return found
+
+
+@pytest.mark.parametrize("make", BOTH)
+@given(name=st.sampled_from(sorted(ALL)), count=st.integers(0, 3), bit=st.integers(0, 5000))
+def test_any_bit_that_is_changed_on_the_way_is_an_alarm_and_nothing_else_is(make, name, count, bit):
+    detector = make()
+    state = new_state(name, count if STATES[name].elements else 0)
+    detector.seal(state, 0)
+    for same in (state, state.copy()):
+        assert detector.check(same, 0) is None and detector.score(same, 0) == 0.0
+    alarm = detector.check(struck(state, bit), 0)
+    assert (alarm.source, alarm.stage, alarm.hard) == (detector.source, STATES[name].stage, True)
+    assert alarm.score > 1.0 and alarm.fields == (name,)
+
+
+def test_clouds_and_map_updates_are_sealed_by_choice():
+    assert {CLOUD, "perception.map_update"} == ALL - SMALL
+    cloud = new_state(CLOUD, 2)
+    for detector, seen in ((Checksum(), False), (Checksum(large=True), True)):
+        detector.seal(cloud, 0)
+        assert (detector.check(struck(cloud, 400), 0) is not None) == seen
+
+
+@pytest.mark.parametrize("make", BOTH)
+def test_what_was_not_sealed_is_not_judged_and_nothing_is_remembered(make):
+    detector, state = make(), command([1, 0, 0])
+    assert detector.check(state, 0) is None and detector.score(state, 0) is None
+    detector.seal(state, 0)
+    memory = detector.memory()
+    detector.accept(state, 0)
+    assert detector.memory() == memory
+    detector.restore(memory)
+    assert detector.check(struck(state, 3), 0) is None
+    detector.seal(new_state("sensor.odometry"), 1)
+    assert detector.check(new_state("sensor.odometry"), 1) is None
+
+
+def alarms(detector, events):
+    found = []
+    for state, time_us in events:
+        score, alarm = detector.score(state, time_us), detector.check(state, time_us)
+        assert (alarm is not None) == (score is not None and score > 1.0)
+        found += [(time_us, state.spec.name)] if alarm else []
+        detector.accept(state, time_us)
+    return found
+
+
+def test_random_alarms_have_their_rate_and_depend_on_the_mission_alone():
+    events = flight(3, ticks=3000)
+    hours = events[-1][1] / 3.6e9
+    first, again, other = (RandomAlarms(seed, per_hour=20_000.0) for seed in (5, 5, 6))
+    # two of the six small states with alarms are rare here, and three are absent
+    found = alarms(first, events)
+    expected = hours * 20_000 / 6 * 2
+    assert 0.5 * expected < len(found) < 1.5 * expected
+    assert alarms(again, events) == found != alarms(other, events)
+    first.start()
+    assert alarms(first, events) == found
+
+
+def test_random_alarms_continue_from_what_was_remembered():
+    events = flight(3, ticks=1000)
+    detector, other = (RandomAlarms(9, per_hour=50_000.0) for _ in range(2))
+    alarms(detector, events[:800])
+    memory = detector.memory()
+    later = alarms(detector, events[800:])
+    assert later and detector.memory() != memory
+    other.restore(memory)
+    assert other.memory() == memory and alarms(other, events[800:]) == later
+
+
+def test_figures_that_are_no_rate_and_kernels_that_are_none_are_refused():
+    with pytest.raises(BadInputError, match="per_hour: 0.0; allowed: above 0"):
+        RandomAlarms(1, per_hour=0.0)
+    with pytest.raises(BadInputError, match="kernels: tracker: not known; allowed: state_estimation"):
+        Duplicate(["pid", "tracker"])
+
+
+def test_they_are_loaded_with_the_options_of_their_files():
+    large = new_state(CLOUD, 1)
+    for name, seen in (("checksum", None), ("oracle", 0.0)):
+        detector, model = load_detector(name, "paper", None, FITS)
+        detector.seal(large, 0)
+        assert detector.score(large, 0) == seen and model == ""
+    detector, _ = load_detector("checksum", "paper", None, FITS, options={"large": True})
+    detector.seal(large, 0)
+    assert detector.score(large, 0) == 0.0
+    assert load_detector("duplicate", "paper", None, FITS)[0].duplicates == (
+        "collision_check",
+        "trajectory",
+        "waypoint",
+    )
+    assert isinstance(load_detector("random", "paper", None, {**FITS, "seed": 4})[0], RandomAlarms)
+    with pytest.raises(BadInputError, match="'random': needs the seed of the mission"):
+        load_detector("random", "paper", None, FITS)

@@ -1,0 +1,179 @@
+"""Checksum and oracle, and steps computed twice: in whole flights."""
+
+import pytest
+
+from mavfi.detectors.detector import Alarm, Detector
+from mavfi.extras.bench.random_alarms import RandomAlarms
+from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
+from mavfi.faults.fault import StateFault
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.fly import fly
+from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.host import ArmSetup
+from mavfi.flight.mission_flights import LocalHost
+from mavfi.flight.policy import Recovery
+from mavfi.states import KERNELS
+from tests.core.flights.instruction.test_detectors import faults, scenario  # noqa: F401 - a fixture
+from tests.core.flights.missions import fault, golden, mission
+
+RESEND = Recovery(grain="message")
+STRUCK = [
+    ("perception.collision_status", "collision", 0),
+    ("planning.waypoint", "x", 62),
+    ("planning.trajectory", "vx", 62),
+    ("control.command", "vy", 62),
+]
+
+
+def site(state, field, bit) -> StateFault:
+    times = golden().profile.times_us[state]
+    return fault(state, field, 1e-6 * times[len(times) // 2], bit, element=0)
+
+
+@pytest.mark.parametrize(("state", "field", "bit"), STRUCK)
+def test_a_message_that_is_sent_again_leaves_the_golden_flight(state, field, bit):
+    struck = fly(mission(), site(state, field, bit), Checksum(), recovery=RESEND).log
+    assert struck.injections[0].activated
+    assert [(alarm.state, alarm.action, alarm.outcome) for alarm in struck.alarms] == [(state, "resend", "repaired")]
+    assert struck.digest() == golden().log.digest()
+    assert sum(struck.meta["recompute_us"].values()) == 0
+
+
+class AlarmsOnce(Detector):
+    states = frozenset({"control.command"})
+
+    def start(self):
+        self.checked, self.accepted = [], []
+
+    def check(self, state, time_us):
+        self.checked.append(state)
+        return Alarm("once", "control") if len(self.checked) == 100 else None
+
+    def accept(self, state, time_us):
+        self.accepted.append(state)
+
+
+def test_a_message_that_is_sent_again_is_another_object():
+    """A detector takes the object that it has checked last for one whose codes it knows."""
+    detector = AlarmsOnce()
+    log = fly(mission(), detector=detector, recovery=RESEND).log
+    assert [alarm.action for alarm in log.alarms] == ["resend"]
+    sent, again = detector.checked[99], detector.accepted[99]
+    assert again.same_bits(sent) and again is not sent
+
+
+def test_an_observer_sends_it_again_after_consumers_have_seen_it():
+    seen = []
+    struck = fly(
+        mission(), site(*STRUCK[3]), Checksum(), recovery=Recovery("observer", "message"),
+        recorders=[lambda state, now: seen.append((now, state)) if state.spec.name == STRUCK[3][0] else None],
+    ).log  # fmt: skip
+    (alarm,) = struck.alarms
+    at = round(1e6 * alarm.time_s)
+    wrong, right = (state for now, state in seen if now == at)
+    assert not wrong.same_bits(right) and (alarm.action, alarm.outcome) == ("resend", "repaired")
+    assert len(seen) == struck.meta["publications"][STRUCK[3][0]]
+
+
+@pytest.mark.parametrize("make", [Checksum, lambda: Checksum(large=True), Oracle])
+def test_a_golden_flight_raises_no_alarm(make):
+    log = fly(mission(), detector=make(), recovery=RESEND).log
+    assert log.alarms == [] and log.digest() == golden().log.digest()
+
+
+def test_the_oracle_alarms_at_the_injected_publication():
+    log = fly(mission(), site(*STRUCK[1]), Oracle(), recovery=Recovery(grain="kernel")).log
+    assert [(alarm.source, alarm.state, alarm.outcome) for alarm in log.alarms] == [
+        ("oracle", "planning.waypoint", "repaired")
+    ]
+    assert log.alarms[0].time_s == log.injections[0].time_s
+
+
+def test_a_campaign_flies_them_and_gives_the_same():
+    setup = ArmSetup(mission(), Checksum, RESEND)
+    flights = LocalHost().mission({"golden": ArmSetup(mission()), "arm": setup})
+    flights.golden("golden")
+    assert flights.golden("arm").log.digest() == golden().log.digest()
+    ((_, flight),) = flights.injected([("arm", site(*STRUCK[0]))])
+    assert [alarm.outcome for alarm in flight.log.alarms] == ["repaired"]
+
+
+def test_random_alarms_are_answered():
+    log = fly(mission(), detector=RandomAlarms(mission().seed, 2000.0)).log
+    assert log.alarms and {alarm.source for alarm in log.alarms} == {"random"}
+    assert {alarm.action for alarm in log.alarms} == {"recompute"}
+
+
+# ---- steps computed twice -------------------------------------------------------------------------------------------
+KERNELS_HERE = tuple(name for name, spec in KERNELS.items() if not spec.only_with)
+
+
+def without_latency(detector, **changes):
+    """A flight of which latencies are not charged again, so that it can be compared with one without a detector."""
+    loop = new_loop(mission(**changes))
+    watch(loop, detector)
+    verify = loop.verify
+    loop.verify = lambda kernel, states, now: (verify(kernel, states, now)[0], 0)
+    return loop.fly().log
+
+
+@pytest.mark.parametrize("autopilot", ["published", "hardened"])
+def test_a_second_run_of_every_kernel_gives_the_same(autopilot):
+    log = without_latency(Duplicate(KERNELS_HERE), autopilot=autopilot)
+    assert log.alarms == [] and log.digest() == golden(autopilot).log.digest()
+
+
+def test_second_runs_cost_their_latency():
+    log = fly(mission(), detector=Duplicate(["planner", "pid"])).log
+    runs = {name: log.meta["compute_us"][name] // 2 for name in ("planner", "pid")}
+    assert log.meta["recompute_us"] == {"perception": 0, "planning": runs["planner"], "control": runs["pid"]}
+    assert log.digest() != golden().log.digest()
+
+
+class Wrong:
+    """Changes the results of chosen runs of a kernel, as a fault in its computation does."""
+
+    def __init__(self, loop, kernel, runs):
+        self.loop, self.runs, self.count = loop, runs, 0
+        self.kernel = loop.kernels[kernel]
+        self.step, self.kernel.step = self.kernel.step, self
+
+    def __call__(self, now):
+        states = self.step(now)
+        if self.count in self.runs:
+            states[0] = states[0].copy()
+            states[0].header["vx"] += self.runs[self.count]
+        self.count += 1
+        return states
+
+
+@pytest.mark.parametrize(
+    ("runs", "outcome"), [({40: 1.0}, "repaired"), ({41: 1.0}, "accepted"), ({40: 1.0, 41: 2.0}, "rejected")]
+)
+def test_two_of_three_decide(runs, outcome):
+    loop = new_loop(mission())
+    watch(loop, Duplicate(["pid"]))
+    verify = loop.verify
+    loop.verify = lambda kernel, states, now: (verify(kernel, states, now)[0], 0)
+    wrong = Wrong(loop, "pid", runs)
+    log = loop.fly().log
+    (alarm,) = log.alarms
+    assert (alarm.source, alarm.state, alarm.outcome) == ("duplicate", "control.command", outcome)
+    assert log.digest() == golden().log.digest() and wrong.count > 1000
+
+
+def test_a_fault_in_an_instruction_hits_one_of_the_runs(faults):  # noqa: F811
+    """It is the same fault in the same step as without the detector."""
+    alone = fly_instruction_faults(scenario(), faults["pid"])
+    twice = fly_instruction_faults(scenario(), faults["pid"], Duplicate(["pid"]))
+    wrong = [
+        number for number, flight in enumerate(alone.flights)
+        if flight.log.digest() != alone.golden.log.digest() and flight.log.kernel.effect == "sdc"
+    ]  # fmt: skip
+    assert wrong, "else there is no proof"
+    for number in wrong:
+        flight = twice.flights[number]
+        assert flight.log.injections[0].activated
+        assert [alarm.outcome for alarm in flight.log.alarms] == ["repaired"]
+        assert flight.log.digest() == twice.golden.log.digest()
+    assert twice.golden.log.alarms == []

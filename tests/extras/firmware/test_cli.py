@@ -1,0 +1,56 @@
+"""`mavfi firmware`, and the options of `mavfi fly` for register faults in a firmware."""
+
+import pytest
+
+from mavfi.cli.commands import run
+from mavfi.errors import BadInputError
+from mavfi.extras.firmware import build
+from mavfi.extras.firmware.cli import register_fault
+from mavfi.extras.firmware.injector import WALK
+
+
+def test_the_fault_is_that_of_the_options():
+    fault = register_fault("firmware@10.5", "fp", 3)
+    assert (fault.node, fault.time_us, fault.registers, fault.seed, fault.walk) == (
+        "firmware",
+        10_500_000,
+        "fp",
+        3,
+        WALK,
+    )
+    assert fault.access == "either", "as in campaigns and in the table of hover and square"
+    assert register_fault(None, None, None) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "complaint"),
+    [(("octomap@10", None, None), "allowed: firmware@SECONDS"), (("firmware@x", None, None), "e.g. firmware@10"),
+     (("firmware@1", "mmx", None), "--registers"), (("firmware@1", None, -1), "--register-seed"),
+     ((None, "fp", None), "with --register-fault only"), ((None, None, 3), "with --register-fault only")],
+)  # fmt: skip
+def test_bad_options_are_refused(given, complaint):
+    with pytest.raises(BadInputError, match=complaint):
+        register_fault(*given)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [(["fly", "--register-fault", "firmware@1", "--fault", "null"], "allowed: without --fault"),
+     (["fly", "--register-fault", "firmware@1", "--world", "airsim://127.0.0.1:1"], "allowed: without --fault, --html"),
+     (["fly", "--flight-controller", "betaflight", "--world", "airsim://127.0.0.1:1"], "that of the server flies"),
+     (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
+     (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
+     (["fly", "--register-fault", "firmware@1"], "flight_controller: cascade: has no registers of its own")],
+)  # fmt: skip
+def test_bad_input_is_one_line(words, complaint, capsys):
+    assert run(words) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_a_missing_firmware_is_one_line(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    build.installed.cache_clear()
+    assert run(["firmware", "setup"]) == 2
+    assert "no Betaflight firmware on this machine" in capsys.readouterr().err

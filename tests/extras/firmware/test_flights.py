@@ -1,0 +1,139 @@
+"""Betaflight's real firmware flies parts of missions; skipped where it is not installed (docs/firmware.md)."""
+
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.firmware import betaflight, build
+from mavfi.extras.firmware.host import FirmwareHost, fly, register_fault
+from mavfi.extras.firmware.injector import CALLS, WALK
+from mavfi.extras.firmware.process import Firmware
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import resolve
+from mavfi.flight.host import ArmSetup
+from mavfi.flight.observe import Attached
+from mavfi.mission import MissionSpec, MissionStatus
+from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
+from mavfi.record import Injection
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _firmware():
+    try:
+        build.program()
+        build.compiled("lockstep.c", "-ldl")
+    except BadInputError as error:
+        pytest.skip(str(error))
+
+
+def scenario(**keys):
+    return resolve(MissionSpec(environment="sparse", seed=7, **{"flight_controller": "betaflight", **keys}))
+
+
+@pytest.fixture(scope="session")
+def golden(_firmware):
+    return fly(scenario())
+
+
+def test_a_whole_mission_succeeds(golden):
+    assert golden.log.status is MissionStatus.SUCCESS
+    assert golden.log.column("time")[-1] < 45.0
+
+
+def test_calls_of_the_clock_stay_below_the_bound_of_the_draw(golden):
+    assert 100 < golden.extra["most_calls"] <= CALLS
+
+
+def test_instructions_between_two_calls_stay_below_the_bound_of_the_draw():
+    needed, longest = build.installed(), 0
+    with closing(Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})) as firmware:
+        betaflight.arm(firmware, betaflight.AT_REST)
+        for call in range(CALLS):
+            channels = None if call % 4 else betaflight.ARMED
+            packets = betaflight.packets(firmware.now_ns, betaflight.AT_REST, channels)
+            assert not firmware.run(packets, betaflight.PERIOD_NS, (call, 10**9))  # counts, and never stops
+            longest = max(longest, firmware.instructions)
+    assert 1_000 < longest <= WALK
+
+
+def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
+    struck = [fly(scenario(), register_fault(3_000_000, 5)).log for _ in range(2)]
+    assert struck[0].injections[0].activated
+    assert struck[0].injections == struck[1].injections
+    assert struck[0].digest() == struck[1].digest()
+    null = fly(scenario(), replace(register_fault(3_000_000, 5), null=True)).log
+    assert null.injections[0].activated
+    assert null.digest() == golden.log.digest()
+
+
+def test_another_gyro_noise_is_another_flight_that_is_controlled_as_well(golden):
+    other = fly(scenario(), observers=(lambda loop: loop.plant.controller.draw_noise(99),))
+    assert other.log.digest() != golden.log.digest()
+    assert control_of(golden.record(), other.record()) is Control.SLIGHT
+
+
+def test_a_vehicle_whose_rotors_stop_is_out_of_control_without_tilting(golden):
+    struck = fly(scenario(), observers=(partial(_stop_rotors, 3_000_000),))
+    errors = ControlErrors.of(struck.record())
+    assert struck.log.status is MissionStatus.COLLISION
+    assert errors.velocity > 3.0 and errors.tilt < LOST_TILT
+    assert control_of(golden.record(), struck.record()) is Control.LOST
+
+
+def _stop_rotors(time_us, loop):
+    rotors = loop.plant.controller.rotors
+    loop.plant.controller.rotors = lambda now, *rest: rotors(now, *rest) * (now < time_us)
+
+
+def test_a_failure_of_a_sensor_reaches_the_firmware(golden):
+    log = fly(scenario(), SensorFault("gyro", "wrong", 3_000_000)).log
+    assert log.injections[0].activated and log.digest() != golden.log.digest()
+    assert (log.rows[:151] == golden.log.rows[:151]).all()
+    null = fly(scenario(), SensorFault("accelerometer", "ok", 3_000_000)).log
+    assert null.injections[0].activated and null.digest() == golden.log.digest()
+
+
+def test_observers_receive_the_injection():
+    class Observer:
+        def begin(self, loop):
+            self.items = []
+
+        def published(self, state, time_us):
+            pass
+
+        def tick(self, row, news, status):
+            self.items += news
+
+    observer, fault = Observer(), register_fault(1_000_000, 5)
+    setup = ArmSetup(scenario(), observers=(Attached(observer),))
+    [(_, flight)] = FirmwareHost().mission({"": setup}).injected([("", fault)])
+    assert flight.log.injections[0].activated
+    assert [item for item in observer.items if isinstance(item, Injection)] == flight.log.injections
+
+
+def test_the_velocity_command_is_followed():
+    loop = new_loop(scenario())
+    plant = loop.plant
+    try:
+        start = plant.odometry[:3].copy()
+        plant.command(np.array([1.0, -0.5, 0.3, 0.4]), 2.0)
+        plant.advance(1_500_000)
+        assert plant.odometry[3:6] == pytest.approx([1.0, -0.5, 0.3], abs=0.15)
+        assert plant.odometry[12] == pytest.approx(0.4, abs=0.05)
+        plant.advance(4_000_000)  # the command expires: hover
+        assert np.linalg.norm(plant.odometry[3:6]) < 0.1
+        assert np.linalg.norm(plant.odometry[:3] - start) < 4.0
+    finally:
+        loop.plant.close()
+
+
+def test_the_controller_must_be_a_firmware():
+    with pytest.raises(BadInputError, match="flight_controller: cascade: has no registers"):
+        fly(scenario(flight_controller="cascade"))
+    with pytest.raises(BadInputError, match="flight_controller: 'cascade': allowed: betaflight"):
+        FirmwareHost().resolve(MissionSpec())

@@ -1,0 +1,129 @@
+"""Views of register faults in a firmware, on runs made by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from mavfi.analysis.views import table, views_for
+from mavfi.faults.fault import RegisterFault
+from mavfi.record import End, Injection, KernelEffect
+from tests.core.unit.analysis.handmade import GOLDEN, REGISTER, flown, golden, injected, runs
+
+FAULT = RegisterFault(node="firmware", walk=3000, seed=1)
+
+
+def struck(register="rax", symbol="scheduler.part.0+0x1c", time_s=3.0, **changes):
+    one = Injection(
+        "register", register, time_s, 5, "0x0", "0x20", True, details={"register": register, "symbol": symbol}
+    )
+    return flown(changes.pop("success", True), **{**changes, "injections": (one,)})
+
+
+def lost(effect, **changes):
+    return replace(struck(**changes), end=End.DUE, status="collision", kernel=KernelEffect(effect, "SIGSEGV"))
+
+
+def five():
+    records = [struck(digest=GOLDEN.digest), struck("xmm3"), struck(success=False), lost("crash"), lost("hang")]
+    return runs(*(golden(seed) for seed in range(1, 6)),
+                *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)))  # fmt: skip
+
+
+CALM = {"tilt": 0.3, "attitude": 0.02, "velocity": 0.4, "yaw_rate": 0.05}
+
+
+def measured(**errors):
+    """Keys of a record with the errors of the flight."""
+    return {"extra": {"control": CALM | errors}}
+
+
+def six():
+    records = [
+        struck("xmm1", digest=GOLDEN.digest, **measured()),
+        struck("xmm2", **measured()),
+        struck("rdx", time_s=30.0, **measured(attitude=0.1)),
+        struck("rcx", success=False, time_s=49.0, **measured(velocity=4.7, tilt=0.1)),
+        lost("crash", **measured()),
+        lost("hang", **measured()),
+    ]
+    return runs(*(golden(seed, replace(GOLDEN, **measured())) for seed in range(1, 7)),
+                *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)))  # fmt: skip
+
+
+def counts(found):
+    heads = [column.key for column in found.columns]
+    return {row[0]: dict(zip(heads[1:], (getattr(cell, "successes", cell) for cell in row[1:]), strict=True))
+            for row in found.rows}  # fmt: skip
+
+
+def test_each_run_has_one_outcome():
+    found = counts(table(five(), "firmware_faults"))
+    assert found["in all"]["n"] == 5
+    assert [found["in all"][key] for key in ("identical", "arrives", "lost", "ends", "hangs")] == [1, 1, 1, 1, 1]
+    assert found["FP (XMM, YMM)"]["n"] == 1
+    assert found["FP (XMM, YMM)"]["arrives"] == 1
+    assert found["general"]["n"] == 4
+
+
+def test_functions_are_named_without_what_the_compiler_added():
+    assert counts(table(five(), "firmware_functions")).keys() == {"scheduler"}
+
+
+def test_phases_are_thirds_of_the_golden_flight():
+    third = GOLDEN.flight_time_s / 3
+    records = [struck(time_s=time_s) for time_s in (0.0, 0.9 * third, 1.1 * third, 2.1 * third, 3 * third)]
+    own = runs(*(golden(seed) for seed in range(1, 6)),
+               *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)))  # fmt: skip
+    found = counts(table(own, "firmware_phases"))
+    assert {part: row["n"] for part, row in found.items()} == {"first": 2, "second": 1, "last": 2}
+
+
+def test_each_mission_has_one_class_of_control():
+    found = counts(table(six(), "firmware_control"))
+    keys = ["identical", "slight", "degraded", "lost", "ends", "hangs"]
+    assert [found["in all"][key] for key in keys] == [1, 1, 1, 1, 1, 1]
+    assert [found["FP (XMM, YMM)"][key] for key in keys] == [1, 1, 0, 0, 0, 0]
+    headings = [column.heading for column in table(six(), "firmware_control").columns]
+    assert headings == ["registers", "runs", "bit-identical", "slight", "degraded", "loss of control", "process ends",
+                        "hang"]  # fmt: skip
+
+
+def test_classes_are_shown_by_third_of_the_golden_flight():
+    found = counts(table(six(), "firmware_control_phases"))
+    assert (found["second"]["degraded"], found["last"]["lost"], found["first"]["n"]) == (1, 1, 4)
+
+
+def test_classes_come_from_harmless_to_worst_with_their_largest_errors():
+    found = counts(table(six(), "firmware_classes"))
+    assert list(found) == ["bit-identical", "slight", "degraded", "loss of control", "process ends", "hang"]
+    assert found["degraded"]["attitude"] == pytest.approx(5.73, abs=0.01)
+    assert (found["loss of control"]["velocity"], found["loss of control"]["success"]) == (4.7, 0)
+    assert found["loss of control"]["time"] is None
+    assert found["slight"]["time"] == 0.0
+
+
+def test_rows_have_the_class_and_the_errors():
+    own = six()
+    assert own.golden["control"] == [""] * 6
+    assert own.golden["tilt"] == [0.3] * 6
+    assert own.injected["control"][:4] == ["bit-identical", "slight", "degraded", "loss of control"]
+    first = list(own.injected)[2]
+    assert [first[f"{name}_error"] for name in ("attitude", "velocity", "yaw_rate")] == [0.1, 0.4, 0.05]
+
+
+def test_runs_whose_errors_were_not_measured_have_no_class():
+    names = {one.name for one in views_for(five())}
+    assert not names & {"firmware_control", "firmware_control_phases", "firmware_classes"}
+    assert five().injected["control"] == [""] * 5
+
+
+def test_only_faults_in_a_firmware_have_these_views_and_none_of_a_foreign_node():
+    def names(own):
+        return {one.name for one in views_for(own)}
+
+    node = runs(golden(1), injected(1, flown(), REGISTER, target="general"))
+    assert {"firmware_faults", "firmware_phases", "firmware_functions"} <= names(five())
+    assert {"firmware_control", "firmware_control_phases", "firmware_classes"} <= names(six())
+    assert "register_effects" not in names(five())
+    assert "register_effects" in names(node)
+    assert "firmware_faults" not in names(node)

@@ -1,0 +1,148 @@
+"""A function as target of the choice: rates from injections, cross-validation, and what a summary says of it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from mavfi.analysis.statistics import wilson
+from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of, every_choice
+from mavfi.extras.hardening.battery import Battery
+from mavfi.extras.hardening.certification import Certification, certified_plan, with_certified
+from mavfi.extras.hardening.certify import Pair, certify
+from mavfi.extras.hardening.golden import GoldenCheck
+from mavfi.extras.hardening.learned import Injected, injections_in
+from mavfi.extras.hardening.ledger import Harm
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.extras.hardening.study import plan_of, planned_of
+from mavfi.extras.hardening.summary import summary
+from mavfi.extras.hardening.target import targets_of
+from mavfi.faults.levels.instruction.variant import signature_of
+from tests.extras.hardening.choice.kernels import calls, see, smooth
+from tools.full_plan import full_plan
+
+
+@pytest.fixture(scope="module")
+def target():
+    """Injections of which those in results of multiplications are silent corruptions."""
+    seen = see(smooth, calls())
+    battery = Battery("smooth", smooth, seen.variant, seen.calls)
+    (found,) = targets_of({"pid": [seen]})
+    found.injections = [
+        Injected(
+            place.block, place.offset, battery.site(place.block, place.offset).opcode == "fmul", str(number % 6)
+        )
+        for number, place in enumerate(battery.draw(np.random.default_rng(4), 300))
+    ]  # fmt: skip
+    return found
+
+
+def test_expected_corruptions_are_those_of_the_injected_instructions(target):
+    by_opcode = {}
+    for _, row, _, mass in target.masses:
+        by_opcode[row.opcode] = by_opcode.get(row.opcode, 0.0) + mass
+    assert max(by_opcode, key=by_opcode.get) == "fmul" and by_opcode["fmul"] > 0.7 * target.sdc_mass
+    rate = sum(one.sdc for one in target.injections) / len(target.injections)
+    assert target.sdc_mass == pytest.approx(rate * target.seen.instructions, rel=0.15)
+
+
+def test_a_choice_from_other_calls_covers_what_it_has_not_seen(target):
+    ladder = choices_of(target)
+    covered = {fraction: np.mean([hit for _, hit in judged]) for fraction, _, judged in ladder}
+    assert covered[0.0] == 0.0 and covered[1.0] == 1.0
+    assert max(own for fraction, own in covered.items() if fraction <= 0.5) > 0.6
+    assert [choice.cost for _, choice, _ in ladder] == sorted(choice.cost for _, choice, _ in ladder)
+    assert all(len(judged) == sum(one.sdc for one in target.injections) for _, _, judged in ladder)
+
+
+def test_steps_that_remove_no_more_than_a_cheaper_one_are_left_out(target):
+    every, steps = every_choice(target), choices_of(target)
+    assert [fraction for fraction, *_ in every] == [0.0, *FRACTIONS]
+    assert len(steps) < len(every) and all(step in every for step in steps)
+    assert steps[0][0] == 0.0 and steps[-1][0] == 1.0
+    removed = {fraction: sum(hit for _, hit in judged) for fraction, _, judged in every}
+    kept = [fraction for fraction, *_ in steps]
+    for fraction, own in removed.items():
+        cheaper = [other for at, other in removed.items() if at < fraction]
+        assert (fraction in kept) == (fraction == 1.0 or all(own > other for other in cheaper))
+
+
+def test_sites_are_those_of_the_parsed_module(target):
+    sites = target.sites(target.chooser.full)
+    assert all(target.site_of(one) in sites for one in target.injections if one.sdc)
+    planned = planned_of(target, Step(1.0, target.chooser.full, 1.234, choices_of(target)[-1][2]))
+    assert set(planned.sites) == sites and planned.time == 1.234 and planned.predicted.estimate == 1.0
+    assert all(line.split(":")[0].endswith("kernels.py") for line in planned.lines if not line.startswith("numba"))
+
+
+@dataclass
+class Study:
+    @dataclass
+    class Named:
+        name: str = "tiny"
+
+    campaign: Named
+    digest: str = "0" * 64
+    kernels: tuple[str, ...] = ("pid",)
+    complete: bool = False
+    selected: tuple[str, ...] = ("pid",)
+    studied: dict[str, tuple[int, int]] = field(default_factory=lambda: {"dense": (1, 2)})
+
+
+def test_a_summary_adds_up(target):
+    ladder = every_choice(target, (0.5, 1.0))
+    steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in ladder)
+    curve = Curve(target, 1.0, 0.2, steps)
+    assert [step.fraction for step in steps] == [0.0, 0.5, 1.0]
+    advice = Advice(0.5, (curve,), (1,))
+    found = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
+    (function,), (kernel,) = found.functions, found.kernels
+    assert sum(function.escapes.values()) == pytest.approx(1.0)
+    assert sum(line.sdc for line in function.lines) == pytest.approx(1.0)
+    removed = sum(line.sdc * line.protected for line in function.lines)
+    assert removed == pytest.approx(function.escapes["protected"])
+    assert (found.complete, found.selected, found.addresses) == (False, ("pid",), False)
+    assert found.spent == kernel.added == pytest.approx(0.2 * 0.5) and kernel.time == pytest.approx(1.5)
+    assert [step.chosen for step in function.steps] == [one.fraction == 0.5 for one in steps]
+
+
+def test_a_plan_states_the_share_of_its_kernels_time(target):
+    steps = tuple(Step(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
+    (other,) = targets_of({"pid": [see(smooth, [(np.ones(9, np.float32), np.zeros(9))])]})
+    curves = Curve(target, 300.0, 0.2, steps), Curve(other, 100.0, 0.1, steps)  # two functions of a kernel
+    advice = Advice(0.5, curves, (len(steps) - 1, 0))
+    plan = plan_of(Study(Study.Named()), [advice])
+    assert plan.studied == {"dense": (1, 2)} and plan.budget == 0.5
+    planned, none = plan.functions
+    assert planned.kind == "duplicate" and planned.share == 0.75 and planned.time == 1.4
+    assert none.kind == "none" and not none.sites and none.predicted is None
+
+
+def test_a_plan_keeps_the_certificate_of_the_same_code(target):
+    whole = FunctionPlan(
+        kernel="pid", function=target.name, signature=target.seen.signature_text,
+        ir_sha256=target.seen.variant.ir_sha256, sites=tuple(target.sites(target.chooser.full)), time=1.4,
+    )  # fmt: skip
+    plan, found = Plan(functions=(whole,)), Coverage(estimate=0.9, low=0.8, high=0.95)
+    pair = Pair.of(target.seen, whole)
+    certified = certified_plan(plan, Certification(plan.digest, 20, (), (certify(pair, 20),), GoldenCheck(1, 1, 1, 0)))
+    assert certified.functions[0].certified.estimate > 0.5 and certified.digest == plan.digest
+    earlier = Plan(functions=(whole.model_copy(update={"certified": found, "time": 1.1}),))
+    assert with_certified(plan, earlier).functions[0].certified == found
+    other = Plan(functions=(whole.model_copy(update={"certified": found, "sites": whole.sites[1:]}),))
+    assert with_certified(plan, other).functions[0].certified is None
+    steps = tuple(Step(fraction, choice, 1.4, judged) for fraction, choice, judged in choices_of(target))
+    advice = Advice(0.5, (Curve(target, 300.0, 0.2, steps),), (len(steps) - 1,))
+    summed = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)), earlier)
+    (row,) = summed.functions
+    assert (row.certified.rate, row.certified.low, row.certified.high) == (0.9, 0.8, 0.95)
+
+
+def test_choice_and_certificate_count_the_same_corruptions():
+    """A function's result that its caller would mask is a corruption for both."""
+    pair = Pair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))
+    learned = injections_in(pair.seen, 200)
+    rate = wilson(sum(one.sdc for one in learned), len(learned))
+    measured = certify(pair, 60).sdc_before
+    assert rate.low < measured.rate < rate.high and rate.rate > 0.2
+    assert {one.world for one in learned} == {"0", "1", "2", "3"}

@@ -1,0 +1,231 @@
+"""Protected kernels: no fault is silent, results are those of the plain kernel, shadows stay in the machine code."""
+
+import re
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.hardening.candidates import candidates
+from mavfi.extras.hardening.duplicate import protect
+from mavfi.extras.hardening.plan import FunctionPlan, signature_text
+from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.recorded import copied
+from mavfi.faults.levels.instruction.api import digest
+from mavfi.faults.levels.instruction.variant import signature_of, variant_of
+from mavfi.ir.build import name_of, target_machine
+from mavfi.ir.digest import bodies_of, digest_of
+from mavfi.ir.module import is_floating
+from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
+from tests.core.unit.faults.instruction.kernels import STRAIGHT, straight
+from tests.core.unit.kernels.cases import CASES as REAL
+from tests.extras.hardening.code.kernels import CASES, WALK, blend, mean_square, walk
+from tests.extras.hardening.code.strikes import Full, module_of, strike_all, variant
+
+
+@cache
+def module(name):
+    return module_of(*CASES[name])
+
+
+@cache
+def struck(name, *, addresses):
+    return variant(*CASES[name], Full(addresses=addresses))
+
+
+@pytest.mark.parametrize("name", ["mean_square", "walk"])
+def test_with_compared_addresses_every_fault_is_detected_or_harmless(name):
+    """Every bit of every dynamic instruction."""
+    found, silent = strike_all(struck(name, addresses=True), CASES[name][1])
+    assert set(found) == {"detected", "masked"}, silent
+    assert found["detected"] > 7000
+
+
+@pytest.mark.parametrize("name", ["mean_square", "walk"])
+def test_fully_duplicated_no_fault_is_silent(name):
+    found, silent = strike_all(struck(name, addresses=False), CASES[name][1], step=41)
+    assert found["sdc"] == found["hang"] == 0, silent
+    assert found["detected"] > 100 and found["crash"] > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["mean_square", "walk"])
+def test_fully_duplicated_no_fault_at_all_is_silent(name):
+    found, silent = strike_all(struck(name, addresses=False), CASES[name][1])
+    assert found["sdc"] == found["hang"] == 0, silent
+
+
+def test_what_is_not_duplicated_can_be_silent():
+    """Calls of libm."""
+    found, silent = strike_all(struck("blend", addresses=True), CASES["blend"][1], step=31)
+    assert found["sdc"] > 0
+    assert all("call double" in site for site in silent)
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("addresses", [False, True])
+def test_without_a_fault_results_are_those_of_the_plain_kernel(name, addresses):
+    kernel, args = CASES[name]
+    plain, own = copied(args), copied(args)
+    assert digest((struck(name, addresses=addresses).count(*own)[0], own)) == digest((kernel(*plain), plain))
+
+
+@pytest.mark.parametrize("name", ["walk", "blend"])
+def test_executions_are_counted_as_in_plain_code(name):
+    """The fast count derives those of split blocks from others; the slow one counts each block."""
+    kernel, args = CASES[name]
+    protected = struck(name, addresses=True)
+    fast, slow = protected.tally(*copied(args))[1], protected.profile(*copied(args))[1]
+    assert fast.tolist() == slow.tolist()
+    originals = [count for site, count in protected.table.executions(fast) if not site.role]
+    plain = variant(kernel, args)
+    assert originals == [count for _, count in plain.table.executions(plain.tally(*copied(args))[1])]
+
+
+def test_exceptions_pass():
+    args = (np.zeros(3), np.zeros(2), np.zeros(3))
+    with pytest.raises(ValueError, match="lengths"):
+        struck("blend", addresses=True).count(*args)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["track"])
+def test_kernels_of_the_pipeline_keep_their_results(name):
+    case = REAL[name]
+    args, plain, own = (case.arguments() for _ in range(3))
+    protected = variant(case.function, args, Full(addresses=True))
+    assert digest((protected.count(*own)[0], own)) == digest((case.function(*plain), plain))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name, case in REAL.items() if hasattr(case.function, "py_func")])
+def test_all_kernels_keep_their_results(name):
+    test_kernels_of_the_pipeline_keep_their_results(name)
+
+
+def test_partial_plans_keep_results():
+    kernel, args = CASES["blend"]
+    all_sites = candidates(module("blend"))
+    random = np.random.default_rng(3)
+    golden = copied(args)
+    wanted = digest((kernel(*golden), golden))
+    for share in (0.1, 0.5):
+        some = [site for site in all_sites if random.random() < share]
+        own = copied(args)
+        made = variant(kernel, args, lambda plain, some=some: protect(plain, some, addresses=True))
+        assert digest((made.count(*own)[0], own)) == wanted
+
+
+def test_without_sites_the_module_is_the_plain_one():
+    plain = module("walk")
+    assert bodies_of(protect(plain, [], addresses=True)) == bodies_of(plain)
+    assert protect(plain, [], addresses=True) == plain
+
+
+def test_the_plain_module_is_not_modified():
+    before = bodies_of(module("blend"))
+    protect(module("blend"), candidates(module("blend")), addresses=True)
+    assert bodies_of(module("blend")) == before
+
+
+def arithmetic(text):
+    """Number of floating-point instructions in the machine code of the fault space, by mnemonic."""
+    parsed = llvm.parse_assembly(text)
+    lines = target_machine().emit_assembly(parsed).split("\n")
+    return Counter(word for word in (line.split()[0] for line in lines if line.startswith("\t")) if re.fullmatch(
+        r"(?:add|sub|mul|div|sqrt)[sp]d", word))  # fmt: skip
+
+
+def whole(some):
+    return "\n".join([*some.preamble, *(function.text() for function in some.functions), *some.others])
+
+
+@pytest.mark.parametrize("name", ["mean_square", "blend"])
+def test_code_generation_keeps_all_shadows(name):
+    plain = module(name)
+    protected = protect(plain, candidates(plain), addresses=False)
+    before, after = arithmetic(whole(plain)), arithmetic(whole(protected))
+    assert before and after == {word: 2 * count for word, count in before.items()}
+
+
+def test_without_copies_code_generation_would_merge_shadows():
+    """What the assembly is for."""
+    plain = module_of(straight, STRAIGHT)
+    protected = protect(plain, candidates(plain), addresses=False)
+    text = re.sub(r'call (\S+) asm "" , "=[rx],0" \( (\S+) (\S+) \)', r"freeze \1 \3", whole(protected))
+    twice = {word: 2 * count for word, count in arithmetic(whole(plain)).items()}
+    assert arithmetic(text).total() < arithmetic(whole(protected)).total() == sum(twice.values())
+
+
+def test_each_shadow_is_marked_and_originals_keep_their_names():
+    plain = module("walk")
+    protected = protect(plain, candidates(plain), addresses=False)
+    for before, after in zip(plain.functions, protected.functions, strict=True):
+        own = [one.result for block in after.blocks for one in block.sites if not one.role]
+        assert own == [one.result for block in before.blocks for one in block.sites]
+        roles = Counter(one.role for block in after.blocks for one in block.sites)
+        assert set(roles) == {"", "shadow", "copy", "check"}
+
+
+def test_protected_text_can_be_read_again():
+    protected = protect(module("blend"), candidates(module("blend")), addresses=True)
+    text = "\n".join([*protected.preamble, *(function.text() for function in protected.functions)])
+    again = parse_module(text, "blend")
+    kinds = [[[one.kind for one in block.sites] for block in some.functions[0].blocks] for some in (protected, again)]
+    assert kinds[0] == kinds[1]
+
+
+def plan_for(kernel, args, **more):
+    plain = module_of(kernel, args)
+    return FunctionPlan(**{
+        "kernel": "pid", "function": name_of(kernel), "signature": signature_text(signature_of(args)),
+        "ir_sha256": digest_of(plain), "sites": tuple(candidates(plain)), **more,
+    })  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_plan_is_applied_to_the_code_for_which_it_was_made(tmp_path, monkeypatch):
+    """The module is rewritten in a fresh process, from which the refusal comes, too."""
+    signature = signature_of(WALK)
+    plain = variant_of(walk, signature)
+    fresh = parse_module(cached_source(walk, signature).text, "walk")
+    plan = plan_for(walk, WALK, ir_sha256=plain.ir_sha256, sites=tuple(candidates(fresh)))
+    protected = variant_of(walk, signature, Protection(plan))
+    assert protected.ir_sha256 != plain.ir_sha256
+    assert variant_of(walk, signature, Protection(plan)) is protected
+    assert variant_of(walk, signature) is plain
+    other = Protection(plan.model_copy(update={"ir_sha256": "ab" * 32}))
+    with pytest.raises(BadInputError, match=r"^protection of \S+walk: planned for IR abababababab, this is [^\n]*$"):
+        variant_of(walk, signature, other)
+
+
+def test_a_plan_for_other_code_is_refused():
+    other = Protection(plan_for(mean_square, CASES["mean_square"][1]))
+    with pytest.raises(BadInputError, match="planned for IR"):
+        other(module("blend"))
+
+
+def test_only_functions_that_can_report_are_duplicated():
+    """A function without a status, and what it calls, stay as they are."""
+    plain = module("walk")
+    assert candidates(plain)
+    mute = replace(plain, functions=[replace(function, kind="i64") for function in plain.functions])
+    assert candidates(mute) == []
+
+
+def test_floating_point_values_are_compared_as_bits():
+    """NaN differs from itself as a number, and 0.0 equals -0.0."""
+    protected = protect(module("blend"), candidates(module("blend")), addresses=False)
+    for function in protected.functions:
+        for block in function.blocks:
+            for one in block.sites:
+                assert not (one.role == "check" and one.opcode == "fcmp")
+                assert not (one.role == "check" and is_floating(one.kind))
+    assert blend(np.array([np.nan, -0.0]), np.ones(2), np.zeros(2)) != 0
+    args = (np.array([np.nan, -0.0]), np.ones(2), np.zeros(2))
+    assert np.isnan(struck("blend", addresses=True).count(*args)[0])

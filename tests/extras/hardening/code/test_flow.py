@@ -1,0 +1,92 @@
+"""Values, uses and entries of a small loop, read from its IR."""
+
+import numpy as np
+import pytest
+
+from mavfi.extras.hardening.choose import Chooser
+from mavfi.extras.hardening.flow import OUTSIDE, Entry, added, total_cost, values_of, weight_of
+from mavfi.ir.parser import parse_module
+
+LOOP = """
+define i32 @f(ptr %out, ptr %data, i64 %n) {
+entry:
+  %start = load double, ptr %data
+  br label %head
+head:
+  %i = phi i64 [ 0, %entry ], [ %next, %body ]
+  %sum = phi double [ %start, %entry ], [ %more, %body ]
+  %inside = icmp slt i64 %i, %n
+  br i1 %inside, label %body, label %exit
+body:
+  %place = getelementptr double, ptr %data, i64 %i
+  %x = load double, ptr %place
+  %more = fadd double %sum, %x
+  %next = add i64 %i, 1
+  br label %head
+exit:
+  store double %sum, ptr %out
+  ret i32 0
+}
+"""
+START, COUNTER, SUM, INSIDE, PLACE, X, MORE, NEXT = range(8)
+COUNTS = {(0, 0): 1.0, (0, 1): 11.0, (0, 2): 10.0, (0, 3): 1.0}
+
+
+@pytest.fixture(scope="module")
+def module():
+    return parse_module(LOOP, "f")
+
+
+def test_operands_entries_and_uses(module):
+    values = values_of(module, COUNTS)
+    assert [value.opcode for value in values] == ["load", "phi", "phi", "icmp", "getelementptr", "load", "fadd", "add"]
+    assert values[MORE].operands == (SUM, X) and values[X].operands == (PLACE,) and values[PLACE].operands == (COUNTER,)
+    assert values[SUM].entries == (Entry(START, 1.0, False), Entry(MORE, 10.0, True)) and values[SUM].in_loop_header
+    assert values[INSIDE].uses == []  # both edges of the branch check its shadow
+    assert {use.user for use in values[SUM].uses} == {MORE, OUTSIDE}
+
+
+def test_cost_of_the_whole_loop_and_of_one_instruction(module):
+    values = values_of(module, COUNTS)
+    executed = 1 + 3 * 11 + 4 * 10
+    # shadows; copy of 0 for the counter; the sum is compared once, where it is stored
+    assert total_cost(values, set(range(8))) == executed + 1 + 3 * 1
+    assert total_cost(values, {MORE}) == 10 + 10 + 3 * 10
+
+
+def test_a_slow_instruction_costs_several_simple_ones(module):
+    divides = parse_module(LOOP.replace("fadd", "fdiv"), "f")
+    plain, slow = values_of(module, COUNTS), values_of(divides, COUNTS)
+    for chosen in ({MORE}, set(range(8))):
+        assert total_cost(slow, chosen) == total_cost(plain, chosen) + 10 * (slow[MORE].weight - 1)
+        assert added(slow, chosen) == total_cost(plain, chosen) == added(plain, chosen)
+    dear = np.zeros(8)
+    dear[[MORE, X]] = 1.0
+    assert Chooser(slow, dear).within(60).chosen == {X} != Chooser(plain, dear).within(60).chosen
+
+
+@pytest.mark.parametrize(
+    ("text", "weight"),
+    [
+        ("%y = call double @llvm.floor.f64(double %x)", 6), ("%y = call double @floor(double %x)", 6),
+        ("%y = call double @llvm.fabs.f64(double %x)", 1), ("%y = call double @llvm.sqrt.f64(double %x)", 6),
+        ("%y = fmul double %x, %x", 1), ("%y = fdiv double %x, %x", 4),
+    ],
+)  # fmt: skip
+def test_weights(text, weight):
+    body = (
+        f"define i32 @g(ptr %p, double %x) {{\nentry:\n  {text}\n  store double %y, ptr %p, align 8\n  ret i32 0\n}}\n"
+    )
+    block = parse_module(body, "g").functions[0].blocks[0]
+    assert weight_of(block.sites[0]) == weight
+
+
+def test_addresses_are_compared_before_loads_on_demand(module):
+    whole = set(range(8))
+    plain, compared = (total_cost(values_of(module, COUNTS, addresses=on), whole) for on in (False, True))
+    assert compared == plain + 10
+
+
+def test_without_counts_of_a_block_a_value_is_compared_where_it_is_made(module):
+    known = {place: count for place, count in COUNTS.items() if place != (0, 3)}
+    assert total_cost(values_of(module, known), {SUM}) == 11 + 11 * 3 + 1

@@ -1,0 +1,96 @@
+"""Timing: the loop around a kernel, and ratios within rounds, with clocks that are given."""
+
+import numpy as np
+import pytest
+
+from mavfi.extras.hardening.measure import Timed, compare, quiet
+from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
+from mavfi.numerics.jit import kernel_jit
+
+
+@kernel_jit
+def count_up(total):
+    total[0] += 1.0
+    return total[0]
+
+
+def test_a_call_repeats_the_kernel_and_reads_the_counter():
+    total = np.zeros(1)
+    count_up(total)
+    (signature,) = count_up.signatures
+    source = cached_source(count_up, signature)
+    module = parse_module(source.text, source.kernel)
+    timed = Timed(source, Timed.code_of(source, module), count_up.overloads[signature].environment)
+    ticks = timed.ticks((total,), 7)
+    assert total[0] == 8.0 and ticks > 0
+    timed.ticks((total,), 1)
+    assert total[0] == 9.0
+
+
+def clocks(order, slower=1.01):
+    """Plain code and two variants, on a machine that gets slower all the time; `b` takes longer in short calls."""
+    slow = [1.0]
+
+    def clock(name, factor):
+        def ticks(args, repetitions):
+            order.append((name, repetitions))
+            slow[0] *= slower
+            return args[0] * factor(args[0]) * slow[0]
+
+        return ticks
+
+    plain = clock("plain", lambda _: 1.0)
+    return plain, {"a": clock("a", lambda _: 1.5), "b": clock("b", lambda long: 2.0 if long > 2e7 else 6.0)}
+
+
+def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
+    order = []
+    found = compare(*clocks(order), [(1e7,), (3e7,)], lambda n: n >= 30)
+    assert found.ratios == pytest.approx({"a": 1.5, "b": (1e7 * 6.0 + 3e7 * 2.0) / 4e7}, rel=0.03)
+    names = [name for name, _ in order]
+    assert len(names) == 3 + 3 * 30
+    assert {tuple(names[3 + 3 * i : 6 + 3 * i]) for i in range(30)} == {
+        ("plain", "a", "b"), ("a", "b", "plain"), ("b", "plain", "a"),
+    }  # fmt: skip
+    assert found.ticks > 2e7 * 0.9
+
+
+@pytest.mark.parametrize(("ticks", "repetitions"), [(1e4, 6), (1e5, 1)])
+def test_a_short_call_follows_two_that_are_not_timed(ticks, repetitions):
+    order = []
+    found = compare(*clocks(order, slower=1.0), [(ticks,)], lambda n: n >= 9)
+    assert found.ratios == pytest.approx({"a": 1.5, "b": 6.0})
+    calls = list(zip(order[3::3], order[4::3], order[5::3], strict=True))
+    assert len(calls) == 27
+    assert all([times for _, times in own] == [1, 1, repetitions] for own in calls)
+    assert all(len({name for name, _ in own}) == 1 for own in calls)
+
+
+def test_rounds_in_which_the_core_is_shared_do_not_count():
+    made = iter(range(10**6))
+
+    def clock(alone, shared):
+        return lambda args, _: args[0] * (shared if next(made) % 90 < 60 else alone)  # two of three rounds
+
+    found = compare(clock(1.0, 1.1), {"a": clock(1.25, 1.6)}, [(1e7,)], lambda n: n >= 100)
+    assert found.ratios == pytest.approx({"a": 1.25})
+    assert found.ticks == pytest.approx(1e7)
+
+
+def test_of_few_rounds_three_count():
+    rounds = [{"": 1.0, "a": float(number)} for number in (5, 1, 4, 2, 3)]
+    assert [row["a"] for row in quiet(rounds)] == [1.0, 2.0, 3.0]
+    assert quiet(rounds[:2]) == [rounds[1], rounds[0]]
+    assert len(quiet(rounds * 4)) == 5
+
+
+def test_arguments_of_recorded_calls_are_not_modified():
+    values = np.zeros(2)
+
+    def ticks(args, _):
+        args[0][:] += 1
+        return 1.0
+
+    compare(ticks, {"a": ticks}, [(values,)], lambda n: n >= 3)
+    assert not values.any()

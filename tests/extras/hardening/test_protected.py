@@ -1,0 +1,211 @@
+"""Missions with a protected kernel: same bits, faults detected in flight, steps computed again."""
+
+import pytest
+
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.config import PlatformConfig, shipped
+from mavfi.errors import BadInputError
+from mavfi.extras.hardening.plan import Coverage, Plan, Site, load_plan, save_plan
+from mavfi.extras.hardening.protected import SOURCE
+from mavfi.faults.levels.instruction.variant import signature_of
+from mavfi.faults.spec import InstructionRequest
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
+from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.host import ArmSetup
+from mavfi.flight.mission_flights import LocalHost
+from mavfi.mission import MissionSpec
+from mavfi.outcomes import Effect, effect_of
+from mavfi.pipeline.functions import PLAIN
+from mavfi.record import record_of
+from mavfi.report.explain import injection_lines, verdict
+from tools.full_plan import full_plan
+
+pytestmark = pytest.mark.slow
+
+SEED = 7
+
+
+def mission(plan="", **more):
+    return resolve(MissionSpec(environment="sparse", seed=SEED, protection=str(plan), **more))
+
+
+@pytest.fixture(scope="module")
+def golden():
+    """The plain golden flight, and the signatures of the tracker's calls."""
+    seen = set()
+
+    def noting(_, function):
+        def call(*args):
+            seen.add(signature_of(args))
+            return function(*args)
+
+        return call
+
+    return fly(mission(), functions=PLAIN.instrumented(("track",), noting)), seen
+
+
+@pytest.fixture(scope="module")
+def plan(golden):
+    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("plans")
+
+
+@pytest.fixture(scope="module")
+def protected(plan, folder):
+    """The mission with the plan; its time is not charged, so that flights can be compared."""
+    save_plan(plan, folder / "plan.yaml")
+    return mission(folder / "plan.yaml")
+
+
+@pytest.fixture(scope="module")
+def plain_faults():
+    """Faults in plain code."""
+    return draw_instruction_faults(mission(), InstructionRequest({"pid": 5}), seed=2).faults["pid"]
+
+
+@pytest.fixture(scope="module")
+def plain_logs(plain_faults):
+    return [flight.log for flight in fly_instruction_faults(mission(), plain_faults).flights]
+
+
+@pytest.fixture(scope="module")
+def paired_logs(protected, plain_faults):
+    """The same faults in the same executions of the same instructions of protected code."""
+    return [flight.log for flight in fly_instruction_faults(protected, plain_faults).flights]
+
+
+def test_the_shipped_plan_is_that_of_the_code(plan):
+    """Made again by tools/full_protection.py after a change of these kernels."""
+    shipped = load_plan("full")
+    own = [one.model_copy(update={"time": 1.0}) for one in shipped.functions if one.kernel == "pid"]
+    assert tuple(own) == plan.functions
+    assert any(one.kernel == "rrt_connect" and one.function.endswith(".plan") for one in shipped.functions)
+    assert shipped.cpu and all(one.time > 1.0 for one in shipped.functions), "measured"
+
+
+def test_the_golden_flight_is_the_plain_one(golden, protected):
+    assert fly(protected).log.digest() == golden[0].log.digest()
+    assert protected.key() != mission().key()
+
+
+def test_what_was_silent_is_detected_and_computed_again(plain_logs, paired_logs):
+    assert {log.kernel.effect for log in paired_logs} <= {"masked", "detected"}
+    effects = [
+        (before.kernel.effect, after.kernel.effect) for before, after in zip(plain_logs, paired_logs, strict=True)
+    ]
+    assert effects.count(("sdc", "detected")) == sum(before == "sdc" for before, _ in effects) >= 2
+    for log in paired_logs:
+        raised = [alarm for alarm in log.alarms if alarm.source == SOURCE]
+        assert len(raised) == (log.kernel.effect == "detected")
+        assert all((alarm.state, alarm.action, alarm.outcome) == ("control.command", "recompute", "repaired")
+                   for alarm in raised)  # fmt: skip
+        assert log.status.label == "success"
+
+
+def test_a_detected_fault_would_have_changed_the_flight(golden, plain_logs, paired_logs):
+    changed = [
+        after for before, after in zip(plain_logs, paired_logs, strict=True)
+        if before.digest() != golden[0].log.digest() and after.kernel.effect == "detected"
+    ]  # fmt: skip
+    assert changed
+    assert any(log.digest() == golden[0].log.digest() for log in changed)
+
+
+def test_the_pair_of_a_fault_is_in_the_same_instruction(plain_logs, paired_logs):
+    for before, after in zip(plain_logs, paired_logs, strict=True):
+        (one,), (other,) = before.injections, after.injections
+        assert (one.file, one.line, one.bit, one.before, one.after) == (
+            other.file, other.line, other.bit, other.before, other.after
+        ) or one.details["value_class"] == "address"  # fmt: skip
+        assert one.details["opcode"] == other.details["opcode"] and "role" not in other.details
+
+
+def test_faults_are_drawn_over_the_protected_program(protected, golden):
+    drawn = draw_instruction_faults(protected, InstructionRequest({"pid": 4}, which="all"), seed=5)
+    again = draw_instruction_faults(mission(), InstructionRequest({"pid": 1}), seed=5)
+    assert drawn.golden.log.digest() == golden[0].log.digest()
+    assert drawn.counts["pid"]["instructions"] > 1.8 * again.counts["pid"]["instructions"]
+    assert drawn.counts["pid"]["calls"] == again.counts["pid"]["calls"]
+    logs = [flight.log for flight in fly_instruction_faults(protected, drawn.faults["pid"]).flights]
+    assert {log.kernel.effect for log in logs} <= {"masked", "detected"}
+    roles = {log.injections[0].details.get("role", "") for log in logs}
+    assert roles & {"shadow", "check", "copy"}
+
+
+def test_forks_from_checkpoints_have_the_records_of_those_from_take_off(protected, plain_faults, paired_logs):
+    flights = LocalHost().mission({"": ArmSetup(protected)})
+    flights.know("", fly(protected))
+    found = dict(flights.injected([("", fault) for fault in plain_faults]))
+    for place, log in enumerate(paired_logs):
+        assert found[place].record() == record_of(log)
+
+
+def test_a_detected_fault_is_explained(golden, paired_logs):
+    log = next(log for log in paired_logs if log.kernel.effect == "detected")
+    effect = effect_of(record_of(golden[0].log), record_of(log))
+    assert effect in (Effect.DETECTED, Effect.MASKED)
+    lines = dict(injection_lines(log.injections[0], None, log))
+    assert lines["kernel"].endswith("detected by its protection; its step was computed again by plain code")
+    assert verdict(Effect.DETECTED, log, golden[0].log).startswith("detected by the protection of the kernel")
+
+
+def test_the_measured_time_is_charged(plan, folder):
+    slow = plan.model_copy(update={"functions": tuple(one.model_copy(update={"time": 1.5}) for one in plan.functions)})
+    save_plan(slow, folder / "slow.yaml")
+    plain, charged = shipped("platforms", PlatformConfig, "i9-9940x").latency_us, mission(folder / "slow.yaml").platform
+    assert charged.latency_us == plain | {"pid": round(1.5 * plain["pid"])}
+    assert mission(folder / "slow.yaml").key() != mission(folder / "plan.yaml").key()
+
+
+def test_lines_and_predictions_are_not_part_of_the_mission(plan, folder, protected):
+    more = {"lines": ("pid.py:1",), "predicted": Coverage(estimate=0.9, low=0.8, high=1.0)}
+    extended = plan.model_copy(update={"functions": tuple(one.model_copy(update=more) for one in plan.functions)})
+    save_plan(extended, folder / "extended.yaml")
+    assert mission(folder / "extended.yaml").key() == protected.key()
+
+
+def test_a_plan_for_other_code_is_refused_in_one_line(plan, folder):
+    other = plan.model_copy(
+        update={"functions": tuple(one.model_copy(update={"ir_sha256": "ab" * 32}) for one in plan.functions)}
+    )
+    save_plan(other, folder / "other.yaml")
+    with pytest.raises(
+        BadInputError, match=r"^protection of mavfi\.kernels\.control\.pid\.track: planned for IR [^\n]*$"
+    ):
+        draw_instruction_faults(mission(folder / "other.yaml"), InstructionRequest({"pid": 1}), seed=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ir_sha256": "ab" * 32}, "planned for IR abababababab, this is"),
+        ({"sites": (Site(0, 999, 0),)}, "site 999:0 of function 0: not in its code"),
+    ],
+)
+def test_a_golden_flight_refuses_a_plan_for_other_code(plan, folder, change, message):
+    other = plan.model_copy(update={"functions": tuple(one.model_copy(update=change) for one in plan.functions)})
+    save_plan(other, folder / "other.yaml")
+    with pytest.raises(BadInputError, match=rf"^protection of mavfi\.kernels\.control\.pid\.track: {message}[^\n]*$"):
+        fly(mission(folder / "other.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"numba": "0.1"}, "planned with numba 0.1, this is"),
+        ({"functions": "kernel"}, "kernel 'pidd': not known"),
+        ({"functions": "function"}, "function 'm.f': not of kernel pid; allowed: mavfi.kernels.control.pid.track"),
+    ],
+)
+def test_plans_of_other_versions_or_kernels_are_refused(plan, folder, change, message):
+    if "functions" in change:
+        update = {"kernel": "pidd"} if change["functions"] == "kernel" else {"function": "m.f"}
+        change = {"functions": tuple(one.model_copy(update=update) for one in plan.functions)}
+    save_plan(plan.model_copy(update=change), folder / "bad.yaml")
+    with pytest.raises(BadInputError, match=message):
+        mission(folder / "bad.yaml")

@@ -1,0 +1,99 @@
+"""The shipped plans fit the code; with its time charged, `ten_percent` detects a fault that would change the flight."""
+
+import pytest
+
+from mavfi.analysis import Runs
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.config import names, parse
+from mavfi.extras.hardening.golden import check_golden
+from mavfi.extras.hardening.plan import load_plan, save_plan, signature_text
+from mavfi.extras.hardening.protected import SOURCE
+from mavfi.faults.spec import InstructionRequest
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly
+from mavfi.flight.forks import fly_instruction_faults
+from mavfi.ir.build import name_of
+from mavfi.ir.sources import cached_shape
+from mavfi.mission import MissionSpec
+from mavfi.pipeline.functions import PLAIN
+from mavfi.record import record_of
+from mavfi.states import INJECTABLE, PLANNERS
+
+pytestmark = pytest.mark.slow
+
+
+def mission(plan, **more):
+    return resolve(MissionSpec(environment="sparse", seed=7, protection=str(plan), **more))
+
+
+@pytest.fixture(scope="module")
+def golden():
+    """Two golden flights with the shipped plan."""
+    return [fly(mission("ten_percent")).log for _ in range(2)]
+
+
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory):
+    """The mission with the time of the plan, but plain code."""
+    plan = load_plan("ten_percent")
+    bare = tuple(one.model_copy(update={"kind": "none", "sites": ()}) for one in plan.functions)
+    path = tmp_path_factory.mktemp("plans") / "timed.yaml"
+    save_plan(plan.model_copy(update={"functions": bare}), path)
+    return mission(path)
+
+
+def test_golden_flights_are_those_of_plain_code_with_this_latency(golden, timed):
+    assert golden[0].digest() == golden[1].digest() == fly(timed).log.digest()
+    assert golden[0].digest() != fly(mission("")).log.digest(), "its time is charged"
+    assert golden[0].status.label == "success" and not golden[0].alarms
+
+
+def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
+    found = check_golden(mission(""), load_plan("ten_percent"), ("pid", "rrt_connect", "collision_check"))
+    assert found.passed and found.calls > 1000
+
+
+def test_a_fault_that_would_have_changed_the_flight_is_detected(golden, timed):
+    faults = draw_instruction_faults(timed, InstructionRequest({"pid": 15}), seed=1).faults["pid"]
+    plain = [flight.log for flight in fly_instruction_faults(timed, faults).flights]
+    changed = [fault for fault, log in zip(faults, plain, strict=True) if log.digest() != golden[0].digest()]
+    own = mission("ten_percent")
+    found = [flight.log for flight in fly_instruction_faults(own, changed).flights]
+    detected = [(log, fault) for log, fault in zip(found, changed, strict=True) if log.kernel.effect == "detected"]
+    assert detected, "draw other faults"
+    first, fault = detected[0]
+    again = fly_instruction_faults(own, [fault]).flights[0].log
+    assert [alarm.source for alarm in first.alarms] == [SOURCE] and first.digest() == golden[0].digest()
+    assert record_of(first) == record_of(again), "replay"
+    assert first.status.label == "success"
+
+
+@pytest.mark.parametrize("name", names("protections"))
+def test_each_shipped_plan_is_that_of_the_code(golden, name):
+    """Made again by `make results NAME=hardening` and tools/full_protection.py after a change of a kernel."""
+    plan = load_plan(name)
+    for planner in {one.kernel for one in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
+        fly(mission("", planner=planner))  # its types are known then
+    functions = {name_of(getattr(PLAIN, entry)): getattr(PLAIN, entry) for own in INJECTABLE.values() for entry in own}
+    assert plan.functions
+    for one in plan.functions:
+        function = functions[one.function]
+        (signature,) = (own for own in function.overloads if signature_text(own) == one.signature)
+        assert cached_shape(function, signature)[0] == one.ir_sha256, one.function
+
+
+def test_protection_flies_with_a_detector_and_its_restarts_in_a_campaign(tmp_path):
+    shipped = load_campaign("protected").to_json()
+    arms = {name: shipped["arms"][name] for name in ("ten_percent", "ten_percent_recommended")}
+    sampling = {**shipped["sampling"], "kernels": ["pid"]}
+    changes = {"environments": ["sparse"], "missions": 1, "faults": 6, "sampling": sampling, "arms": arms}
+    run_campaign(parse(Campaign, {**shipped, **changes}, "protected"), tmp_path, executor=LocalExecutor(1))
+    runs = Runs.read(tmp_path)
+    both = runs.injected.where(arm="ten_percent_recommended")
+    assert len(both) == len(runs.injected.where(arm="ten_percent")) == 6
+    assert len(both.where(kernel_effect="detected")) > 0 and all(both["success"])
+    assert both["kernel_effect"] == runs.injected.where(arm="ten_percent")["kernel_effect"], "the detector changes none"
+    assert runs.golden.where(arm="ten_percent_recommended")["alarms_total"] == [0]

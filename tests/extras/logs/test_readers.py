@@ -1,0 +1,155 @@
+"""Every format gives the numbers of the flight back; damaged files are refused in one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.logs import open_flight_log
+from mavfi.extras.logs.calls import Call, read_calls
+from tests.extras.logs.conftest import make_log
+
+REAL = Path(__file__).parents[3].parent / "shared" / "data" / "logs"
+X = {
+    "ulg": ("vehicle_local_position", "x"), "tlog": ("LOCAL_POSITION_NED", "x"), "csv": ("row", "x"),
+    "jsonl": ("state(return)", "x"),
+    "bag": ("/odometry", "pose.pose.position.x"), "mcap": ("/odometry", "pose.pose.position.x"),
+}  # fmt: skip
+
+
+def read(path, topic, field):
+    found = list(open_flight_log(path).messages([topic]))
+    return [m.time_us for m in found], [m.layout.locate(m.data, field).value(m.data) for m in found], found
+
+
+@pytest.mark.parametrize("ending", X)
+def test_numbers_and_times_are_those_of_the_flight(files, ending):
+    topic, field = X[ending]
+    times, values, found = read(files(ending, "a"), topic, field)
+    log = make_log(0.0)
+    assert times == np.rint(1e6 * log.column("time")).astype(int).tolist()
+    kind = np.float32 if ending in ("ulg", "tlog") else np.float64
+    assert np.array_equal(np.array(values), log.column("x").astype(kind))
+    assert found[0].layout.check(field) == np.dtype(kind).name
+    assert field in found[0].layout.numbers(found[0].data, 16)
+
+
+@pytest.mark.parametrize("ending", X)
+def test_without_topics_all_are_read_in_order_of_time(files, ending):
+    found = list(open_flight_log(files(ending, "a")).messages([]))
+    times = [message.time_us for message in found]
+    assert times == sorted(times) and X[ending][0] in {message.topic for message in found}
+
+
+@pytest.mark.parametrize("ending", X)
+def test_a_topic_or_a_field_that_is_not_there_is_refused(files, ending):
+    with pytest.raises(BadInputError, match="holds no topic none; allowed: "):
+        list(open_flight_log(files(ending, "a")).messages(["none"]))
+    message = next(iter(open_flight_log(files(ending, "a")).messages([X[ending][0]])))
+    with pytest.raises(BadInputError, match="allowed: "):
+        message.layout.check("no_such_field")
+
+
+@pytest.mark.parametrize("ending", [*X])
+def test_what_is_no_log_is_refused(tmp_path, ending):
+    if ending == "ulg":
+        pytest.importorskip("pyulog")
+    if ending == "tlog":
+        pytest.importorskip("pymavlink")
+    path = tmp_path / f"x.{ending}"
+    path.write_bytes(b"\xff\xfenothing" * 20)
+    with pytest.raises(BadInputError, match=f"x.{ending}"):
+        list(open_flight_log(path).messages([]))
+
+
+@pytest.mark.parametrize(
+    ("head", "cell", "time_us"),
+    [
+        ("time", "2.5", 2_500_000), ("t [ms]", "2500", 2_500_000), 
+        ("#timestamp", "1403715524907143168", 1403715524907143),
+        ("time_ns", "7000", 7), ("timestamp", "1700000000123456", 1700000000123456), ("time (us)", "12", 12),
+    ],
+)  # fmt: skip
+def test_times_of_tables(tmp_path, head, cell, time_us):
+    path = tmp_path / "x.csv"
+    path.write_text(f"{head}, x, name\n{cell},1.5,a\n")
+    (message,) = open_flight_log(path).messages([])
+    assert message.time_us == time_us and message.layout.numbers(message.data, 16) == ["x"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("a,b\n1,2\n", "no column of time"), ("time,a\n1\n", "line 2: 1 values; allowed: 2"),
+     ("time,a,a\n1,2,3\n", "columns"),
+     ("time,a\n", "has no rows"), ("time,a\nx,2\n", "column time: is not a time")],
+)  # fmt: skip
+def test_tables_that_cannot_be_read(tmp_path, text, message):
+    path = tmp_path / "x.csv"
+    path.write_text(text)
+    with pytest.raises(BadInputError, match=message):
+        list(open_flight_log(path).messages([]))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [('{"time_us": 1, "topic": "a"}', "line 2: is not a call .call: key 'numbers'"), ("", "line 2: is not a call"),
+     ('{"time_us": 1e30, "topic": "a", "numbers": {"x": 1}}', "line 2"), ("[" * 100_000, "line 2"),
+     ('{"time_us": 1, "topic": "a", "numbers": {"x": "far"}}', "line 2: .* 'far'"),
+     ('{"time_us": 1, "topic": "a", "numbers": {}}', "one or more")],
+)  # fmt: skip
+def test_lines_that_are_no_calls(tmp_path, line, message):
+    path = tmp_path / "x.jsonl"
+    path.write_text(f"{Call(0, 'a', {'x': 1.0}).line()}{line}\n")
+    with pytest.raises(BadInputError, match=message):
+        read_calls(path)
+
+
+def test_calls_keep_numbers_that_json_has_not(tmp_path):
+    path = tmp_path / "x.jsonl"
+    path.write_text(Call.of(5, "a(return)", {"": np.inf, "x": -np.inf, "y": np.nan, "z": 0.1}).line())
+    assert "Infinity" not in path.read_text()
+    (message,) = open_flight_log(path).messages([])
+    assert (message.topic, message.time_us) == ("a(return)", 5)
+    values = {name: message.layout.locate(message.data, name).value(message.data) for name in ("value", "x", "y", "z")}
+    assert values["value"] == np.inf and values["x"] == -np.inf and np.isnan(values["y"]) and values["z"] == 0.1
+
+
+@pytest.mark.parametrize("ending", X)
+def test_damaged_files_are_read_or_refused_in_one_line_and_nothing_is_printed(files, tmp_path, ending, capfd):
+    random, content = np.random.default_rng(7), files(ending, "a").read_bytes()[:40_000]
+    path = tmp_path / f"x.{ending}"
+    refused = 0
+    for _ in range(25):
+        damaged = bytearray(content)
+        for place in random.integers(len(damaged), size=random.integers(1, 20)):
+            damaged[place] ^= 1 << int(random.integers(8))
+        path.write_bytes(damaged[: random.integers(len(damaged) // 2, len(damaged))])
+        try:
+            for message in open_flight_log(path).messages([]):
+                assert message.layout.numbers(message.data, 16) is not None
+        except MavfiError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 0 or ending == "tlog"  # whose damaged packets are skipped, by their checksums
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real logs is not here")
+def test_a_real_log_of_px4_without_its_time_on_the_ground():
+    pytest.importorskip("pyulog")
+    path = REAL / "rflymad_1_1000000000.ulg"
+    times, thrust, _ = read(path, "vehicle_rates_setpoint", "thrust_body[2]")
+    assert len(times) > 300 and min(thrust) < -0.3
+    import pyulog
+
+    landed = pyulog.ULog(str(path), ["vehicle_land_detected"]).data_list[0].data
+    first = landed["timestamp"][landed["landed"] == 0][0]
+    assert times[0] >= first
+
+
+def test_a_folder_is_refused(tmp_path):
+    folder = tmp_path / "x.csv"
+    folder.mkdir()
+    with pytest.raises(BadInputError):
+        list(open_flight_log(folder).messages([]))

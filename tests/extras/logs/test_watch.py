@@ -1,0 +1,195 @@
+"""Detectors on recorded flights: false alarms, injected flips, known faults."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from mavfi.analysis.statistics import EventRate
+from mavfi.cli.commands import run
+from mavfi.errors import BadInputError
+from mavfi.extras.logs.reader import open_flight_log
+from mavfi.extras.logs.report import Rates, rate_text
+from mavfi.extras.logs.watch import Judged, LogAlarm, LogWatch, Recording, read_recording, select
+
+
+@pytest.fixture(scope="module")
+def recordings(files):
+    return {name: read_recording(files("csv", name)) for name in ("a", "b")}
+
+
+@pytest.fixture(scope="module")
+def watching(recordings):
+    pair = [recordings["a"], recordings["b"]]
+    return LogWatch("gaussian", "tuned", select(pair, ["x", "y", "vz"]), pair)
+
+
+def test_a_flight_of_the_training_has_no_alarm(watching, recordings):
+    judged = watching.judge(recordings["a"])
+    assert judged.alarms == [] and judged.messages == 600
+    assert judged.exposure_s == pytest.approx(11.98)
+
+
+def test_flips_are_drawn_by_class_and_detected(watching, recordings):
+    judged = watching.judge(recordings["a"], flips=90, seed=5)
+    classes = [flip.bit_class for flip in judged.flips]
+    assert [classes.count(name) for name in ("sign", "exponent", "mantissa")] == [30, 30, 30]
+    bits = {"sign": range(63, 64), "exponent": range(52, 63), "mantissa": range(52)}
+    assert all(flip.bit in bits[flip.bit_class] and flip.field in ("x", "y", "vz") for flip in judged.flips)
+    found = {name: rate.rate for name, rate in Rates([judged]).flips.items()}
+    assert found["sign"] > 0.5 and found["exponent"] > 0.5 and found["mantissa"] < 0.5
+    assert watching.judge(recordings["a"], flips=90, seed=5).flips == judged.flips
+    assert watching.judge(recordings["a"], flips=90, seed=6).flips != judged.flips
+
+
+def test_a_flip_changes_nothing_but_its_message(watching, recordings):
+    """Detected means: an alarm that the recording itself does not have."""
+    message = recordings["a"].messages[300]
+    place = message.layout.locate(message.data, "x")
+    struck = bytearray(message.data)
+    struck[place.offset + 7] ^= 0x80
+    changed = replace(recordings["a"], messages=[*recordings["a"].messages])
+    changed.messages[300] = replace(message, data=bytes(struck))
+    alarms = watching.judge(changed).alarms
+    assert {alarm.place for alarm in alarms} == {300, 301} and alarms[0].fields == ("x",)
+
+
+def test_a_known_fault_is_judged_by_its_delay(files):
+    pytest.importorskip("pyulog")
+    normal = [read_recording(files("ulg", name)) for name in ("a", "b")]
+    faulty = read_recording(files("ulg", "fault"), "mavfi_fault:active")
+    assert faulty.onset_us == 9_000_000
+    found = LogWatch("gaussian", "tuned", select([*normal, faulty.normal]), normal).judge(faulty)
+    assert found.has_fault and 0 <= found.fault_delay_s < 0.1
+    assert found.exposure_s == pytest.approx(8.98) and found.after_fault_s == pytest.approx(2.98)
+
+
+@pytest.mark.parametrize("ending", ["ulg", "tlog"])
+def test_a_file_that_is_cut_is_named(files, tmp_path, ending):
+    whole = files(ending, "a")
+    data = whole.read_bytes()
+    cut = tmp_path / f"short.{ending}"
+    for missing in range(1, 6):
+        cut.write_bytes(data[:-missing])
+        assert open_flight_log(cut).is_cut()
+    cut.write_bytes(data[: {"ulg": 2600, "tlog": 700}[ending]])
+    recordings = [read_recording(whole), read_recording(cut)]
+    assert not recordings[0].cut and recordings[1].cut
+    with pytest.raises(BadInputError, match=rf"no numbers in common \(short.{ending}: cut, the last message"):
+        select(recordings)
+
+
+def test_a_field_that_is_not_there_is_answered_with_the_nearest_names(files):
+    pytest.importorskip("pyulog")
+    pair = [read_recording(files("ulg", name)) for name in ("a", "b")]
+    with pytest.raises(BadInputError, match=r"vehicle_attitude:qq: .*; allowed: vehicle_attitude:q\[\d\], "):
+        select(pair, ["vehicle_attitude:qq"])
+    with pytest.raises(BadInputError, match=r"velocity: .*; allowed: velocity\[\d\], "):
+        select(pair, ["velocity"])
+    with pytest.raises(BadInputError, match=r"attitude:q\[0\]: .*; allowed: vehicle_attitude:q\[0\], "):
+        select(pair, ["attitude:q[0]"])
+
+
+def test_alarms_close_together_are_one_event():
+    alarms = [LogAlarm(0, time, "row", 2.0, ()) for time in (0, 900_000, 1_800_000, 5_000_000)]
+    assert Judged("x", 3600.0, 10, alarms, []).events == 2
+    rates = Rates([Judged("x", 1800.0, 10, alarms, []), Judged("y", 1800.0, 10, [], [])])
+    assert rates.alarms.per_hour == pytest.approx(2.0)
+    assert rates.headline().startswith("2 false alarm events in 60.0 min of normal flight: 2 [0.242, 7.22] per hour")
+
+
+def test_gaps_are_no_exposure(recordings, watching):
+    messages = recordings["a"].messages
+    gap = replace(recordings["a"], messages=messages[:100] + messages[400:])
+    assert watching.judge(gap).exposure_s == pytest.approx(99 * 0.02 + 199 * 0.02)
+
+
+@pytest.mark.parametrize("wanted", ["row:no_such", "vy:x", "no_such"])
+def test_fields_that_are_not_in_all_recordings_are_refused(recordings, wanted):
+    with pytest.raises(BadInputError, match=f"--fields: {wanted}: not a finite number in all .*; allowed: "):
+        select(list(recordings.values()), [wanted])
+
+
+def test_nothing_in_common_is_refused(recordings):
+    with pytest.raises(BadInputError, match="no numbers in common"):
+        select([recordings["a"], Recording("empty", [])])
+
+
+@pytest.mark.parametrize("ending", ["ulg", "tlog", "bag", "mcap", "csv", "jsonl"])
+def test_the_command_reads_every_format(files, ending, capsys):
+    log, train = (str(files(ending, name)) for name in ("b", "a"))
+    assert run(["watch", log, "--train", train, "--inject", "6", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["alarms_per_hour"]["events"] <= 1 and found["exposure_s"] == pytest.approx(11.98)
+    assert {name: rate["n"] for name, rate in found["flips"].items()} == {"sign": 2, "exponent": 2, "mantissa": 2}
+
+
+def test_several_logs_that_are_split_are_all_counted(files, capsys):
+    logs = [str(files("csv", name)) for name in ("a", "b")]
+    assert run(["watch", *logs, "--split", "0.5", "--fields", "vx,vy", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["trained_on"] == 600 and found["fields"] == {"row": ["vx", "vy"]}
+
+
+def test_a_fault_in_an_element_that_a_message_lacks_is_refused(files, capsys):
+    log, train = (str(files("mcap", name)) for name in ("a", "b"))
+    assert run(["watch", log, "--train", train, "--fault", "/tf:transforms[5].transform.translation.x"]) == 2
+    err = capsys.readouterr().err
+    assert "--fault: field transforms[5].transform.translation.x: transforms has 1 elements" in err
+
+
+def test_the_answer_comes_first(files, capsys):
+    log = str(files("csv", "a"))
+    assert run(["watch", log, "--split", "0.8", "--fields", "vx,vy", "--detector", "autoencoder"]) == 0
+    assert "per hour" in capsys.readouterr().out.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "--train, --split: neither given; allowed: one of them"),
+        (["--train", "{}", "--split", "0.5"], "--train, --split: both given; allowed: one of them"),
+        (["--train", "{}", "--detector", "oracle"], "--detector: 'oracle': allowed: gaussian, autoencoder"),
+        (["--train", "{}", "--fault", "mode"], "--fault: 'mode': allowed: TOPIC:FIELD"),
+        (["--train", "{}", "--fault", "none:mode"], "holds no topic none; allowed: row"),
+        (["--train", "none.csv"], "none.csv: cannot be read"),
+        (["--train", "none.log"], "no reader of flight logs knows this format"),
+    ],
+)
+def test_bad_input_is_one_line(files, arguments, message, capsys):
+    log, train = (str(files("csv", name)) for name in ("a", "b"))
+    assert run(["watch", log, *(text.format(train) for text in arguments)]) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+
+
+def test_a_log_is_not_judged_by_a_detector_trained_on_it(files, tmp_path, capsys):
+    log, other = files("csv", "a"), files("csv", "b")
+    copy, link = tmp_path / "copy.csv", tmp_path / "link.csv"
+    copy.write_bytes(log.read_bytes())
+    link.symlink_to(log)
+    for train in (log, copy, link):
+        assert run(["watch", str(other), str(log), "--train", str(train)]) == 2
+        printed = capsys.readouterr()
+        assert printed.err.count("\n") == 1 and f"{log}: is also trained on" in printed.err and not printed.out
+        assert (str(train) in printed.err.partition("trained on")[2]) == (train != log)
+
+
+def test_a_log_that_does_not_exist_is_told_first(capsys):
+    assert run(["watch", "none.ulg"]) == 2
+    assert "none.ulg: no such file" in capsys.readouterr().err
+
+
+def test_a_log_that_is_cut_is_judged_and_named(files, tmp_path, capsys):
+    cut = tmp_path / "cut.ulg"
+    cut.write_bytes(files("ulg", "a").read_bytes()[:-7])
+    assert run(["watch", str(cut), "--train", str(files("ulg", "b")), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["recordings"][0]["cut"]
+    assert printed.err == "cut.ulg: cut, the last message is not complete\n"
+    assert run(["watch", str(files("ulg", "a")), "--train", str(files("ulg", "b"))]) == 0
+    assert not capsys.readouterr().err
+
+
+def test_rates_of_thousands_have_no_exponent():
+    assert rate_text(EventRate(0, 1.0, 0.0, 0.0, 1106.7, 900.0)) == "0 [0, 1,107]"

@@ -1,0 +1,315 @@
+"""The autopilot without sockets: a client's messages in, telemetry out, in simulated time."""
+
+import math
+import socket
+import threading
+
+import pytest
+
+mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink (extra mavlink) is not installed")
+
+from mavfi.cli.commands import run  # noqa: E402
+from mavfi.extras.mavlink.autopilot import (  # noqa: E402
+    ACCEPTED,
+    DENIED,
+    FAILED,
+    REJECTED,
+    TYPES,  # noqa: E402
+    UNSUPPORTED,
+    Autopilot,
+    Mode,
+)
+from mavfi.extras.mavlink.flying import MavVehicle  # noqa: E402
+from mavfi.extras.mavlink.server import Server  # noqa: E402
+from mavfi.mission import MissionSpec  # noqa: E402
+from mavfi.numerics.frames import HOME, geodetic  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+NAN = math.nan
+GYRO, POSITION, MOTOR = 0, 4, 101
+OFF, STUCK = 1, 2
+
+
+class Client:
+    """Talks to an autopilot in the same process, through packets."""
+
+    def __init__(self):
+        self.received = []
+        self._parser = mavlink.MAVLink(None)
+        self._link = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
+        self.vehicle = MavVehicle(MissionSpec(environment="farm", seed=7))
+        self.vehicle.sim.limit_speed(12.0)
+        self.autopilot = Autopilot(self.vehicle, mavlink.MAVLink(self, srcSystem=1, srcComponent=1))
+        self._to_it = mavlink.MAVLink(None)
+
+    def write(self, data):
+        self.received += self._parser.parse_buffer(bytes(data)) or []
+
+    def send(self, message):
+        for parsed in self._to_it.parse_buffer(message.pack(self._link)):
+            self.autopilot.handle(parsed)
+
+    def command(self, number, *parameters):
+        """Send a command; result of its acknowledgement, or None."""
+        self.received.clear()
+        given = [*parameters, *[0.0] * (7 - len(parameters))]
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *given))
+        return self.result(number)
+
+    def result(self, number):
+        return next((m.result for m in self.of("COMMAND_ACK") if m.command == number), None)
+
+    def of(self, kind):
+        return [m for m in self.received if m.get_type() == kind]
+
+    def texts(self):
+        return [m.text for m in self.of("STATUSTEXT")]
+
+    def wait(self, seconds, until=lambda: False):
+        end = self.vehicle.now_us + round(1e6 * seconds)
+        while self.vehicle.now_us < end and not until():
+            self.autopilot.step(self.vehicle.now_us + 20_000)
+
+    def fly_up(self):
+        assert self.command(400, 1) == ACCEPTED and self.command(22, 0, 0, 0, NAN) == ACCEPTED
+        self.wait(20, lambda: self.autopilot.mode is Mode.HOLD)
+        assert self.vehicle.position[2] == pytest.approx(-2.5, abs=0.6)
+
+
+@pytest.fixture
+def client():
+    return Client()
+
+
+@pytest.fixture
+def flying(client):
+    client.fly_up()
+    return client
+
+
+def test_take_off_and_land(client):
+    client.wait(1.1)
+    kinds = {m.get_type() for m in client.received}
+    assert {
+        "HEARTBEAT",
+        "SYS_STATUS",
+        "HOME_POSITION",
+        "GLOBAL_POSITION_INT",
+        "ATTITUDE",
+        "EXTENDED_SYS_STATE",
+    } <= kinds
+    assert client.of("HEARTBEAT")[0].autopilot == 12 and client.of("EXTENDED_SYS_STATE")[0].landed_state == 1
+    assert client.command(22) == REJECTED, "motors are off"
+    client.fly_up()
+    client.received.clear()
+    client.wait(1.1)
+    assert client.of("EXTENDED_SYS_STATE")[0].landed_state == 2
+    assert client.of("HEARTBEAT")[-1].custom_mode == 4 << 16 | 3 << 24
+    assert client.command(400, 0) == DENIED, "in flight"
+    assert client.command(21) == ACCEPTED
+    client.wait(40, lambda: not client.vehicle.sim.armed)
+    assert client.vehicle.landed and "Disarmed by landing" in client.texts()
+
+
+def test_positions_are_near_home(client):
+    client.wait(0.2)
+    place = client.of("GLOBAL_POSITION_INT")[0]
+    assert (1e-7 * place.lat, 1e-7 * place.lon) == pytest.approx(HOME[:2], abs=1e-6)
+
+
+def test_reposition(flying):
+    latitude, longitude, altitude = geodetic((10.0, -4.0, -4.0))
+    assert flying.command(192, -1, 1, 0, NAN, latitude, longitude, altitude) == ACCEPTED
+    flying.wait(15)
+    assert flying.vehicle.position == pytest.approx((10.0, -4.0, -4.0), abs=0.8)
+
+
+def test_reposition_relative_to_home_keeps_coordinates_that_are_left_out(flying):
+    """COMMAND_INT: frame 6 = global, relative altitude; 2^31 - 1 = no coordinate."""
+    missing, north, east = 2**31 - 1, *flying.vehicle.position[:2]
+    flying.send(mavlink.MAVLink_command_int_message(1, 1, 6, 192, 0, 0, -1, 1, 0, NAN, missing, missing, 6.0))
+    flying.wait(8)
+    assert flying.vehicle.position == pytest.approx((north, east, -6.0), abs=0.8)
+
+
+@pytest.mark.parametrize(("number", "result"), [(400, DENIED), (176, DENIED), (420, UNSUPPORTED), (512, DENIED)])
+def test_parameters_that_are_not_given_are_refused(flying, number, result):
+    assert flying.command(number, 0 if number == 400 else NAN, NAN, NAN) == result
+
+
+def offboard(client, mask, seconds, **values):
+    given = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"), 0.0) | values
+    for _ in range(round(seconds / 0.2)):
+        client.send(mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, mask, *given.values()))
+        if client.autopilot.mode is not Mode.OFFBOARD:
+            assert client.command(176, 1, 6) == ACCEPTED
+        client.wait(0.2)
+
+
+def test_offboard_velocity_and_timeout(flying):
+    north = flying.vehicle.position[0]
+    offboard(flying, 0b0000_0101_1100_0111, 4, vx=2.0)
+    assert flying.vehicle.velocity[0] == pytest.approx(2.0, abs=0.3) and flying.vehicle.position[0] > north + 5
+    flying.wait(4)
+    assert abs(flying.vehicle.velocity[0]) < 0.2, "set-points ended"
+
+
+def test_offboard_position(flying):
+    offboard(flying, 0b0000_1001_1111_1000, 8, x=4.0, y=3.0, z=-5.0)
+    assert flying.vehicle.position == pytest.approx((4.0, 3.0, -5.0), abs=0.5)
+
+
+def test_orbit(flying):
+    latitude, longitude, altitude = geodetic((0.0, 0.0, -4.0))
+    assert flying.command(34, 5.0, 2.0, 0, NAN, latitude, longitude, altitude) == ACCEPTED
+    flying.wait(12)
+    north, east, down = flying.vehicle.position
+    assert math.hypot(north, east) == pytest.approx(5.0, abs=1.0) and down == pytest.approx(-4.0, abs=0.5)
+
+
+def upload(client, items):
+    """Upload a mission of (command, north, east, height above home)."""
+    client.send(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
+    for number, (command, north, east, height) in enumerate(items):
+        assert client.of("MISSION_REQUEST_INT")[-1].seq == number
+        latitude, longitude, _ = geodetic((north, east, 0.0))
+        client.send(mavlink.MAVLink_mission_item_int_message(
+            1, 1, number, 6, command, 0, 1, 0, 1, 0, NAN, round(1e7 * latitude), round(1e7 * longitude), height,
+        ))  # fmt: skip
+    assert client.of("MISSION_ACK")[-1].type == 0
+
+
+def test_a_mission(client):
+    upload(client, [(16, 0.0, 0.0, 5.0), (16, 6.0, 0.0, 5.0), (21, 6.0, 6.0, 0.0)])
+    assert client.command(400, 1) == ACCEPTED and client.command(300) == ACCEPTED
+    client.wait(90, lambda: "Mission finished" in client.texts())
+    assert [m.seq for m in client.of("MISSION_ITEM_REACHED")] == [0, 1, 2]
+    assert client.vehicle.landed and not client.vehicle.sim.armed
+    assert client.vehicle.position[:2] == pytest.approx((6.0, 6.0), abs=0.8)
+
+
+def test_all_types_of_missions_are_cleared(client):
+    upload(client, [(16, 0.0, 0.0, 5.0)])
+    client.send(mavlink.MAVLink_mission_clear_all_message(1, 1, 255))
+    client.send(mavlink.MAVLink_mission_request_list_message(1, 1))
+    assert client.of("MISSION_COUNT")[-1].count == 0
+
+
+def test_parameters(client):
+    client.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    found = {m.param_id: m for m in client.of("PARAM_VALUE")}
+    assert found["MIS_TAKEOFF_ALT"].param_value == 2.5 and len(found) == found["SYS_HITL"].param_count
+    client.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 4.0, 9))
+    assert client.of("PARAM_VALUE")[-1].param_value == 4.0
+
+
+# ---- failures ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("unit", "kind", "instance", "result"),
+    [(GYRO, OFF, 1, UNSUPPORTED), (8, OFF, 0, UNSUPPORTED), (MOTOR, 9, 0, UNSUPPORTED), (MOTOR, OFF, 5, UNSUPPORTED),
+     (GYRO, STUCK, 0, REJECTED)],
+)  # fmt: skip
+def test_failures_that_are_not_possible_are_not_acknowledged(client, unit, kind, instance, result):
+    assert client.command(420, unit, kind, instance) == result
+
+
+@pytest.mark.parametrize("unit", [0, 1, 2, 4, 101])
+def test_every_type_of_failure_changes_a_value_before_it_is_acknowledged(flying, unit):
+    offboard(flying, 0b0000_0101_1100_0111, 1, vx=1.0, vy=0.5)
+    for kind in [kind for kind in TYPES if kind]:
+        assert flying.command(420, unit, kind, 0) is None
+        failure = flying.autopilot.failures[-1]
+        flying.wait(1.5, lambda: flying.result(420) is not None)
+        assert flying.result(420) == ACCEPTED, failure
+        found = failure.injection
+        assert found.time_s >= 1e-6 * failure.fault.time_us and found.before != found.after
+        first = flying.of("STATUSTEXT")[0]
+        text = "".join(m.text for m in flying.of("STATUSTEXT") if m.id == first.id)
+        before, after = (f"{value:.4g}" for value in (found.before, found.after))
+        assert text == f"fault: {failure.fault.site}: {before} -> {after}", "not cut off"
+        assert flying.command(420, unit, 0, 0) == ACCEPTED and not flying.autopilot.failures
+        flying.vehicle.place((0.0, 0.0, -6.0), (1.0, 0.0, 0.0, 0.0))
+
+
+def test_a_long_text_is_sent_in_chunks_with_one_id(client):
+    client.autopilot.text("x" * 120)
+    client.autopilot.text("y" * 60)
+    client.autopilot.text("short")
+    parts = [(m.text[:1], len(m.text), m.chunk_seq) for m in client.of("STATUSTEXT")]
+    assert parts == [("x", 50, 0), ("x", 50, 1), ("x", 20, 2), ("y", 50, 0), ("y", 10, 1), ("s", 5, 0)]
+    first, *_, second, _, short = (m.id for m in client.of("STATUSTEXT"))
+    assert first != second and short == 0 and {m.id for m in client.of("STATUSTEXT")} == {first, second, 0}
+
+
+def test_ok_without_a_failure_fails(flying):
+    assert flying.command(420, GYRO, 0, 0) == FAILED
+
+
+def test_a_failure_without_effect_ends_alone(flying):
+    """A motor that is off cannot be stuck at another value: that failure is refused, the first one stays."""
+    assert flying.command(420, MOTOR, OFF, 1) is None
+    flying.wait(0.1)
+    assert flying.command(420, MOTOR, STUCK, 1) is None
+    flying.wait(1.1)
+    assert flying.result(420) == FAILED and [f.fault.kind for f in flying.autopilot.failures] == ["off"]
+
+
+def test_a_repeated_command_is_acknowledged_and_starts_no_second_failure(flying):
+    """Programs repeat a command whose answer is late."""
+    flying.command(420, MOTOR, OFF, 1)
+    flying.wait(0.1)
+    assert flying.result(420) == ACCEPTED
+    assert flying.command(420, MOTOR, OFF, 1) == ACCEPTED
+    assert len(flying.autopilot.failures) == 1
+
+
+def test_a_motor_that_is_off_brings_the_vehicle_down(flying):
+    flying.command(420, MOTOR, OFF, 1)
+    flying.wait(3)
+    assert flying.vehicle.sim.height < 0.3
+
+
+def test_a_wrong_position_moves_the_vehicle(flying):
+    """Position hold follows what it believes: 10 m of error in x become 10 m of displacement."""
+    begin = float(flying.vehicle.sim.odometry[0])
+    flying.command(420, POSITION, 4, 0)
+    flying.wait(15)
+    assert float(flying.vehicle.sim.odometry[0]) - begin == pytest.approx(-10.0, abs=1.0)
+
+
+# ---- UDP -----------------------------------------------------------------------------------------------------------
+def test_over_udp():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.bind(("127.0.0.1", 0))
+        station.settimeout(5)
+        server = Server(MissionSpec(environment="farm", seed=7), 0, (station.getsockname()[1],))
+        serving = threading.Thread(target=server.run, args=(1.5,))
+        serving.start()
+        parser, link, found = mavlink.MAVLink(None), mavlink.MAVLink(None, srcSystem=245), []
+        station.sendto(b"noise", ("127.0.0.1", server.port))
+        arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+        station.sendto(arm.pack(link), ("127.0.0.1", server.port))
+        while not any(m.get_type() == "COMMAND_ACK" for m in found):
+            found += parser.parse_buffer(station.recv(65_535)) or []
+        serving.join()
+        assert server.vehicle.sim.armed and server.received == 1
+        server.close()
+
+
+def test_a_port_in_use_is_refused(capsys):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = str(taken.getsockname()[1])
+        assert run(["mavlink", "serve", "--environment", "farm", "--port", port]) == 2
+    err = capsys.readouterr().err
+    assert f"--port: {port}: cannot be opened" in err and err.count("\n") == 1
+
+
+def test_serving_ends_with_a_sentence_on_the_vehicle(capsys):
+    assert run(["mavlink", "serve", "--environment", "farm", "--seed", "7", "--port", "0", "--seconds", "0.2"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    wanted = (
+        "0 messages received: the vehicle is on the ground, 0.0 m north, 0.0 m east and 0.0 m above its start, in mode"
+    )
+    assert wanted in last and "disarmed, without collision; digest " in last

@@ -1,0 +1,284 @@
+from dataclasses import replace
+
+import polars as pl
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.paper.claims import CLAIMS, Claim, Evidence, claims_table, holm, register, verdict
+from mavfi.extras.paper.overheads import ALL
+from mavfi.record import EnergyTerms
+from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, alarm, flown, golden, injected, runs
+
+
+def test_holm_is_that_of_the_textbook():
+    # Holm (1979): ordered 0.005, 0.01, 0.03, 0.04 -> 4 x 0.005, 3 x 0.01, 2 x 0.03, then no smaller than before
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([None, 0.2, None]) == [None, 0.2, None]
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("corrected", "supports", "expected"),
+    [(0.01, True, "confirmed"), (0.01, False, "contradicted"), (0.05, True, "undecided"), (None, True, "undecided")],
+)
+def test_verdicts(corrected, supports, expected):
+    assert verdict(Evidence("", 0.001, supports=supports), corrected) == expected
+
+
+def test_the_correction_is_over_all_claims_of_the_table():
+    name = "of_this_test"
+    register(Claim(name, "It holds", "I", "handmade", "by hand", lambda _: Evidence("seen", 0.03, supports=True)))
+    try:
+        own = [runs(golden(1), injected(1, flown()))]
+        [alone] = claims_table([name], own).entries()
+        assert (alone["verdict"], alone["holm_p"]) == ("confirmed", 0.03)
+        first, second = claims_table([name, name], own).entries()
+        assert first["holm_p"] == second["holm_p"] == 0.06 and first["verdict"] == "undecided"
+        [absent] = claims_table([name], []).entries()
+        assert (absent["verdict"], absent["p"]) == ("undecided", None) and "no runs of campaign" in absent["here"]
+    finally:
+        del CLAIMS[name]
+    with pytest.raises(BadInputError, match="claim 'none': not known; allowed: perception_least_critical"):
+        claims_table(["none"], [])
+
+
+def test_each_claim_shows_its_test_and_the_notes_explain_all_kinds():
+    found = claims_table(list(CLAIMS), [])
+    [shown] = [column for column in found.columns if column.key == "method"]
+    assert not shown.hidden
+    kinds = {
+        "random signs of the differences of worlds": "random signs of the differences of worlds",
+        "worlds shuffled between": "worlds shuffled", "sign test of flights": "exact sign test",
+        "none: a model": "none: the output of a",
+    }  # fmt: skip
+    notes = " ".join(found.notes)
+    for method in found.column("method"):
+        [words] = [note for start, note in kinds.items() if method.startswith(start)]
+        assert words in notes, method
+
+
+def states(stage_lost, arm_saves=True):
+    """Ten missions with one fault each: those of a stage are lost without the detector `gaussian`."""
+    own = []
+    for seed in range(10):
+        own += [golden(seed), injected(seed, flown(not stage_lost)), injected(seed, flown(arm_saves), arm="gaussian")]
+    return runs(*own, name="table1")
+
+
+@pytest.mark.parametrize(
+    ("name", "stage_lost", "arm_saves", "expected"),
+    [
+        ("fault_loses_missions_in_states", True, True, "confirmed"),
+        ("fault_loses_missions_in_states", False, True, "undecided"),
+        ("gaussian_recovers_in_states", True, True, "confirmed"),
+        ("gaussian_recovers_in_states", False, False, "contradicted"),
+    ],
+)
+def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, expected):
+    [found] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
+    assert found["verdict"] == expected, found["here"]
+
+
+def test_golden_runs_count_once_however_many_faults_their_world_has():
+    own = [one for seed in range(10) for one in (golden(seed), *(injected(seed, flown(index), index=index)
+           for index in range(3)))]  # fmt: skip
+    names = ["fault_loses_missions_in_states", "fault_lengthens_flights_in_states"]
+    lost, longer = claims_table(names, [runs(*own, name="table1")]).entries()
+    assert (
+        "golden 100.0 % [72.2, 100.0] (n = 10), fault 66.7 %" in lost["here"] and "(n = 30), 10 worlds" in lost["here"]
+    )
+    assert "golden" not in longer["here"].split(":", 1)[1] and "(n = 20), 10 worlds" in longer["here"]
+
+
+def test_platforms_are_compared_in_the_same_worlds():
+    own = []
+    for seed in range(10):  # longer by 1 s in each world, among which they differ far more
+        own += [golden(seed, flown(flight_time_s=10.0 * seed + slow), environment=place)
+                for place, slow in (("i9-9940x", 1), ("cortex-a57", 2))]  # fmt: skip
+    [found] = claims_table(["slow_platform_time"], [runs(*own, name="platforms")]).entries()
+    assert found["verdict"] == "confirmed" and "10 worlds" in found["here"], found
+
+
+def test_verdict_and_p_open_the_tested_runs():
+    own = states(True)
+    found = claims_table(["fault_loses_missions_in_states", "gaussian_recovers_in_states"], [own])
+    linked = [column.key in ("verdict", "p", "holm_p") for column in found.columns]
+    for behind, settings in zip(found.behind, (["fi"], ["fi", "dr_gaussian"]), strict=True):
+        assert [bool(ids) for ids in behind] == linked
+        tested = own.injected.where(pl.col("setting").is_in(settings))
+        assert {ids for ids in behind if ids} == {tuple(sorted(tested["run_id"], key=behind[2].index))}
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(1e-6, "confirmed"), (0.01, "confirmed"), (0.0125, "contradicted"), (None, "undecided")]
+)
+def test_measured_overheads_of_all_stages_together_are_tested_by_flight(share, expected):
+    # GAD in the paper: at most 2.2 % of three stages together, which two shares of 1.25 % exceed and one does not
+    rows = [
+        {"environment": place, "arm": "gaussian", "stage": stage, "detection": share, "recovery": share,
+         "flights": [(share, share)] * 3}
+        for place in ("factory", "farm", "sparse", "dense")
+        for stage in ("perception", "planning", "control", ALL)
+    ] if share else []  # fmt: skip
+    own = runs(golden(1), name="table1", overheads={"rows": rows})
+    [found] = claims_table(["gaussian_overhead_measured"], [own]).entries()
+    assert found["verdict"] == expected, found
+    assert not share or found["here"].endswith(f"mean of 12 flights; above it in {12 * (expected != 'confirmed')}")
+
+
+@pytest.mark.parametrize(
+    ("name", "aad", "gad", "expected"),
+    [
+        ("autoencoder_overhead_smaller_measured", (0.02, 0.0), (0.01, 0.02), "confirmed"),
+        ("autoencoder_overhead_smaller_measured", (0.02, 0.02), (0.01, 0.02), "contradicted"),
+        ("autoencoder_detection_slower", (0.02, 0.0), (0.01, 0.02), "confirmed"),
+        ("autoencoder_detection_slower", (0.01, 0.0), (0.01, 0.02), "undecided"),
+    ],
+)
+def test_measured_overheads_of_two_detectors_are_compared_by_flight(name, aad, gad, expected):
+    rows = [
+        {"environment": place, "arm": arm, "stage": stage, "detection": 9.0, "recovery": 9.0, "flights": [shares] * 2}
+        for place in ("factory", "farm", "sparse", "dense")
+        for arm, shares in (("autoencoder", aad), ("gaussian", gad), ("mine", gad))
+        for stage in (ALL, "control")
+    ]
+    own = runs(golden(1), name="table1", overheads={"rows": rows})
+    [found] = claims_table([name], [own]).entries()
+    assert found["verdict"] == expected and found["here"].endswith("of 8 flights"), found["here"]
+    for row in rows:
+        del row["flights"]
+    [found] = claims_table([name], [own]).entries()
+    assert (found["verdict"], found["p"]) == ("undecided", None), "measured by an earlier version"
+
+
+def test_modelled_recomputation_of_two_detectors_and_by_stage():
+    own = []
+    for seed in range(10):
+        spent = {"gaussian": {"perception": 900, "planning": 900, "control": 10}, "autoencoder": {"control": 20}}
+        for arm, parts in spent.items():
+            record = flown(recompute_us=parts, compute_us={"pid": 1_000_000 + sum(parts.values())})
+            own.append(injected(seed, record, arm=arm))
+    names = ["autoencoder_overhead_smaller", "gaussian_recovery_of_early_stages"]
+    first, second = claims_table(names, [runs(*own, name="table1_instructions")]).entries()
+    assert first["verdict"] == second["verdict"] == "confirmed"
+    assert "AAD 0.002 % of compute time" in first["here"] and "GAD 0.181 %" in first["here"]
+    assert "perception and planning 0.18 %" in second["here"] and "control 0.001 %" in second["here"]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("fault_lengthens_flights_in_states", "confirmed"),
+        ("autoencoder_like_golden_in_states", "contradicted"),
+        ("dense_hardest_to_recover_in_states", "confirmed"),
+        ("dense_most_missed_in_states", "confirmed"),
+        ("autoencoder_shortens_more_in_states", "contradicted"),
+    ],
+)
+def test_claims_on_detection_recovery_and_flight_time(name, expected):
+    """Every second fault loses its mission, which detectors bring back in Sparse alone, where they raise alarms."""
+    own = []
+    for seed in range(24):
+        for place in ("sparse", "dense"):
+            saved, lost = place == "sparse", seed % 2 == 0
+            alarms = [alarm(0.3)] if saved else []
+            own += [golden(seed, environment=place),
+                    injected(seed, flown(not lost, flight_time_s=60.0), environment=place)]  # fmt: skip
+            for arm, time in (("gaussian", 51.0), ("autoencoder", 55.0)):
+                record = flown(saved or not lost, flight_time_s=time, alarms=alarms)
+                own.append(injected(seed, record, arm=arm, environment=place))
+    [found] = claims_table([name], [runs(*own, name="table1")]).entries()
+    assert found["verdict"] == expected, found
+
+
+def test_claims_on_kinds_of_bits_and_on_waypoints():
+    own = []
+    for seed in range(10):
+        own += [golden(seed), injected(seed, flown(flight_time_s=60.0), FAULT, target="waypoint yaw", index=2 * seed)]
+        mild = replace(FAULT, bit=3, stratum="mantissa")
+        own.append(injected(seed, flown(), mild, target="waypoint yaw", index=2 * seed + 1))
+    strong = [replace(run, spec=replace(run.spec, fault=replace(run.spec.fault, stratum="sign", bit=63)))
+              if run.spec.fault and run.spec.fault.stratum != "mantissa" else run for run in own]  # fmt: skip
+    [found] = claims_table(["sign_exponent_flight_time"], [runs(*strong, name="states")]).entries()
+    assert found["verdict"] == "confirmed" and "sign and exponent 20.0 %" in found["here"], found
+    [found] = claims_table(["sign_exponent_failures"], [runs(*strong, name="states")]).entries()
+    assert found["verdict"] == "undecided" and "fails: sign and exponent 0.0 %" in found["here"]
+    [found] = claims_table(["waypoints_harm"], [runs(*own, name="states")]).entries()
+    assert found["verdict"] == "confirmed" and "fault 100.0 %" in found["here"], found
+
+
+def test_kernels_of_no_impact_can_be_contradicted_only():
+    for succeeds, expected in ((True, "undecided"), (False, "contradicted")):
+        own = []
+        for seed in range(10):
+            fault = replace(INSTRUCTION, kernel="octomap")
+            own += [golden(seed), injected(seed, flown(succeeds), fault, target="octomap")]
+        [found] = claims_table(["clouds_and_maps_negligible"], [runs(*own, name="kernels")]).entries()
+        assert found["verdict"] == expected, found
+
+
+def test_a_bound_is_tested_on_recomputation_over_compute_time():
+    def flight(spent):
+        return flown(recompute_us={"control": spent}, compute_us={"pid": 1_000_000 + spent})
+
+    for spent, expected in ((10_000, "confirmed"), (100_000, "contradicted")):
+        own = [injected(seed, flight(spent), arm="gaussian") for seed in range(10)]
+        [found] = claims_table(["gaussian_overhead"], [runs(*own, name="table1_instructions")]).entries()
+        assert found["verdict"] == expected and "(n = 10) of compute time" in found["here"]
+
+
+PLATFORMS = {"i9-9940x": {"platform": "i9-9940x"}, "cortex-a57": {"platform": "cortex-a57"}}
+
+
+def on_platforms(slow, faulty, detected):
+    """Ten missions per platform with one fault each; flight times (s) on the Cortex-A57, 40 s elsewhere."""
+    own = []
+    for seed in range(10):
+        for place, times in (("i9-9940x", (40.0, 40.0, 40.0)), ("cortex-a57", (slow, faulty, detected))):
+            one, fault, cured = (flown(flight_time_s=time + 0.01 * seed, energy=EnergyTerms(time)) for time in times)
+            own += [
+                golden(seed, one, environment=place),
+                injected(seed, fault, environment=place),
+                injected(seed, cured, environment=place, arm="gaussian"),
+            ]
+    return runs(*own, name="platforms", parts=PLATFORMS)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "expected", "here"),
+    [
+        (
+            "slow_platform_time",
+            (100, 100, 100),
+            "confirmed",
+            "cortex-a57 100.0 s [100.0, 100.1] (n = 10), i9-9940x 40.0 s [40.0, 40.1] (n = 10)",
+        ),
+        ("slow_platform_time", (30, 30, 30), "contradicted", "cortex-a57 30.0 s"),
+        ("slow_platform_energy", (100, 100, 100), "confirmed", "cortex-a57 44.4 kJ [44.4, 44.4] (n = 10), i9-9940x"),
+        (
+            "slow_platform_ratio",
+            (100, 150, 100),
+            "confirmed",
+            "150.0 s [150.0, 150.1] (n = 10), 2.8 x i9-9940x 112.1 s",
+        ),
+        (
+            "slow_platform_ratio",
+            (100, 100, 100),
+            "contradicted",
+            "100.0 s [100.0, 100.1] (n = 10), 2.8 x i9-9940x 112.1 s",
+        ),
+        (
+            "platforms_alike",
+            (100, 150, 100),
+            "contradicted",
+            "cortex-a57 100.0 % [72.2, 100.0] (n = 10), i9-9940x 0.0 % [0.0, 27.8]",
+        ),
+        ("platforms_alike", (100, 100, 100), "undecided", "cortex-a57 0.0 % [0.0, 27.8] (n = 10), i9-9940x"),
+        ("gaussian_recovers_slow_platform", (100, 150, 100), "confirmed", "fault with GAD 0.0 % [0.0, 0.0] (n = 10)"),
+        ("gaussian_recovers_slow_platform", (100, 110, 150), "contradicted", "fault 10.0 % [10.0, 10.0] (n = 10)"),
+        ("redundancy_airsim", (100, 100, 100), "undecided", "calibrated to this value after the fact"),
+    ],
+)
+def test_claims_of_platforms_follow_the_runs(name, times, expected, here):
+    [found] = claims_table([name], [on_platforms(*times)]).entries()
+    assert found["verdict"] == expected and here in found["here"], found["here"]

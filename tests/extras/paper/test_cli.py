@@ -1,0 +1,275 @@
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+
+from mavfi.analysis import VIEWS
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import Store
+from mavfi.cli import run
+from mavfi.cli.progress import StudyBar
+from mavfi.extras.paper import overheads
+from mavfi.extras.paper.cli import FLIGHTS
+from mavfi.extras.paper.report import study_report
+from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
+from mavfi.extras.paper.steps import Steps
+from mavfi.extras.paper.study import load_study
+from tests.core.unit.campaign.fakes import HOST, small
+
+
+@pytest.fixture(autouse=True)
+def few_flights(monkeypatch, tmp_path):
+    """One flight in the page of a study; code is compiled when it is needed; nobody knows how long set-up took."""
+    monkeypatch.setattr("mavfi.extras.paper.steps.SET_UP_FILE", tmp_path / "setup-seconds")
+    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 1)
+    monkeypatch.setattr("mavfi.campaign.warm_up.compile_ahead", lambda *_: None)
+
+
+def no_report(monkeypatch):
+    """Write and print nothing after the flights."""
+    nothing = SimpleNamespace(campaigns={})
+    monkeypatch.setattr("mavfi.extras.paper.cli_report.write_study_report", lambda *_, **__: (nothing, 0))
+    monkeypatch.setattr("mavfi.extras.paper.cli_report.show_study_report", lambda *_, **__: None)
+
+
+def study(folder, **changes):
+    """One environment and one mission at both levels instead of the paper's tables; the training flights are three."""
+    both = {"environments": ["sparse"], "missions": 1, "faults": 1, "arms": {"gaussian": {"detector": "gaussian"}}}
+    campaigns = {
+        "table1": {**both, "null_runs": 1, "sampling": {"strata": {"sign_exponent": 1}}},
+        "table1_instructions": {
+            **both, "sampling": {"level": "instruction", "kernels": ["rrt_connect", "pid"], "share": "stage",
+                                 "which": "data"},
+        },
+    }  # fmt: skip
+    for name, content in campaigns.items():
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump({"name": name, **content, **changes.get(name, {})}))
+    where = {".": str(folder / "table1.yaml"), "instructions": str(folder / "table1_instructions.yaml")}
+    content = {"name": "small", "training_flights": 3, "campaigns": where, **changes.get("study", {})}
+    (folder / "small.yaml").write_text(yaml.safe_dump(content))
+    return str(folder / "small.yaml")
+
+
+def digest_of(folder):
+    with Store.open(folder) as store:
+        return store.digest()
+
+
+def test_the_page_of_the_papers_study_has_five_flights_of_each_campaign():
+    assert FLIGHTS == 5 * len(load_study("paper").campaigns)
+    assert f"and {FLIGHTS} flights: " in (Path(__file__).parents[3] / "docs/studies.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("mavfi.extras.paper.cli.TIMED_FLIGHTS", 1)
+    leading = {".": "success_as_in_the_paper", "instructions": "instructions_as_in_the_paper"}
+    sections = [{"title": name, "campaign": name, "views": [view], "headline": True} for name, view in leading.items()]
+    sections.append({"title": "Table II", "campaign": ".", "views": ["overheads_as_in_the_paper"]})
+    out = tmp_path / "out"
+    arguments = ["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out), "--workers", "1"]
+    (tmp_path / "setup-seconds").write_text("3600", encoding="utf-8")
+    assert run(arguments) == 0
+    text, progress = capsys.readouterr()
+    shown = [line.removeprefix("study small, ") for line in progress.splitlines()]
+    assert re.fullmatch(r"report\.html and its flights (\d+)/\1 flights", shown[-1])
+    assert any(re.fullmatch(rf"{FLIGHTS_STEP} (\d+)/\1 flights", line) for line in shown)
+    states, instructions = (VIEWS[name].title for name in leading.values())
+    assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
+    ends = [line.split() for line in text.partition("The ledgers, with their digests")[2].splitlines()[1:3]]
+    ledgers = {"table1": out, "table1_instructions": out / "instructions"}
+    assert ends == [[name, digest_of(folder)[:16], str(folder)] for name, folder in ledgers.items()], "as in README.md"
+    assert "It took 1 h " in text and text.rstrip().endswith("set-up included.")
+    assert {"study.md", "study.json"} <= {path.name for path in out.iterdir()}
+    files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
+    assert files | {"models", "instructions"} <= {path.name for path in out.iterdir()}
+    assert files <= {path.name for path in (out / "instructions").iterdir()}
+    assert "Injection run" in (out / "instructions" / "readme_block.md").read_text(encoding="utf-8"), "not its headline"
+
+    def never(*_, **__):
+        raise AssertionError("trained or timed again")
+
+    assert overheads.load(out)["missions"] == 1
+    written = (out / "study.md").read_text(encoding="utf-8")
+    assert "one process on " in written, "measured, not modelled alone"
+    flights = ["training flights", "fitting of detectors", FLIGHTS_STEP]
+    reports = ["tables and figures", "report.html and its flights"]
+    steps = ["set-up (make setup)", "compilation", *flights, "timed flights", *reports]
+    assert list(Steps.load(out).seconds) == steps and all(f"| {step} |" in written for step in steps)
+    assert "- Machine: " in written and written.count("- Digest of the ledger in ") == 2
+    assert ">Machine: " in (out / "report.html").read_text(encoding="utf-8")
+    spent = Steps.load(out).seconds[FLIGHTS_STEP]
+    monkeypatch.setattr("mavfi.campaign.training.record", never)
+    monkeypatch.setattr("mavfi.extras.paper.overheads.measure", never)
+    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)
+    assert run([*arguments, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert set(data["campaigns"]) == {".", "instructions"} and len(data["provenance"]) == 6
+    assert Steps.load(out).seconds[FLIGHTS_STEP] > spent, "a resumed study adds to its times"
+
+
+@pytest.mark.slow
+def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("mavfi.campaign.training.record", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
+    changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
+    sections = [
+        {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "flight_times"]},
+        {"title": "Two", "campaign": ".", "views": ["endings"], "figures": ["flight_time"]},
+    ]
+    changes["study"] = {"sections": sections}
+    out = tmp_path / "out"
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    titles = ["One", VIEWS["kernel_effects"].title, "Two", VIEWS["endings"].title]
+    assert sorted(titles, key=printed.index) == titles
+    assert VIEWS["flight_times"].title not in printed, "the first table of a section is printed"
+    report = (out / "study.md").read_text(encoding="utf-8")
+    assert VIEWS["flight_times"].title in report and "(figures/table1_flight_time.png)" in report
+    assert (out / "figures" / "table1_flight_time.png").stat().st_size > 10_000
+    table = (out / "tables" / "table1_instructions_kernel_effects.csv").read_text(encoding="utf-8")
+    assert table.splitlines()[0].startswith("environment,kernel,") and len(table.splitlines()) > 1
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "mavfi reproduce small --scale quick --out" in page, "how to repeat it"
+    assert "Missions of an autonomous quadrotor in sparse: at most one flipped bit per mission" in page
+    assert "without a fault, " in page and " with one at instruction level" in page
+    assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
+    findings = study_report(load_study(tmp_path / "small.yaml"), out).findings
+    assert list(findings) == ["One", "Two"] and all(f"<h3>{title}</h3>" in page for title in findings)
+    assert all(line in page for lines in findings.values() for line in lines)
+
+    assert run(["report", str(out), "--html", str(tmp_path / "page.html"), "--flights", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert all(title in printed for title in titles)
+    again = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Study small" in again and "mavfi reproduce small --scale quick --out" in again
+    assert run(["report", str(out / "instructions"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1_instructions"
+
+    sections[1]["headline"] = True
+    monkeypatch.setattr("mavfi.extras.paper.cli.FLIGHTS", 0)
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert VIEWS["endings"].title in printed and VIEWS["kernel_effects"].title not in printed
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"campaign": ".", "views": ["none"]}, "small.yaml: section 'a': views: 'none': not known; allowed: success"),
+        ({"campaign": ".", "figures": ["none"]}, "section 'a': figures: 'none': not known; allowed: success"),
+        ({"claims": ["none"]}, "section 'a': claims: 'none': not known; allowed:"),
+        ({"campaign": "elsewhere", "views": ["success"]}, "campaign: 'elsewhere': not known; allowed: ., instructions"),
+    ],
+)
+def test_wrong_names_are_refused_before_anything_is_flown(section, message, capsys, tmp_path):
+    out = tmp_path / "out"
+    sections = [{"title": "a", **section}]
+    assert run(["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out)]) == 2
+    assert message in capsys.readouterr().err and not out.exists()
+
+
+def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
+    run_campaign(small(missions=1, faults=1), tmp_path, executor=LocalExecutor(1))
+    for content in ("{", "[]", '{"scale": "quick"}'):
+        (tmp_path / "study.json").write_text(content, encoding="utf-8")
+        assert run(["report", str(tmp_path)]) == 2
+        assert "study.json: is no record of a study" in capsys.readouterr().err
+    (tmp_path / "study.json").write_text('{"scale": "quick", "definition": {"name": 3}}', encoding="utf-8")
+    assert run(["report", str(tmp_path)]) == 2
+    assert "study.json: definition: key 'name': 3: " in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
+    out, arguments = tmp_path / "out", ["reproduce", study(tmp_path), "--workers", "1"]
+    show, shown = StudyBar.show, []
+
+    def stop(bar, done, total):
+        shown.append((done, total))
+        show(bar, done, total)
+        if done == 2 and len(shown) > 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(StudyBar, "show", stop)
+    monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
+    no_report(monkeypatch)
+    assert run([*arguments, "--out", str(out)]) == 130
+    assert "the same command resumes" in capsys.readouterr().err
+    assert shown == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
+    shown.clear()
+    assert run([*arguments, "--out", str(out)]) == 0
+    assert shown == [(2, 3), (3, 3), (1, 1)], "and one training fits its models"
+    assert [path.name for path in (out / "models").glob("*.json")] == ["published-i9-9940x-gaussian-paper.json"]
+    assert not (out / "models" / ".flights").exists()
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """Autopilot profiles that detectors were trained for; nothing is flown."""
+    found = []
+    monkeypatch.setattr(
+        "mavfi.extras.paper.cli._trained", lambda campaign, *_: campaign.mission.get("autopilot") in found
+    )
+    no_report(monkeypatch)
+    monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
+    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("profiles", "wanted"),
+    [(("published", "hardened"), ["published", "hardened"]), (("hardened", "hardened"), ["hardened"])],
+)
+def test_detectors_are_trained_once_for_each_mission_that_is_watched(tmp_path, trained, profiles, wanted):
+    changes = {
+        name: {"mission": {"autopilot": profile}}
+        for name, profile in zip(("table1", "table1_instructions"), profiles, strict=True)
+    }
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out")]) == 0
+    assert trained == wanted
+
+
+def test_campaigns_without_a_detector_need_no_training(tmp_path, trained):
+    changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out")]) == 0
+    assert trained == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["table1", "table1_instructions"])
+def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_written(capsys, tmp_path, name):
+    own = {"host": HOST, "arms": {}}
+    sampling = {"level": "state"}
+    changes = {other: {**own, "sampling": sampling} for other in ("table1", "table1_instructions")}
+    arguments = ["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out"), "--workers", "1"]
+    folder = tmp_path / "out" / {"table1": ".", "table1_instructions": "instructions"}[name]
+    assert run(["campaign", "run", str(tmp_path / f"{name}.yaml"), "--out", str(folder), "--workers", "1"]) == 0
+    changes[name]["faults"] = 2
+    study(tmp_path, **changes)
+    capsys.readouterr()
+    assert run(arguments) == 2
+    assert "holds another campaign (differs in: campaign.faults: " in capsys.readouterr().err
+    assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_a_report_that_is_stopped_is_written_by_the_same_command(capsys, tmp_path, trained, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mavfi.extras.paper.cli_report.write_study_report", stop)
+    assert run(["reproduce", study(tmp_path), "--out", str(tmp_path / "out")]) == 130
+    assert "the same command resumes" in capsys.readouterr().err
+
+
+def test_detectors_are_trained_for_each_platform_of_a_campaign():
+    from mavfi.campaign.config import load_campaign
+    from mavfi.extras.paper.cli import _missions
+
+    assert [mission.platform for mission in _missions(load_campaign("platforms"))] == ["i9-9940x", "cortex-a57"]
+    assert [mission.environment for mission in _missions(load_campaign("table1"))] == ["factory"]

@@ -1,0 +1,211 @@
+from dataclasses import replace
+
+import pytest
+
+from mavfi.analysis import table
+from mavfi.extras.paper.failure_rate import Range, find_upsets, upsets_per_instruction
+from mavfi.extras.paper.failure_views import exposed, failure_table, payoff, payoffs, summary
+from mavfi.faults.fault import NO_SITE, InstructionFault
+from tests.core.unit.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
+
+HOUR = {
+    kernel: {"instructions": count, "calls": 1, "lines": []}
+    for kernel, count in (("pid", 10), ("gaussian", 30), ("acceptance", 5))
+}
+IN_DETECTOR = replace(INSTRUCTION, kernel="gaussian", entry="judge")
+IN_RULES = replace(INSTRUCTION, kernel="acceptance", entry="judge_path")
+NOWHERE = InstructionFault("", "", 0, NO_SITE, kernel="acceptance")
+
+
+def counted(*kernels, seconds=1800.0):
+    return replace(GOLDEN, flight_time_s=seconds, counts={name: HOUR[name] for name in kernels})
+
+
+def campaign():
+    """Ten missions: the fault in `pid` loses four, under the detector one; that in the detector loses two."""
+    own = []
+    for seed in range(10):
+        own += [golden(seed, counted("pid")), golden(seed, counted("pid", "gaussian"), arm="gaussian")]
+        own.append(injected(seed, flown(seed >= 4), INSTRUCTION, target="pid"))
+        own.append(injected(seed, flown(seed >= 1), INSTRUCTION, arm="gaussian", target="pid"))
+        own.append(injected(seed, flown(seed >= 2), IN_DETECTOR, arm="gaussian", target="gaussian"))
+    return runs(*own)
+
+
+def test_instructions_harm_and_failures_by_hand():
+    rows = {(row["setting"], row["kernel"]): row for row in table(campaign(), "failures_per_hour").entries()}
+    upset = upsets_per_instruction(find_upsets()).value
+    # 10 values in half an hour of flight are 20 per hour
+    assert rows["fi", "pid"]["instructions"] == 20 and rows["dr_gaussian", "gaussian"]["instructions"] == 60
+    assert rows["fi", "pid"]["harm"].rate == pytest.approx(0.4)
+    assert rows["fi", "all"]["failures"].value == pytest.approx(20 * 0.4 * upset)
+    assert rows["dr_gaussian", "all"]["failures"].value == pytest.approx((20 * 0.1 + 60 * 0.2) * upset)
+    assert rows["dr_gaussian", "all"]["against"] == pytest.approx(14 / 8)
+    assert rows["fi", "all"]["against"] is None
+    assert rows["fi", "all"]["ended"] == rows["fi", "all"]["failures"], "no kernel died"
+    assert rows["fi", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["n"] == 20
+
+
+def with_rules(counts, fault, lost=range(0)):
+    """The campaign, in which rules execute instructions only in missions with such counts; faults are elsewhere."""
+    idle = {"instructions": 0, "calls": 0, "lines": []}
+    own = []
+    for seed in range(10):
+        number = counts if seed < 4 else idle
+        watched = replace(counted("pid", "gaussian"), counts={"pid": HOUR["pid"], "acceptance": number})
+        own += [golden(seed, counted("pid")), golden(seed, watched, arm="gaussian")]
+        own += [injected(seed, flown(), INSTRUCTION, arm=arm, target="pid") for arm in ("", "gaussian")]
+        struck = fault if seed < 4 else NOWHERE
+        own.append(injected(seed, flown(seed not in lost), struck, arm="gaussian", target="acceptance"))
+    return runs(*own)
+
+
+def rows_of(own):
+    return {(row["setting"], row["kernel"]): row for row in table(own, "failures_per_hour").entries()}
+
+
+def test_a_detector_adds_its_instructions_times_its_harm_in_the_missions_that_execute_it():
+    rows = rows_of(with_rules(HOUR["acceptance"], IN_RULES, lost=(1,)))
+    upset = upsets_per_instruction(find_upsets()).value
+    rules = rows["dr_gaussian", "acceptance"]
+    # 5 values in 4 of 10 flights of half an hour; a quarter of the faults that struck one loses the mission
+    assert rules["instructions"] == pytest.approx(4) and rules["n"] == 4
+    assert rules["harm"].rate == pytest.approx(0.25)
+    assert rules["failures"].value == pytest.approx(4 * 0.25 * upset)
+    assert rows["dr_gaussian", "all"]["failures"].value == pytest.approx(4 * 0.25 * upset)
+    assert payoff(with_rules(HOUR["acceptance"], IN_RULES, (1,)), "sparse", "dr_gaussian", 1.0).value == 1.0
+
+
+def test_a_mission_counts_by_the_instructions_that_it_executes():
+    many, one = ({"pid": {"instructions": number, "calls": 1, "lines": []}} for number in (99, 1))
+    own = [golden(seed, replace(GOLDEN, flight_time_s=1800.0, counts=own)) for seed, own in enumerate((many, one))]
+    own += [injected(0, flown(), INSTRUCTION, target="pid", index=index) for index in range(3)]
+    own.append(injected(1, flown(False), INSTRUCTION, target="pid", index=3))  # the only instruction of this mission
+    [row, whole] = table(runs(*own), "failures_per_hour").entries()
+    assert row["harm"].rate == pytest.approx(0.01) and row["n"] == 4
+    assert whole["failures"].value == pytest.approx(upsets_per_instruction(find_upsets()).value), "1 of 100 in an hour"
+
+
+def test_missions_that_a_detector_loses_without_a_fault_are_no_failures_by_faults():
+    own = []
+    for seed in range(10):
+        false_alarm = replace(counted("pid", "gaussian"), status="success" if seed else "collision")
+        own += [golden(seed, counted("pid")), golden(seed, false_alarm, arm="gaussian")]
+        own.append(injected(seed, flown(), INSTRUCTION, target="pid"))
+        own.append(injected(seed, flown(seed > 0), INSTRUCTION, arm="gaussian", target="pid"))
+        own.append(injected(seed, flown(seed > 0), IN_DETECTOR, arm="gaussian", target="gaussian"))
+    assert payoff(runs(*own), "sparse", "dr_gaussian", 1.0).value == 0.0
+
+
+def test_instructions_that_only_a_setting_executes_count_with_their_harm():
+    own, twice = [], {"pid": {"instructions": 20, "calls": 1, "lines": []}}
+    for seed in range(10):  # half of the faults lose the mission with and without the detector
+        own += [golden(seed, counted("pid")), golden(seed, replace(counted("pid"), counts=twice), arm="gaussian")]
+        own += [injected(seed, flown(seed >= 5), INSTRUCTION, arm=arm, target="pid") for arm in ("", "gaussian")]
+    rows = rows_of(runs(*own))
+    difference = rows["dr_gaussian", "pid"]["failures"].value - rows["fi", "pid"]["failures"].value
+    upset = upsets_per_instruction(find_upsets()).value
+    assert payoff(runs(*own), "sparse", "dr_gaussian", upset).value == pytest.approx(difference) == 10 * upset
+
+
+def test_the_faults_of_a_row_are_behind_its_cells():
+    own = campaign()
+    found = table(own, "failures_per_hour")
+    for row, behind in zip(found.entries(), found.behind, strict=True):
+        counted = own.injected.where(setting=row["setting"])
+        counted = counted if row["kernel"] == "all" else counted.where(kernel=row["kernel"])
+        assert set(behind) == {behind[0]} and sorted(behind[0]) == sorted(counted["run_id"])
+
+
+def test_a_detector_that_looks_better_by_coverage_fails_more_often():
+    rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
+    assert rows["dr_gaussian"]["harm"].rate < rows["fi"]["harm"].rate
+    assert rows["dr_gaussian"]["failures"].value > rows["fi"]["failures"].value
+
+
+def test_a_detector_pays_if_it_prevents_more_failures_than_its_own_instructions_cause():
+    found = payoff(campaign(), "sparse", "dr_gaussian", upset=1.0)
+    # three of ten missions fewer in `pid`, two of ten more by the detector itself
+    assert found.value == pytest.approx(-20 * 0.3 + 60 * 0.2) and found.low < 0 < found.high
+    assert payoff(campaign(), "sparse", "dr_gaussian", 1.0, ("rrt_connect",)) is None, "not injected"
+    assert payoff(campaign(), "sparse", "fi", 1.0) is None
+    assert payoffs(campaign(), 1.0) == [
+        "does dr_gaussian pay in sparse? undecided at this n, "
+        f"{found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour over all kernels "
+        "and its own instructions"
+    ]
+
+
+@pytest.mark.parametrize(("saved", "word"), [(True, "yes"), (False, "no")])
+def test_with_enough_pairs_the_answer_is_decided(saved, word):
+    own = []
+    for seed in range(40):
+        own += [golden(seed, counted("pid")), golden(seed, counted("pid", "gaussian"), arm="gaussian")]
+        own.append(injected(seed, flown(not saved), INSTRUCTION, target="pid"))
+        own.append(injected(seed, flown(saved), INSTRUCTION, arm="gaussian", target="pid"))
+        own.append(injected(seed, flown(), IN_DETECTOR, arm="gaussian", target="gaussian"))
+    assert payoffs(runs(*own), 1.0)[0].startswith(f"does dr_gaussian pay in sparse? {word}, ")
+
+
+def test_settings_are_compared_by_a_difference_with_interval_not_by_a_bare_ratio():
+    found = table(campaign(), "failures_per_hour")
+    [against] = [column for column in found.columns if column.key == "against"]
+    assert against.hidden
+    assert any(note.startswith("does dr_gaussian pay in sparse? ") and "[" in note for note in found.notes)
+    assert any("in pairs with the same fault" in note for note in found.notes)
+
+
+def test_harm_is_that_beyond_the_golden_run_of_the_same_arm():
+    lost = replace(counted("pid"), status="collision")
+    faulty = (injected(seed, flown(False), INSTRUCTION) for seed in range(4))
+    own = runs(*(golden(seed, lost) for seed in range(4)), *faulty)
+    assert exposed(own)["sparse", "fi"]["pid"][1].harm.value == 0.0
+
+
+def test_settings_whose_golden_runs_were_not_counted_are_left_out():
+    own = runs(golden(1, counted("pid")), golden(1, arm="gaussian"), injected(1, flown(), INSTRUCTION),
+               injected(1, flown(), INSTRUCTION, arm="gaussian"))  # fmt: skip
+    assert list(exposed(own)) == [("sparse", "fi")]
+    notes = table(own, "failures_per_hour").notes
+    assert [note for note in notes if "not counted" in note] == [notes[0]] and notes[0].startswith("dr_gaussian: ")
+
+
+def test_no_setting_is_said_to_be_left_out_where_all_are_counted():
+    assert not any("not in the table" in note for note in table(campaign(), "failures_per_hour").notes)
+
+
+def test_upset_rates_of_ones_own_scale_all_rows_alike():
+    own, base = campaign(), find_upsets()
+    twice = base.model_copy(update={"visible": 2 * base.visible})
+    values = [[row["failures"].value for row in failure_table(own, chosen).entries()] for chosen in (base, twice)]
+    assert values[1] == pytest.approx([2 * value for value in values[0]])
+    assert summary(own, base)[0].startswith("Failures per flight hour, sparse: fi ")
+
+
+def test_without_upsets_nothing_fails_and_harm_remains():
+    none = find_upsets().model_copy(update={"fit_per_mbit": Range(value=0, low=0, high=0)})
+    rows = {row["setting"]: row for row in failure_table(campaign(), none).entries() if row["kernel"] == "all"}
+    assert rows["fi"]["failures"].value == 0.0 and rows["fi"]["harm"].rate == pytest.approx(0.4)
+
+
+def test_the_assumptions_and_their_sources_are_printed():
+    notes = "\n".join(table(campaign(), "failures_per_hour").notes)
+    assert "JESD89A" in notes and "IEC 61508" in notes and "assumed" in notes and "coverage" in notes
+
+
+def test_a_dead_kernel_counts_as_a_failure_if_it_ends_the_mission():
+    own = [golden(seed, counted("pid")) for seed in range(4)]
+    own += [injected(seed, died() if seed else flown(), INSTRUCTION, target="pid") for seed in range(4)]
+    row = table(runs(*own), "failures_per_hour").entries()[0]
+    assert row["failures"].value == 0
+    assert row["ended"].value == pytest.approx(20 * 0.75 * upsets_per_instruction(find_upsets()).value)
+
+
+def test_false_alarms_are_no_effect_of_a_fault_in_the_detector():
+    slow = replace(counted("pid", "gaussian"), flight_time_s=2400.0)
+    own = []
+    for fault in (IN_DETECTOR, INSTRUCTION):
+        masked = replace(slow, injections=flown().injections)
+        own.append(runs(golden(1, counted("pid")), golden(1, slow, arm="gaussian"),
+                        injected(1, masked, fault, arm="gaussian", target=fault.kernel)))  # fmt: skip
+    assert [found.injected.first("inflation") for found in own] == [0.0, pytest.approx(1 / 3)]

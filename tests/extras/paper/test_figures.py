@@ -1,0 +1,87 @@
+"""Figures of the paper on runs made by hand, and Fig. 7 on flights that were flown."""
+
+import polars as pl
+import pytest
+
+from mavfi.analysis.runs import Runs
+from mavfi.campaign.telling import with_flights
+from mavfi.errors import BadInputError
+from mavfi.extras.paper.cases import path_cases
+from mavfi.report import figures
+from tests.core.unit.report.test_figures import golden, runs
+
+
+def texts(axes):
+    return [label.get_text() for label in axes.get_yticklabels()]
+
+
+def instruction(kernel, **row):
+    return {"level": "instruction", "population": "all_bits", "kernel": kernel, "flight_time_s": 40.0, **row}
+
+
+def test_kernels_have_a_row_each_below_the_golden_run_with_n_times_and_success():
+    own = runs(golden(flight_time_s=38.0), golden(flight_time_s=39.0), instruction("pid"),
+               instruction("pid", success=False), instruction("octomap", flight_time_s=50.0))  # fmt: skip
+    left, right = figures.figure(own, "kernels").axes
+    assert texts(left) == ["golden run  (n = 2)", "pid  (n = 2)", "octomap  (n = 1)"]
+    dots = [line.get_xdata().tolist() for line in left.lines if line.get_marker() == "."]
+    assert dots == [[38.0, 39.0], [40.0], [50.0]], "failures have no flight time"
+    rates = [container.lines[0].get_xdata()[0] for container in right.containers]
+    assert rates == [1.0, 0.5, 1.0]
+
+
+def test_each_environment_has_its_panels():
+    own = runs(*({"environment": name, "target": "waypoint", "flight_time_s": 40.0} for name in ("sparse", "dense")))
+    axes = figures.figure(own, "states").axes
+    assert [panel.get_title(loc="left") for panel in axes[::2]] == ["sparse", "dense"]
+
+
+@pytest.mark.parametrize("order", [(True, False), (False, True)])
+def test_success_of_all_environments_lies_within_their_common_axis(order):
+    shown = zip(("sparse", "dense"), order, strict=True)
+    own = runs(*({"environment": environment, "target": "waypoint", "flight_time_s": 40.0, "success": success}
+                 for environment, success in shown))  # fmt: skip
+    rights = figures.figure(own, "states").axes[1::2]
+    lowest = min(bar.get_segments()[0][:, 0].min() for axes in rights for bars in axes.containers for bar in bars[2])
+    assert len(rights) == 2 and all(axes.get_xlim()[0] <= lowest and axes.get_xlim()[1] == 1.02 for axes in rights)
+
+
+def test_distributions_name_worst_case_limit_and_counts():
+    own = runs(golden(flight_time_s=38.0, inflation=0.0, time_limit_s=150.0),
+               {"flight_time_s": 60.0, "inflation": 0.5, "time_limit_s": 150.0},
+               {"success": False, "time_limit_s": 150.0})  # fmt: skip
+    [axes] = figures.figure(own, "flight_time_distribution").axes
+    assert axes.get_title(loc="left") == "dense (limit 150 s)"
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["golden\n1/1", "fault\n1/2"]
+    assert [text.get_text() for text in axes.texts] == ["38 s", "60 s"]
+
+
+@pytest.mark.parametrize("name", ["kernels", "states", "bit_fields", "flight_time_distribution", "trajectories"])
+def test_nothing_to_show_is_no_figure(name):
+    with pytest.raises(BadInputError, match=f"figure '{name}': these runs have nothing to show in it"):
+        figures.figure(runs(golden()), name)
+
+
+def test_figures_that_are_not_known_are_refused():
+    with pytest.raises(BadInputError, match="figure 'none': not known; allowed: success, flight_time, kernels"):
+        figures.figure(runs(), "none")
+
+
+@pytest.mark.slow
+def test_paths_are_drawn_from_flights_that_the_caller_has_flown_again(flown, tmp_path):
+    own = Runs.read(flown)
+    drawing = figures.drawing("trajectories")
+    assert drawing.draw(own) is None, "nothing is flown to draw"
+    wanted = drawing.cases(own)
+    again = with_flights(own, flown, wanted)
+    assert set(again.flights) == set(wanted) and len(path_cases(own)) == 2
+    for run_id, flight in again.flights.items():
+        assert flight.log.digest() == own.frame.row(by_predicate=pl.col("run_id") == run_id, named=True)["digest"]
+    made = figures.figure(again, "trajectories")
+    assert len(made.axes) == 4, "from above and in 3-D, perception and planning"
+    for place, case in enumerate(path_cases(own)):
+        path = again.flights[case.fault].log.columns("x", "y")
+        line = made.axes[2 * place].lines[1]
+        assert line.get_xdata().tolist() == path[:, 0].tolist()
+    [file] = figures.draw(again, tmp_path, ["trajectories"], "tiny_")
+    assert file == "tiny_trajectories.png" and (tmp_path / file).stat().st_size > 50_000

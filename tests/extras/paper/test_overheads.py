@@ -1,0 +1,190 @@
+import json
+import re
+from types import SimpleNamespace
+
+import pytest
+
+from mavfi.analysis import table
+from mavfi.campaign.config import Campaign
+from mavfi.config import config_root
+from mavfi.errors import BadInputError
+from mavfi.extras.paper import overheads
+from mavfi.mission import MissionSpec
+from mavfi.states import new_state
+from tests.core.unit.analysis.handmade import flown, golden, injected, runs
+
+ROW = {
+    "environment": "sparse", "arm": "gaussian", "stage": "all", "detection": 0.01, "recovery": 0.02,
+    "detection_modelled": 0.0005,
+}  # fmt: skip
+MEASURED = {"processor": "a processor", "missions": 2, "rows": [ROW]}
+
+
+def campaign(**changes):
+    content = {"name": "x", "environments": ["sparse"], "arms": {"gaussian": {"detector": "gaussian"}}, **changes}
+    return Campaign.model_validate(content)
+
+
+def watched_runs(**about):
+    spent = {
+        "compute_us": {"pid": 900, "octomap": 300},
+        "recompute_us": {"perception": 200, "planning": 0, "control": 0},
+    }
+    return runs(golden(1), golden(1, arm="gaussian"), injected(1, flown(**spent), arm="gaussian"), **about)
+
+
+def test_modelled_shares_by_hand_next_to_the_papers():
+    found = {row["stage"]: row for row in table(watched_runs(), "overheads_as_in_the_paper").entries()}
+    assert found["perception"]["modelled"] == found["all"]["modelled"] == pytest.approx(200 / 1000)
+    assert found["control"]["modelled"] == 0
+    assert found["perception"]["paper_recompute"] == 0.009788 and found["control"]["paper_detection"] == 0.000009
+    assert found["all"]["paper_sum"] == 0.019218 and found["control"]["paper_sum"] is None
+    assert found["all"]["paper_detection"] is found["all"]["paper_recompute"] is None, "it gives the sum alone"
+    assert found["all"]["measured_detection"] is None, "nothing was measured"
+    notes = table(watched_runs(), "overheads_as_in_the_paper").notes
+    assert any("detection, modelled, are empty: " in note for note in notes), "elsewhere it may have been measured"
+    assert found["all"]["modelled_detection"] is found["all"]["modelled_sum"] is None
+    assert not any("repeats it" in note for note in notes)
+
+
+def test_the_papers_autoencoder_has_one_row_for_all_stages():
+    own = runs(golden(1), injected(1, flown(compute_us={"pid": 9}, recompute_us={}), arm="autoencoder"))
+    found = {row["stage"]: row for row in table(own, "overheads_as_in_the_paper").entries()}
+    assert found["all"]["paper_detection"] == found["all"]["paper_sum"] == 0.000047
+    assert found["control"]["paper_detection"] is None
+
+
+def test_measured_values_are_compared_with_modelled_ones():
+    own = table(watched_runs(overheads=MEASURED), "overheads_as_in_the_paper")
+    found = {row["stage"]: row for row in own.entries()}
+    assert found["all"]["measured_detection"] == 0.01 and found["all"]["measured_recovery"] == 0.02
+    assert found["all"]["measured_sum"] == pytest.approx(0.03)
+    assert found["control"]["measured_sum"] is None
+    assert found["all"]["modelled_detection"] == 0.0005
+    assert found["all"]["modelled_sum"] == pytest.approx(0.0005 + 200 / 1000), "with the modelled recovery"
+    assert found["control"]["modelled_detection"] is None
+    notes = "\n".join(own.notes)
+    assert "one process on a processor" in notes and "as fast on the platform as here" in notes
+
+
+def test_a_measurement_without_modelled_detection_says_how_to_get_it():
+    older = {key: value for key, value in ROW.items() if key != "detection_modelled"}
+    own = table(watched_runs(overheads={**MEASURED, "rows": [older]}), "overheads_as_in_the_paper")
+    found = {row["stage"]: row for row in own.entries()}
+    assert found["all"]["measured_detection"] == 0.01 and found["all"]["modelled_detection"] is None
+    assert any("mavfi bench overheads DIR repeats it" in note for note in own.notes)
+
+
+def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_modelled_one(monkeypatch):
+    flights = iter([2.0, 2.0, 4.0, 8.0])  # the first one compiles
+
+    def cost(scenario, name, profile, models_dir, options):
+        kernels = next(flights)
+        return overheads.Cost(
+            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0, 10 * kernels
+        )
+
+    monkeypatch.setattr(overheads, "cost", cost)
+    shown = []
+    found = overheads.measure(campaign(), 3, progress=lambda *done: shown.append(done))
+    assert [row["stage"] for row in found["rows"]] == ["perception", "planning", "control", "all"]
+    assert found["rows"][0]["detection"] == pytest.approx(0.1) and found["rows"][0]["recovery"] == pytest.approx(0.2)
+    assert found["rows"][0]["detection_modelled"] == pytest.approx(0.01)
+    assert [len(flight) for flight in found["rows"][0]["flights"]] == [3, 3, 3]
+    assert shown == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
+
+
+def test_without_a_detector_there_is_nothing_to_measure():
+    with pytest.raises(BadInputError, match="campaign x: arms: none has a detector"):
+        overheads.measure(campaign(arms={}), 1)
+
+
+def test_measured_shares_are_kept_with_the_ledger(tmp_path):
+    assert overheads.load(tmp_path) == {}
+    overheads.save(MEASURED, tmp_path)
+    assert overheads.load(tmp_path) == MEASURED
+    for damaged in ("{", "[]", json.dumps({"rows": [{}]}), json.dumps({"rows": MEASURED["rows"]})):
+        (tmp_path / overheads.FILE).write_text(damaged)
+        with pytest.raises(BadInputError, match="overheads.json: is not a file of measured overheads"):
+            overheads.load(tmp_path)
+
+
+def test_repeated_steps_count_with_the_mean_time_of_a_step_and_memory_is_kept_by_stage():
+    clock = overheads._Clock()
+    clock.seconds |= {("octomap", "step"): 3.0, ("octomap", "mark"): 0.5, ("pid", "rollback"): 0.25}
+    clock.calls |= {("octomap", "step"): 6}
+    found = overheads._recovery(clock, {("perception", "octomap"): 2, ("planning", "planner"): 1})
+    assert found == {"perception": 0.5 + 2 * 0.5, "planning": 0.0, "control": 0.25, "all": 1.75}
+
+
+def test_timed_methods_do_what_they_did():
+    clock = overheads._Clock()
+    kernel = SimpleNamespace(name="pid", step=lambda now: now + 1)
+    clock.timed(kernel, "step")
+    assert [kernel.step(1), kernel.step(2)] == [2, 3]
+    assert clock.calls["pid", "step"] == 2 and clock.step("pid") == clock.seconds["pid", "step"] / 2
+
+
+def published(count):
+    """Publications of way-points, each twice."""
+    states = [new_state("planning.waypoint") for _ in range(2 * count)]
+    for number, state in enumerate(states):
+        state.header["x"] = number // 2
+    return [(state, 0) for state in states]
+
+
+def test_a_long_replay_is_not_repeated(monkeypatch):
+    times, calls = {"planning": 0.3, "all": 2.5}, []
+
+    def replay(detector, own):
+        calls.append(len(own))
+        return times["all" if len(own) > 4 else "planning"]
+
+    monkeypatch.setattr(overheads, "replay", replay)
+    status = (new_state("perception.collision_status"), 0)
+    found = overheads._detection(SimpleNamespace(), [*published(2), status], {"planning": 0.5})
+    assert calls == [1] * 5 + [4] * 5 + [5]
+    assert found == {"perception": 0.3, "planning": 0.8, "control": 0.0, "all": 3.0}
+
+
+def test_steps_that_are_computed_again_are_detection_and_not_kernels():
+    clock, now = overheads._Clock(), iter(range(100))
+    kernel = SimpleNamespace(name="waypoint", stage="planning", step=lambda time_us: [time_us])
+    clock.timed(kernel, "step")
+    verify = clock.timed_verification(lambda kernel, first, time_us: (kernel.step(next(now)), 7))
+    kernel.step(1)
+    before = dict(clock.seconds)
+    assert verify(kernel, [], 2) == ([0], 7) and verify(kernel, [], 2) == ([1], 7)
+    assert dict(clock.seconds) == before and clock.calls["waypoint", "step"] == 1
+    assert clock.again["planning"] > 0.0 and clock.verified == 2
+
+
+@pytest.mark.slow
+def test_a_flight_with_duplicated_steps_is_measured():
+    found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "duplicate", "paper")
+    assert found.shown > 1000 and found.recomputed > 0
+    assert 0 < found.detection["all"] < found.kernels
+    assert sum(found.detection[name] for name in overheads.STAGES[:-1]) == pytest.approx(
+        found.detection["all"], rel=0.1
+    )
+
+
+@pytest.mark.slow
+def test_a_platform_without_latencies_has_no_time_to_compare_with(tmp_path):
+    shipped = (config_root() / "platforms" / "i9-9940x.yaml").read_text(encoding="utf-8")
+    instant = re.sub(r"(\w+): \d+(?=[,}])", r"\1: 0", shipped).replace("i9-9940x", "instant")
+    (tmp_path / "instant.yaml").write_text(instant, encoding="utf-8")
+    mission = MissionSpec(
+        environment="sparse", platform=str(tmp_path / "instant.yaml"), trained_for="published/i9-9940x"
+    )
+    with pytest.raises(BadInputError, match="platform instant: latency_us: all are 0; allowed: one above 0"):
+        overheads.cost(mission, "gaussian", "paper")
+
+
+def test_a_flight_is_measured_by_stage():
+    found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
+    assert found.kernels > 0 and found.shown > 1000
+    assert found.compute > 10, "modelled: a map takes 0.28 s, and there are several a second"
+    assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
+    assert found.detection["control"] > found.detection["planning"], "it publishes most"
+    assert found.recovery["all"] == pytest.approx(sum(found.recovery[stage] for stage in overheads.STAGES[:-1]))

@@ -1,0 +1,91 @@
+from dataclasses import replace
+
+import polars as pl
+import pytest
+
+from mavfi.analysis import table, views_for
+from mavfi.extras.paper.platform_views import platforms
+from mavfi.record import EnergyTerms
+from mavfi.report import figures
+from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs
+
+PARTS = {
+    "fast": {"environment": "dense", "platform": "i9-9940x"}, "slow": {"environment": "dense", "platform": "cortex-a57"}
+}  # fmt: skip
+
+
+def lasting(seconds, record=GOLDEN):
+    return replace(record, flight_time_s=seconds, energy=EnergyTerms(duration_s=seconds))
+
+
+def campaign(**about):
+    """Golden flights of 40 s and 100 s; a fault adds up to 40 s and 100 s, the detector leaves 10 s and 0 s of that."""
+    own = []
+    for name, time in (("fast", 40.0), ("slow", 100.0)):
+        for seed in (1, 2):
+            own += [golden(seed, lasting(time), environment=name),
+                    golden(seed, lasting(time), arm="gaussian", environment=name)]  # fmt: skip
+        own.append(injected(1, lasting(time, flown()), environment=name))
+        own.append(injected(2, lasting(2 * time, flown()), environment=name))
+        own.append(injected(3, lasting(9 * time, flown(False)), environment=name))
+        left = 10.0 if name == "fast" else 0.0
+        own.append(injected(2, lasting(time + left, flown()), environment=name, arm="gaussian"))
+    return runs(*own, parts=PARTS, **about)
+
+
+def rows(own):
+    return {(row["environment"], row["setting"]): row for row in table(own, "platforms").entries()}
+
+
+def test_times_energies_and_ratios_by_hand():
+    found = rows(campaign())
+    assert set(found) == {(name, setting) for name in PARTS for setting in ("golden", "fi", "dr_gaussian")}
+    assert found["fast", "fi"]["n"] == 2, "failures have no flight time"
+    assert found["fast", "fi"]["worst_s"] == 80 and found["fast", "fi"]["median_s"] == 60
+    ratio, worst = found["slow", "golden"]["median_ratio"], found["slow", "fi"]["worst_ratio"]
+    assert (ratio.rate, ratio.low, ratio.high, ratio.p_value) == (2.5, 2.5, 2.5, 0.5), "two worlds: 2 of 4 swaps"
+    assert worst.rate == 2.5 and (worst.low, worst.high) == (2.5, 2.5)
+    assert found["slow", "golden"]["energy_ratio"].rate == pytest.approx(2.5)
+    assert found["fast", "golden"]["median_ratio"] is None
+    assert found["slow", "golden"]["power_w"] == pytest.approx(443.9)
+    assert found["fast", "dr_gaussian"]["recovered"].rate == pytest.approx(30 / 40)
+    assert found["slow", "dr_gaussian"]["recovered"].rate == 1.0
+    assert found["fast", "fi"]["recovered"] is None
+
+
+def test_the_runs_behind_a_ratio_are_those_of_both_platforms():
+    own = campaign()
+    found = table(own, "platforms")
+    places = {column.key: place for place, column in enumerate(found.columns)}
+    behind = dict(zip([row[:2] for row in found.rows], found.behind, strict=True))
+    assert set(behind["slow", "golden"][places["median_ratio"]]) == set(own.where(setting="golden").ids)
+    kinds = pl.col("setting").is_in(("golden", "fi", "dr_gaussian"))
+    cured = own.where("success", kinds, environment="slow").ids
+    assert set(behind["slow", "dr_gaussian"][places["recovered"]]) == set(cured)
+
+
+def test_the_papers_figures_are_in_the_rows_of_their_platform():
+    found = rows(campaign())
+    assert [found[name, "golden"]["paper_s"] for name in PARTS] == [115, 322]
+    assert [found[name, "golden"]["paper_kj"] for name in PARTS] == [61_700, 177_100]
+    assert [round(found[name, "golden"]["paper_w"]) for name in PARTS] == [537, 550]
+    assert found["slow", "fi"]["paper_ratio"] == 2.8 and found["fast", "fi"]["paper_ratio"] is None
+    assert found["slow", "dr_gaussian"]["paper_recovered"] == 0.793
+    assert found["fast", "dr_gaussian"]["paper_recovered"] is None
+    hardened = rows(campaign(profile="hardened"))
+    assert hardened["slow", "golden"]["paper_s"] is None and hardened["slow", "fi"]["paper_ratio"] is None
+
+
+def test_notes_say_what_explains_the_difference():
+    notes = "\n".join(table(campaign(), "platforms").notes)
+    assert "ours: golden flights take 2.50 times as long" in notes and "322 s / 115 s = 2.8" in notes
+    assert "537 W and 550 W" in notes and "10 ms per loop" in notes
+
+
+def test_only_campaigns_whose_parts_are_platforms_have_the_table_and_the_figure():
+    own = campaign()
+    assert "platforms" in [found.name for found in views_for(own)]
+    assert len(figures.FIGURES["platforms"].draw(own).axes) == 2
+    for parts in ({}, {"fast": PARTS["fast"]}, {"fast": PARTS["fast"], "slow": PARTS["fast"]}):
+        assert platforms(runs(golden(1), parts=parts)) == {}
+        assert figures.FIGURES["platforms"].draw(runs(golden(1), parts=parts)) is None

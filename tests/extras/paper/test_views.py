@@ -1,0 +1,149 @@
+from dataclasses import replace
+
+import polars as pl
+import pytest
+
+from mavfi.analysis import table
+from mavfi.analysis.measures import leads, population_names, population_text
+from mavfi.extras.paper import published as paper
+from mavfi.extras.paper.cases import path_cases
+from mavfi.extras.paper.views import GOLDEN_ROW, by_bits, by_state, value_at_risk
+from mavfi.faults.fault import FaultSite, StateFault
+from tests.core.unit.analysis.handmade import FAULT, GOLDEN, INSTRUCTION, flown, golden, injected, runs
+
+PERCEPTION = StateFault(FaultSite("perception.collision_status", "time_to_collision"), 1, 62, "sign_exponent", 0.1)
+
+
+def entries(own, name, **where):
+    return [row for row in table(own, name).entries() if all(row[key] == value for key, value in where.items())]
+
+
+def test_value_at_risk_is_the_mean_of_the_slowest():
+    assert value_at_risk([float(value) for value in range(1, 101)]) == 98.0
+    assert value_at_risk([1.0, 3.0]) == 3.0, "at least one"
+    assert value_at_risk([]) is None
+
+
+def test_kernels_stand_below_the_golden_run():
+    own = runs(golden(1), golden(2), injected(1, flown(flight_time_s=60.0), INSTRUCTION, target="pid"),
+               injected(2, flown(False), INSTRUCTION, target="pid"), each="kernel")  # fmt: skip
+    first, second = table(own, "kernels_as_in_the_paper").entries()
+    assert (first["kernel"], first["n"], first["median_s"]) == (GOLDEN_ROW, 2, 50.0)
+    assert (second["kernel"], second["success"].successes, second["worst_s"]) == ("pid", 1, 60.0)
+    assert second["worst_time"] == pytest.approx(0.2)
+    assert second["hurt"].rate == 1.0, "one is late, the other one fails"
+
+
+def test_rows_are_tested_against_their_golden_runs_in_pairs():
+    lost = replace(GOLDEN, status="collision")
+    own = [golden(seed, lost if seed == 6 else GOLDEN) for seed in range(9)]
+    # six pairs: five lost, none saved, one alike; the seventh mission fails without the fault, the last has no twin
+    own += [injected(seed, flown(seed == 5), INSTRUCTION, target="pid") for seed in (*range(7), 20)]
+    found = table(runs(*own, each="kernel"), "kernels_as_in_the_paper")
+    first, second = found.entries()
+    assert (first["p"], second["n"], second["p"]) == (None, 8, pytest.approx(2 * 0.5**5))
+    behind = found.behind[1][[column.key for column in found.columns].index("p")]
+    assert len(behind) == 7 and not any("-20-" in run_id for run_id in behind)
+    assert any("McNemar's exact test" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("view", "each"), [("states_as_in_the_paper", "group"), ("bits_as_in_the_paper", "stage")])
+def test_tables_of_states_and_bits_have_the_test_too(view, each):
+    faults = [StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name)
+              for name, bit in (("sign", 63), ("exponent", 60), ("mantissa", 3))]  # fmt: skip
+    own = [golden(seed) for seed in range(6)]
+    own += [injected(seed, flown(stratum > 0), fault, index=10 * seed + stratum)
+            for seed in range(6) for stratum, fault in enumerate(faults)]  # fmt: skip
+    empty, *rows = table(runs(*own, each=each), view).column("p")
+    assert (empty, rows[0]) == (None, pytest.approx(2 * 0.5**6)) and set(rows[1:]) <= {1.0}
+
+
+def test_bits_have_a_row_each():
+    strata = [("sign", 63), ("exponent", 60), ("mantissa", 3)]
+    faults = [StateFault(FaultSite("planning.waypoint", "x"), 1, bit, name) for name, bit in strata]
+    own = runs(golden(1), *(injected(1, flown(), fault, index=place) for place, fault in enumerate(faults)))
+    assert [row["bits"] for row in table(own, "bits_as_in_the_paper").entries()] == [GOLDEN_ROW, "sign", "exponent",
+                                                                                      "mantissa"]  # fmt: skip
+
+
+def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
+    for environment in ("sparse", "dense"):
+        bare, faulty, watched = entries(fake, "flight_times", environment=environment)
+        assert [row["setting"] for row in (bare, faulty, watched)] == ["golden", "fi", "dr_gaussian"]
+        leading = fake.where(environment=environment, setting="fi", population="sign_exponent")
+        failing = leading.where(~pl.col("success"))
+        assert faulty["pairs"] == watched["pairs"] == len(leading) - len(failing)
+        assert faulty["worst"] > 0.1 and watched["worst"] == pytest.approx(0)
+        [worst] = fake.where(run_id=faulty["worst_run"])["inflation"]
+        assert worst == faulty["worst"]
+        assert faulty["paper"] == paper.worst_time(environment, "fi")
+        assert watched["recovered"].rate == pytest.approx(faulty["worst"])
+        assert watched["recovered_p95"].rate == pytest.approx(faulty["p95"], abs=1e-3)
+        assert watched["recovered"].low <= watched["recovered"].rate <= watched["recovered"].high
+        assert 0 < watched["recovered"].p_value <= 1
+        assert watched["paper_recovered"] == paper.figure(
+            "worst_time_recovered", environment=environment, setting="dr_gaussian"
+        )
+        assert faulty["recovered"] is bare["recovered"] is None
+        assert faulty["time_limit"] == 150.0
+
+
+def test_failures_count_at_the_time_limit():
+    own = [golden(1), injected(1, flown(flight_time_s=60.0, time_limit_s=150.0)),
+           injected(2, flown(False, time_limit_s=150.0))]  # fmt: skip
+    [row] = entries(runs(*own), "flight_times", setting="fi")
+    assert (row["cvar_s"], row["cvar_limit_s"], row["success"].successes) == (60.0, 150.0, 1)
+
+
+def test_cases_are_the_faults_that_the_detector_shortens_most():
+    def pair(seed, time, with_detector, fault=PERCEPTION, target="perception", **more):
+        return [golden(seed, environment="dense"),
+                injected(seed, flown(flight_time_s=time, **more), fault, target=target, environment="dense"),
+                injected(seed, flown(flight_time_s=with_detector), fault, arm="autoencoder", target=target,
+                         environment="dense")]  # fmt: skip
+
+    own = runs(*pair(1, 60.0, 59.0), *pair(2, 55.0, 50.0), *pair(3, 90.0, 50.0, activated=False), golden(9))
+    [found] = path_cases(own)
+    assert (found.stage, found.environment) == ("perception", "dense")
+    assert found.fault.startswith("dense-2-fi") and found.recovered.startswith("dense-2-dr_autoencoder")
+    assert found.golden.startswith("dense-2-golden") and found.inflation == pytest.approx(0.1)
+    lost = runs(*pair(1, 50.0, 50.0), *pair(4, 30.0, 51.0, success=False))
+    assert path_cases(lost)[0].fault.startswith("dense-4"), "nothing is shortened: a mission that is saved"
+    both = runs(*pair(1, 55.0, 55.0), *pair(4, 30.0, 30.0, success=False)[:2])
+    assert path_cases(both)[0].fault.startswith("dense-4"), "nor saved: a mission that is lost"
+    assert path_cases(runs(*pair(1, 55.0, 55.0), *pair(2, 52.0, 52.0)))[0].fault.startswith("dense-1"), "the slowest"
+    assert path_cases(runs(golden(1, GOLDEN))) == []
+
+
+def test_a_shorter_way_after_a_false_alarm_recovers_nothing():
+    own = [golden(1, environment="dense"), injected(1, flown(flight_time_s=50.0), PERCEPTION, environment="dense"),
+           injected(1, flown(flight_time_s=40.0), PERCEPTION, arm="gaussian", environment="dense")]  # fmt: skip
+    lost = [golden(2, environment="dense"), injected(2, flown(False), PERCEPTION, environment="dense"),
+            injected(2, flown(), PERCEPTION, arm="gaussian", environment="dense")]  # fmt: skip
+    assert path_cases(runs(*own, *lost))[0].fault.startswith("dense-2"), "the mission that is saved"
+
+
+def test_the_detector_of_a_case_is_the_one_that_recovers_it():
+    own = [golden(1, environment="dense"), injected(1, flown(False), PERCEPTION, environment="dense")]
+    own += [injected(1, flown(arm == "gaussian"), PERCEPTION, arm=arm, environment="dense")
+            for arm in ("autoencoder", "gaussian")]  # fmt: skip
+    [found] = path_cases(runs(*own))
+    assert found.arm == "gaussian" and found.recovered.startswith("dense-1-dr_gaussian")
+
+
+def test_sign_and_exponent_lead_together_where_they_are_drawn_apart():
+    """Fig. 4 counts faults in both; section III-B those in floats, not the other bits of an integer."""
+    own = [golden(1)]
+    for index, (stratum, bit) in enumerate((("sign", 63), ("exponent", 60), ("mantissa", 3))):
+        own.append(injected(1, flown(), replace(FAULT, stratum=stratum, bit=bit), target="yaw", index=index))
+    epoch = FaultSite("planning.trajectory", "trajectory_seq")
+    for index, (stratum, bit) in enumerate((("sign_exponent", 31), ("mantissa", 3))):
+        fault = replace(FAULT, where=epoch, stratum=stratum, bit=bit)
+        own.append(injected(1, flown(), fault, target="epochs", index=index))
+    found = runs(*own, name="states")
+    assert by_state(found).values("target") == ["golden run", "yaw", "epochs"]
+    assert [len(by_state(found).where(target=name)) for name in ("yaw", "epochs")] == [2, 1]
+    assert by_bits(found).values("bits") == ["golden run", "sign", "exponent", "mantissa"]
+    assert [len(by_bits(found).where(bits=name)) for name in ("sign", "exponent", "mantissa")] == [1, 1, 1]
+    assert population_text(leads(population_names(found.injected, ()))) == "sign + exponent"
+    assert [population_text([name]) for name in ("sign", "all_bits")] == ["sign", ""]

@@ -1,0 +1,301 @@
+"""Injections into real processes, and each trap of ptrace."""
+
+import ctypes
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli.commands import run
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.registers import inject
+from mavfi.extras.registers.injector import inject_once
+from mavfi.extras.registers.ptrace import Tracee
+from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
+from tests.nightly.tracers import strike
+
+
+def tracer_of(pid):
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("TracerPid"))
+
+
+def wait_until(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.01)
+
+
+def has_avx():
+    return " avx2 " in Path("/proc/cpuinfo").read_text()
+
+
+def only(pid, **wanted):
+    return inject(pid, RegisterFault(**wanted))[0]
+
+
+@pytest.mark.slow
+def test_an_injection_is_seen_by_the_target_as_it_is_recorded(targets):
+    for seed in range(6):
+        target, _ = targets.start("hold")
+        injection = only(target.pid, seed=seed, registers="general", access="read")
+        assert injection.activated and int(injection.before, 16) ^ int(injection.after, 16) == 1 << injection.bit
+        if injection.site == "rflags":
+            continue  # the branch takes it: nothing is left in rbx or r12
+        changed = int(target.communicate(timeout=10)[0], 16)
+        assert injection.site in ("rbx", "r12") and changed == 1 << injection.bit
+
+
+@pytest.mark.slow
+def test_an_injection_of_a_vector_register_is_seen_by_the_target(targets):
+    if not has_avx():
+        pytest.skip("this processor has no AVX")
+    seen = set()
+    for seed in range(8):
+        target, _ = targets.start("hold", "-DVECTOR")
+        injection = only(target.pid, seed=seed, registers="fp", access="read")
+        assert injection.activated and injection.details["width"] == 256
+        changed = int(target.communicate(timeout=10)[0], 16)
+        assert changed == 1 << injection.bit
+        seen.add(injection.bit >= 128)
+    assert seen == {False, True}
+
+
+@pytest.mark.parametrize("walk", [1, 16])
+def test_a_null_fault_changes_nothing_and_says_so(spin, walk):
+    for injection in inject(spin.pid, RegisterFault(null=True, access="either", walk=walk), count=20):
+        assert injection.activated and injection.before == injection.after
+    assert spin.poll() is None
+
+
+def test_all_but_the_instant_comes_from_the_seed(spin):
+    first, again = (inject(spin.pid, RegisterFault(seed=5, null=True, symbol="work"), count=3) for _ in range(2))
+    same = ("address", "instruction", "walked", "symbol")
+    for one, other in zip(first, again, strict=True):
+        assert one.site == other.site and one.bit == other.bit
+        assert [one.details[name] for name in same] == [other.details[name] for name in same]
+    assert len({injection.details["walked"] for injection in first}) > 1
+
+
+def test_where_it_injected_is_named(spin):
+    injection = only(spin.pid, null=True)
+    assert injection.details["library"].endswith("/spin") and injection.details["symbol"].startswith("work+0x")
+    assert int(injection.details["offset"], 16) < Path(injection.details["library"]).stat().st_size
+
+
+def test_registers_and_access_are_those_asked_for(spin):
+    for registers, access in (("fp", "read"), ("general", "write")):
+        fault = RegisterFault(null=True, registers=registers, access=access, walk=DEFAULT_WALK)
+        for injection in inject(spin.pid, fault, count=10):
+            assert injection.details["access"] == access
+            assert injection.site.startswith(("xmm", "ymm")) == (registers == "fp")
+
+
+def test_without_a_symbol_nothing_is_single_stepped(spin, monkeypatch):
+    monkeypatch.setattr(Tracee, "step", lambda *_: pytest.fail("the target dies if its tracer dies here"))
+    for number in range(5):
+        assert inject_once(spin.pid, RegisterFault(null=True), number, 0, bool).details["walked"] == 0
+    stepping = RegisterFault(symbol="work")
+    assert (stepping.access, stepping.walk, stepping.steps) == ("either", DEFAULT_WALK, True)
+
+
+@pytest.mark.slow
+def test_targets_survive_tracers_that_are_killed(targets):
+    wrong, hits = strike(targets, "spin", 20, random.Random(7), RegisterFault(null=True))
+    assert not wrong and hits > 10
+
+
+@pytest.mark.slow
+def test_a_walk_cures_the_skid_of_stops(spin):
+    """Stops come at few instructions; after a walk all of the loop are injected."""
+    there = RegisterFault(null=True, access="either", walk=1)
+    walked = RegisterFault(null=True, access="either", walk=64)
+    stood = Counter(injection.details["address"] for injection in inject(spin.pid, there, count=80))
+    spread = Counter(injection.details["address"] for injection in inject(spin.pid, walked, count=80))
+    assert len(spread) >= 6
+    assert len(stood) < len(spread)
+    assert spread.most_common(1)[0][1] < min(0.5 * 80, stood.most_common(1)[0][1])
+
+
+def test_a_target_in_a_system_call_is_left_alone(targets):
+    target, _ = targets.start("reader")
+    with pytest.raises(
+        MavfiError, match=r"that reads a register \(\d+ stops in 0.5 s, system calls excluded; --walk looks further\)"
+    ):
+        only(target.pid, timeout=0.5)
+    out, _ = target.communicate("abc", timeout=10)
+    assert out == "3 0 abc"  # not interrupted: no EINTR
+
+
+def test_the_thread_that_computes_is_injected_and_waited_for(targets):
+    """It is not the first one: without __WALL, waitpid would not report it."""
+    target, worker = targets.start("threads")
+    time.sleep(0.3)
+    injection = only(target.pid, null=True)
+    assert injection.details["thread"] == int(worker) != target.pid
+
+
+@pytest.mark.slow
+def test_a_symbol_is_watched_in_threads_that_come_up_later(targets):
+    target, worker = targets.start("threads")
+    fault = RegisterFault(null=True, symbol="brief", walk=1)
+    for injection in inject(target.pid, fault, count=20):  # some end between being listed and being watched
+        assert injection.details["symbol"].startswith("brief")
+        assert injection.details["thread"] not in (target.pid, int(worker))
+    assert target.poll() is None
+
+
+ENDING = """
+import os, sys, time
+from mavfi.faults.fault import RegisterFault
+from mavfi.extras.registers import injector
+ending = os.posix_spawn("/bin/true", ["true"], {})
+while " Z " not in open(f"/proc/{ending}/stat").read():
+    time.sleep(0.01)
+listed = injector.threads_of
+injector.threads_of = lambda pid: [ending, *listed(pid)]
+fault = RegisterFault(null=True, symbol="brief", walk=1)
+print(injector.inject_once(int(sys.argv[1]), fault, 0, os.getppid(), lambda: False).details["symbol"])
+"""
+
+
+@pytest.mark.slow
+def test_a_thread_that_is_ending_is_passed_over(targets):
+    target, _ = targets.start("threads")
+    done = subprocess.run([sys.executable, "-c", ENDING, str(target.pid)], capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("brief"), done.stderr
+
+
+@pytest.mark.slow
+def test_no_signal_is_lost(targets):
+    target, _ = targets.start("signals")
+    injected = []
+    with suppress(MavfiError):  # it has ended meanwhile
+        inject(target.pid, RegisterFault(null=True, access="either", walk=16), count=1_000, tell=injected.append)
+    assert len(injected) > 20
+    assert target.communicate(timeout=60)[0].strip() == "0"
+
+
+def test_the_target_survives_the_death_of_the_tool_with_a_breakpoint_set(spin):
+    command = [sys.executable, "-m", "mavfi", "inject", "--pid", str(spin.pid), "--symbol", "never"]
+    tool = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    wait_until(lambda: tracer_of(spin.pid) != 0)
+    tool.kill()
+    tool.wait()
+    wait_until(lambda: tracer_of(spin.pid) == 0)
+    spin.send_signal(signal.SIGUSR2)  # it now calls the function: a breakpoint left behind would kill it
+    assert spin.stdout.readline() == "never\n"
+    assert spin.poll() is None
+
+
+def test_a_symbol_that_is_not_called_is_given_up(spin):
+    with pytest.raises(MavfiError, match="did not call 'never' within 0.3 s"):
+        only(spin.pid, symbol="never", timeout=0.3)
+    assert tracer_of(spin.pid) == 0 and spin.poll() is None
+
+
+@pytest.mark.parametrize("symbol", ["no_such_function", "mem"])
+def test_a_symbol_that_is_unknown_or_ambiguous_is_refused(spin, symbol):
+    with pytest.raises(BadInputError, match=f"symbol '{symbol}'"):
+        only(spin.pid, symbol=symbol)
+
+
+@pytest.mark.slow
+def test_a_target_that_ends_while_it_is_watched(spin):
+    command = [sys.executable, "-m", "mavfi", "inject", "--pid", str(spin.pid), "--symbol", "never"]
+    tool = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_until(lambda: tracer_of(spin.pid) != 0)
+    spin.kill()
+    assert tool.wait(10) == 1
+    assert "ended" in tool.stderr.read()
+    tool.stderr.close()
+
+
+class TestRefusals:
+    def test_no_such_process(self):
+        with pytest.raises(BadInputError, match="there is no such process"):
+            only(4_194_000)
+
+    def test_itself(self):
+        with pytest.raises(BadInputError, match="is mavfi itself"):
+            only(os.getpid())
+
+    def test_the_process_that_started_all_others(self):
+        with pytest.raises(BadInputError, match="pid 1: is init"):
+            only(1)
+
+    def test_one_that_has_ended(self, spin):
+        spin.kill()
+        wait_until(lambda: "Z" in Path(f"/proc/{spin.pid}/stat").read_text().rsplit(")", 1)[1].split()[0])
+        with pytest.raises(BadInputError, match="has ended"):
+            only(spin.pid)
+
+    def test_one_that_is_stopped(self, spin):
+        spin.send_signal(signal.SIGSTOP)
+        wait_until(lambda: "T" in Path(f"/proc/{spin.pid}/stat").read_text().rsplit(")", 1)[1].split()[0])
+        with pytest.raises(BadInputError, match="kill -CONT"):
+            only(spin.pid)
+
+    def test_one_that_is_traced(self, spin):
+        ctypes.CDLL(None).ptrace(0x4206, spin.pid, 0, 0)  # PTRACE_SEIZE
+        try:
+            with pytest.raises(BadInputError, match=f"traced already, by process {os.getpid()}"):
+                only(spin.pid)
+        finally:
+            spin.kill()
+
+    def test_one_of_another_user(self):
+        if os.geteuid() != 0:
+            pytest.skip("only root can start a process as another user")
+        other = subprocess.Popen(["sleep", "60"], user=65534)
+        try:
+            with pytest.raises(BadInputError, match="belongs to user 65534"):
+                only(other.pid)
+        finally:
+            other.kill()
+            other.wait()
+
+    def test_a_thread_in_place_of_a_process(self, targets):
+        _, worker = targets.start("threads")
+        with pytest.raises(BadInputError, match="is a thread of process"):
+            only(int(worker))
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("registers", "mmx"), ("access", "execute"), ("walk", -1), ("timeout", 0.0), ("thread", 1)]
+    )
+    def test_a_fault_that_makes_no_sense(self, name, value):
+        with pytest.raises(BadInputError, match=f"{name}: .*allowed:"):
+            RegisterFault(**{name: value})
+
+    def test_no_number_of_a_process(self):
+        with pytest.raises(BadInputError, match="pid: -1: allowed:"):
+            only(-1)
+
+    def test_another_machine(self, monkeypatch):
+        monkeypatch.setattr("platform.machine", lambda: "aarch64")
+        with pytest.raises(BadInputError, match="x86-64 Linux"):
+            only(1)
+
+
+def test_the_command_tells_what_it_did(spin, capsys):
+    assert run(["inject", "--pid", str(spin.pid), "--null", "--count", "2", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert len(record["injections"]) == 2
+    assert {"site", "bit", "before", "after", "details"} <= set(record["injections"][0])
+    assert {"address", "symbol", "instruction", "register"} <= set(record["injections"][0]["details"])
+    assert run(["inject", "--pid", str(spin.pid), "--null"]) == 0
+    assert ", unchanged" in capsys.readouterr().out
+
+
+def test_the_command_refuses_in_one_line(capsys):
+    assert run(["inject", "--pid", "4194000"]) == 2
+    assert capsys.readouterr().err == "mavfi: pid 4194000: there is no such process\n"

@@ -1,0 +1,80 @@
+"""Every command of docs/ros-attach.md, run as it stands there against robot_state_publisher."""
+
+import inspect
+import re
+import signal
+import subprocess
+import threading
+
+import pytest
+
+from tests.extras.ros.node import test_node_campaign
+from tests.extras.ros.ros1.needs import environment
+from tests.pages import arguments, commands
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+ALL = commands("ros-attach.md")
+CAMPAIGN = [command for command in ALL if command.startswith(("mavfi campaign ", "mavfi report "))]
+"""Minutes long; `test_node_campaign` runs the same file with fewer trials."""
+SAYS = {
+    "mavfi ros list": r"/robot_state_publisher",
+    "--at 10": r"message 10: position\[0\] \(float64\) bit 51: 0.5 → 0.75, \d readers, verified",
+    "--rate 0.01": r"[Tt]he graph is as it was",
+    "mavfi inject": r"mm\d+",
+    "rosbag record": r"",
+    "--train normal.bag": r"",
+    "--learn 10": r"",
+}
+"""What each command must say; the last two are silent while nothing is wrong."""
+WORKS = {
+    "--rate 0.01": r"message \d+: .*position\[0\]", "--train": r"learned from \d+", "--learn": r"learned from \d+",
+}  # fmt: skip
+"""Output of the commands that run until Ctrl-C, once they work."""
+READING = ("mavfi ros list", "rosbag record", "--learn")
+"""These change nothing: they run at the same time."""
+LONGEST_S = 90.0
+
+
+def test_the_page_has_no_command_that_is_not_run_here():
+    assert len(CAMPAIGN) == 2 and all("ros_robot_state_publisher" in command for command in CAMPAIGN)
+    assert 'load_campaign("ros_robot_state_publisher")' in inspect.getsource(test_node_campaign)
+    others = [command for command in ALL if command not in CAMPAIGN]
+    assert all(sum(key in command for key in SAYS) == 1 for command in others)
+    assert len(others) == len(SAYS)
+
+
+def begun(command, folder):
+    return subprocess.Popen(
+        arguments(command, {}), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env=environment(),
+    )  # fmt: skip
+
+
+def check(command, process):
+    """Wait for its end, or until it works and then for its end after Ctrl-C; it says what it must."""
+    works = next((text for key, text in WORKS.items() if key in command), "")
+    limit = threading.Timer(LONGEST_S, process.kill)
+    limit.start()
+    output, asked = "", False
+    with process:
+        for line in process.stdout:
+            output += line
+            if works and not asked and re.search(works, output):
+                process.send_signal(signal.SIGINT)
+                asked = True
+    limit.cancel()
+    assert asked == bool(works), f"{command}: {output}"
+    assert process.returncode in ((0, 130) if asked else (0,)), f"{command}: {process.returncode}: {output}"
+    says = next(text for key, text in SAYS.items() if key in command)
+    assert re.search(says, output), f"{command}: {output}"
+
+
+def test_the_commands_of_the_page(arm, tmp_path):
+    """The fault in a register, of which the target may die, is the last one."""
+    own = [command for command in ALL if command not in CAMPAIGN]
+    reading = [command for command in own if any(key in command for key in READING)]
+    assert len(reading) == len(READING)
+    for command, process in [(command, begun(command, tmp_path)) for command in reading]:
+        check(command, process)
+    for command in sorted(set(own) - set(reading), key=lambda command: ("inject" in command, own.index(command))):
+        check(command, begun(command, tmp_path))

@@ -1,0 +1,123 @@
+"""A campaign on Debian's robot_state_publisher, and flights as bags that Debian's rosbag reads."""
+
+import subprocess
+
+import pytest
+import yaml
+
+from mavfi import cli
+from mavfi.campaign.config import load_campaign
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import Store
+from mavfi.errors import BadInputError
+from mavfi.extras.ros.node.trial import run_trial
+from mavfi.faults.fault import RegisterFault
+from mavfi.outcomes import effect_of
+from tests.extras.ros.node.conftest import until
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    shipped = load_campaign("ros_robot_state_publisher")
+    return shipped.model_copy(update={
+        "faults": 2, "null_runs": 1, "node": shipped.node.model_copy(update={"golden_runs": 1}),
+        "sampling": shipped.sampling.model_copy(update={"walk": 500}),
+    })  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_campaign_is_resumable_and_every_run_has_an_effect(ros, campaign, tmp_path):
+    def stop(progress):
+        if progress.done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(campaign, tmp_path, progress=stop)
+    assert run_campaign(campaign, tmp_path).complete
+    with Store.open(tmp_path) as store:
+        runs = list(store.runs())
+    assert [run.spec.setting for run in runs] == ["golden"] * 2 + ["fi"] * 4 + ["null"], "two missions"
+    golden, *_, null = (run.record for run in runs)
+    effects = [effect_of(golden, run.record).label for run in runs]
+    assert set(effects) <= {"masked", "sdc", "crash", "hang", "unknown"}
+    assert effects[0] == effects[1] == effects[-1] == "masked" and null.injections[0].activated
+    assert effects.count("unknown") <= 1
+
+
+def node(campaign, **changes):
+    return campaign.node.model_copy(update={"patience_s": 1.0, "cycles": 1, **changes})
+
+
+def fault(**changes):
+    plain = {"registers": "general", "access": "read", "symbol": "4TimeERSB_", "walk": 1, "timeout": 10.0}
+    return RegisterFault(**{**plain, **changes})
+
+
+@pytest.mark.slow
+def test_golden_outputs_repeat_and_another_golden_output_is_no_effect_of_a_fault(ros, campaign):
+    first, second = run_trial(node(campaign)), run_trial(node(campaign))
+    assert first.outputs == second.outputs and len(set(first.outputs)) == len(campaign.node.inputs.messages)
+    other = run_trial(node(campaign), ("0" * 64,) * 4, fault())
+    assert other.effect == "unknown" and "golden" in other.reason and other.injection is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("changes", "effect", "reason"),
+    [
+        ({"seed": 0}, "masked", ""),  # rbp, which the function does not use before it loads it
+        ({"seed": 3}, "crash", "SIGSEGV"),  # rsp, before a push
+        ({"seed": 0, "registers": "fp", "access": "write", "walk": 900}, "sdc", ""),  # a product in KDL::Rotation::Rot2
+        ({"symbol": "KDL4Tree10addSegment", "timeout": 1.0}, "unknown", "did not call"),
+    ],
+)
+def test_masked_corrupted_crashed_and_never_injected_are_distinguished(ros, campaign, changes, effect, reason):
+    for _ in range(12 if effect == "sdc" else 1):  # the instant is the machine's, and half of the products are with 0
+        found = run_trial(node(campaign), fault=fault(**changes))
+        if found.effect == effect:
+            break
+    assert found.effect == effect and reason in found.reason
+    assert (found.injection is None) == (effect == "unknown")
+    assert bool(found.differing) == bool(found.differences) == (effect == "sdc")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"command": ("/nothing/there",)}, "cannot be started"),
+        ({"inputs": {"type": "sensor_msgs/Nothing"}}, "type sensor_msgs/Nothing: not known"),
+        ({"inputs": {"messages": ({"positions": [1.0]},)}}, "no member 'positions'; allowed: position"),
+        ({"inputs": {"messages": ({"position": ["far"]},)}}, "'far': allowed: float64"),
+        ({"symbol": "no_such_symbol"}, "no_such_symbol"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused(ros, campaign, changes, message):
+    changes = dict(changes)
+    wrong = fault(symbol=changes.pop("symbol")) if "symbol" in changes else None
+    if "inputs" in changes:
+        changes["inputs"] = campaign.node.inputs.model_copy(update=changes["inputs"])
+    with pytest.raises(BadInputError, match=None) as error:
+        run_trial(node(campaign, **changes), fault=wrong)
+    assert message in str(error.value)
+
+
+@pytest.mark.slow
+def test_debians_rosbag_reads_and_plays_an_exported_flight(bench, tmp_path):
+    flight, bag = tmp_path / "flight.npz", tmp_path / "flight.bag"
+    assert cli.run(["fly", "--environment", "sparse", "--seed", "10000", "--save", str(flight)]) == 0
+    assert cli.run(["export", str(flight), "--to", str(bag)]) == 0
+    done = subprocess.run(["/usr/bin/rosbag", "info", "--yaml", str(bag)], check=True, capture_output=True, text=True)
+    info = yaml.safe_load(done.stdout)
+    assert info["messages"] > 100 and info["duration"] > 1.0
+    topics = {topic["topic"]: topic["type"] for topic in info["topics"]}
+    assert "tf2_msgs/TFMessage" in topics.values()
+    nowhere = {name: subprocess.DEVNULL for name in ("stdin", "stdout", "stderr")}
+    player = subprocess.Popen(["/usr/bin/rosbag", "play", "--quiet", "--rate", "0.5", str(bag)], **nowhere)
+    try:
+        until(lambda: set(topics) <= set(bench.master.graph().publishers), 20)
+    finally:
+        player.terminate()
+        player.wait()

@@ -1,0 +1,132 @@
+"""What attaches to ROS, as far as it needs no ROS: headers, peers that talk to each other, probes."""
+
+import os
+import threading
+import time
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.logs.probe import make_probes
+from mavfi.extras.ros.node.master import Master
+from mavfi.extras.ros.node.message import Composer
+from mavfi.extras.ros.node.peer import Peer
+from mavfi.extras.ros.node.tcpros import Source, decode_header, encode_header
+from mavfi.faults.levels.message.definition import Definition
+
+COMPOSER = Composer("sensor_msgs/JointState")
+MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})
+DEFINITION = Definition("sensor_msgs/JointState", COMPOSER.header["message_definition"])
+
+
+class NoMaster:
+    """Takes registrations."""
+
+    uri = "http://127.0.0.1:1/"
+
+    def call(self, method, *arguments, caller=""):
+        return []
+
+
+@pytest.fixture
+def peer():
+    made = Peer(NoMaster(), "/writer")
+    yield made
+    made.close()
+
+
+def test_headers_survive_the_wire():
+    fields = {"type": "a/B", "message_definition": "x = y\nz", "empty": ""}
+    encoded = encode_header(fields)
+    assert decode_header(encoded[4:]) == fields and int.from_bytes(encoded[:4], "little") == len(encoded) - 4
+
+
+def test_a_peer_is_read_like_a_node_and_listens_on_loopback_only(peer):
+    outlet = peer.advertise("/t", COMPOSER.header)
+    source = Source("/writer", peer.uri, "/t", "/reader")
+    assert source.header["md5sum"] == COMPOSER.header["md5sum"] and not source.is_latched
+    assert source.definition().kind == "sensor_msgs/JointState"
+    while outlet.reader("/reader") is None:
+        time.sleep(0.001)
+    assert outlet.send(MESSAGE) == 1 and next(source.messages()) == MESSAGE
+    assert peer._listener.getsockname()[0] == peer._server.server_address[0] == "127.0.0.1"
+    source.close()
+
+
+def test_late_readers_of_a_latched_topic_get_the_last_message(peer):
+    outlet = peer.advertise("/t", {**COMPOSER.header, "latching": "1"})
+    outlet.send(MESSAGE)
+    source = Source("/writer", peer.uri, "/t")
+    assert source.is_latched and next(source.messages()) == MESSAGE
+    source.close()
+
+
+def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(peer):
+    with pytest.raises(MavfiError, match="no such topic"):
+        Source("/writer", peer.uri, "/other")
+    with pytest.raises(MavfiError, match="does not answer"):
+        Source("/writer", "http://127.0.0.1:9/", "/other")
+
+
+def test_a_reader_follows_the_publishers_of_an_update(peer):
+    arrived, heard = [], threading.Event()
+
+    def hear(message):
+        arrived.append(message)
+        heard.set()
+
+    first = peer.advertise("/t", COMPOSER.header)
+    reader = Peer(NoMaster(), "/reader")
+    inlet = reader.subscribe("/t", hear)
+    inlet.connect([peer.uri, "http://127.0.0.1:9/"])
+    assert list(inlet.sources) == [peer.uri] and len(inlet.failures) == 1
+    while first.reader("/reader") is None:
+        time.sleep(0.001)
+    first.send(MESSAGE)
+    assert heard.wait(5) and arrived == [MESSAGE]
+    inlet.connect([])
+    assert inlet.sources == {}
+    reader.close()
+
+
+def test_fields_are_given_to_the_topics_that_have_them():
+    first = {"/a": (DEFINITION, MESSAGE), "/b": (DEFINITION, MESSAGE)}
+    names = {t: [f.name for f in probe.spec.header] for t, probe in make_probes(first, ["/a:position[0]"]).items()}
+    assert names == {"/a": ["position[0]"]}
+    assert list(make_probes(first, ["position[0]"])) == ["/a", "/b"]
+    assert make_probes(first, [])["/b"].read(MESSAGE).header["position[0]"][0] == 0.5
+    assert make_probes(first, ["velocity[0]"])["/a"].read(MESSAGE) is None
+    for wanted, message in ((["/c:position[0]"], "not watched; allowed: /a, /b"), (["nothing"], "no member 'nothing'")):
+        with pytest.raises(BadInputError) as error:
+            make_probes(first, wanted)
+        assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["ros", "list"],
+        ["ros", "corrupt", "--topic", "/a", "--field", "b"],
+        ["ros", "watch", "--topics", "/a"],
+        ["inject", "--ros-node", "/a"],
+    ],
+)
+def test_without_a_master_one_line_says_what_to_do(monkeypatch, capsys, arguments):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
+    assert run(arguments) == 2
+    err = capsys.readouterr().err
+    assert err == (
+        "mavfi: no ROS master at http://127.0.0.1:9: start one with `roscore`, or say in ROS_MASTER_URI where it is\n"
+    )
+
+
+def test_options_that_exclude_each_other_are_refused(capsys):
+    assert run(["inject"]) == 2 and "--pid, --ros-node: allowed: one of them" in capsys.readouterr().err
+    assert run(["inject", "--pid", str(os.getpid()), "--ros-node", "/a"]) == 2
+
+
+def test_the_master_is_looked_for_where_the_environment_says(monkeypatch):
+    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
+    with pytest.raises(BadInputError, match="127.0.0.1:11311"):
+        Master()

@@ -1,0 +1,28 @@
+"""Short flights on ROS, and the comparison with those of one process."""
+
+import json
+
+from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.session import configure, fly
+from mavfi.flight.compose import resolve
+from mavfi.mission import MissionSpec
+
+NODES = ("point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
+SHORT = (16.0, 0.0, 3.0)
+
+
+def short(**changes):
+    return resolve(MissionSpec(environment="sparse", seed=7, goal=SHORT, **changes))
+
+
+def there(scenario, fault=None, detector=None, **options):
+    return fly(Plan(scenario, configure(scenario), fault, detector, **options)).flight.log
+
+
+def same(log, other):
+    """Whether two records agree in everything: bits, events, injections, alarms, counts."""
+    assert log.digest() == other.digest()
+    assert log.alarms == other.alarms
+    assert [one.to_json() for one in log.injections] == [one.to_json() for one in other.injections]  # infinity is text
+    assert json.loads(json.dumps(log.meta)) == json.loads(json.dumps(other.meta))
+    assert log.events == other.events

@@ -1,0 +1,112 @@
+"""Nodes that are killed: what each policy makes of the mission, bit for bit as in one process."""
+
+import pytest
+
+from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import resolve
+from mavfi.flight.fly import fly as fly_here
+from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.restarts import Restarts
+from mavfi.flight.watching import detector_for, with_keys_of
+from mavfi.mission import MissionSpec
+from tests.core.flights.missions import Scripted
+from tests.extras.ros.ros1.flights import NODES, same, short, there
+from tests.extras.ros.ros1.needs import ros
+
+flying = [*ros, pytest.mark.slow]
+ANSWERING_US = 2_920_000
+"""The planner of this mission has begun to answer an alarm, and its path is not there yet."""
+AWAY_US = 1_000_000
+ESCALATING = Recovery("inline", "kernel", "escalate", 0.6)
+STATUS = "perception.collision_status"
+
+
+def alarming(policy):
+    return MissionSpec(environment="dense", seed=6002, goal=(30.0, 0.0, 3.0), dead_node=policy)
+
+
+def died_here(scenario, node, detector=None, recovery=INLINE):
+    """The flight in one process whose node dies at that instant."""
+    loop = new_loop(scenario)
+    restarts = Restarts(loop, scenario.dead_node)
+    watch(loop, detector, recovery)
+    loop.before_tick.append(lambda now: restarts.die(node, now, AWAY_US) if now == ANSWERING_US else None)
+    return loop.fly().log
+
+
+def died_there(scenario, node, detector=None, recovery=INLINE):
+    return there(scenario, None, detector, recovery=recovery, kills=((node, ANSWERING_US),))
+
+
+def same_but_for_notes(log, other):
+    """As `same`, but on ROS the lives of nodes are events."""
+    log.events = [event for event in log.events if not event.kind.startswith("node_")]
+    same(log, other)
+
+
+class TestFlights:
+    pytestmark = flying
+
+    def test_a_planner_that_is_killed_at_its_answer_reads_back_and_saves_the_mission(self):
+        """What it has to know comes from the world: the alarm, the way-point in force, the trajectory, the map."""
+        assert died_here(resolve(alarming("fresh")), "planner").status.label == "timeout"
+        scenario = resolve(alarming("readback"))
+        log = died_there(scenario, "planner")
+        assert log.status.label == "success"
+        lives = [(event.kind, event.time_us) for event in log.events if event.kind.startswith("node_")]
+        assert lives == [("node_lost", ANSWERING_US), ("node_back", ANSWERING_US + AWAY_US)]
+        same_but_for_notes(log, died_here(scenario, "planner"))
+
+    @pytest.mark.long
+    def test_a_planner_that_begins_afresh(self):
+        scenario = resolve(alarming("fresh"))
+        log = died_there(scenario, "planner")
+        assert log.status.label == "timeout"
+        same_but_for_notes(log, died_here(scenario, "planner"))
+
+    @pytest.mark.long
+    @pytest.mark.parametrize("node", [node for node in NODES if node != "planner"])
+    @pytest.mark.parametrize("policy", ["fresh", "readback"])
+    def test_any_other_node(self, node, policy):
+        scenario = resolve(alarming(policy))
+        same_but_for_notes(died_there(scenario, node), died_here(scenario, node))
+
+    @pytest.mark.long
+    def test_the_state_estimator(self):
+        scenario = resolve(alarming("readback").model_copy(update={"localization": "estimator"}))
+        same_but_for_notes(died_there(scenario, "state_estimation"), died_here(scenario, "state_estimation"))
+
+    def test_a_mission_that_ends_with_its_node(self):
+        scenario = resolve(alarming("end"))
+        log = died_there(scenario, "octomap")
+        assert log.status.label == "node_died"
+        same_but_for_notes(log, died_here(scenario, "octomap"))
+
+    @pytest.mark.parametrize(
+        "state",
+        [STATUS, *(pytest.param(name, marks=pytest.mark.long) for name in ("control.command", "planning.waypoint",
+          "perception.point_cloud"))],
+    )  # fmt: skip
+    def test_a_rule_that_is_broken_twice_restarts_the_memory_of_a_node(self, state):
+        def watching():
+            return Scripted(state, n=5, stage=state.split(".")[0], times=2, hard=True)
+
+        log = there(short(), None, watching(), recovery=ESCALATING)
+        same(log, fly_here(short(), None, watching(), recovery=ESCALATING).log)
+        assert [alarm.outcome for alarm in log.alarms] == ["rejected", "restarted"]
+
+    @pytest.mark.long
+    def test_a_detector_that_waits_for_an_answer_leaves_a_dead_planner_to_its_restart(self):
+        spec = with_keys_of(alarming("fresh"), "recommended").model_copy(update={"grain": "kernel"})
+        scenario, recovery = resolve(spec), Recovery.of(spec)
+
+        def watching():
+            return detector_for(scenario, "recommended", "paper", None)[0]
+
+        log = died_there(scenario, "planner", watching(), recovery)
+        assert log.status.label == "success"
+        assert all(alarm.time_s > 1e-6 * (ANSWERING_US + AWAY_US) for alarm in log.alarms), "no deadline of a dead node"
+        assert [(alarm.source, alarm.outcome) for alarm in log.alarms] == [
+            ("acceptance", "rejected"), ("acceptance", "restarted"),
+        ], "its numbers begin again"  # fmt: skip
+        same_but_for_notes(log, died_here(scenario, "planner", watching(), recovery))

@@ -1,0 +1,335 @@
+"""Flights on real ROS: a master, and one process for each node.  They are those of one process."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.detectors.detector import Chain
+from mavfi.errors import MachineError, MavfiError
+from mavfi.extras.ros.cli_nodes import effect
+from mavfi.extras.ros.ros1.folder import PID
+from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.register_injector import fault_in_node
+from mavfi.extras.ros.ros1.roll_call import is_alive
+from mavfi.extras.ros.ros1.session import configure
+from mavfi.extras.ros.ros1.session import fly as fly_there
+from mavfi.extras.ros.ros1.supervisor import children
+from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.flight.decide import MAX_UNCHANGED
+from mavfi.flight.fly import fly as fly_here
+from mavfi.flight.policy import Recovery
+from mavfi.flight.watching import detector_for
+from mavfi.record import FlightLog
+from tests.core.flights.missions import Scripted, fault, golden, mission
+from tests.extras.ros.ros1.flights import NODES, same, short, there
+from tests.extras.ros.ros1.needs import ros
+
+pytestmark = [*ros, pytest.mark.slow]
+
+
+def detector(name, scenario):
+    return detector_for(scenario, name, "paper")[0]
+
+
+def left_behind(folder):
+    """Processes that belong to the flight with that folder."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cwd"):
+        try:
+            if os.readlink(path).startswith(str(folder)) and is_alive(int(path.parent.name)):
+                found.append(path.parent.name)
+        except OSError:
+            pass
+    return found
+
+
+@pytest.mark.long
+def test_a_golden_flight():
+    """As is the one of `test_campaign`."""
+    same(there(mission()), golden().log)
+
+
+def test_a_node_is_a_process_of_its_own():
+    """With a name and a session, and a child of the supervisor."""
+    seen = {}
+
+    def look(folder):
+        thread = threading.Thread(target=lambda: seen.update(nodes_of(folder)))
+        thread.start()
+        threads.append(thread)
+
+    threads = []
+    scenario = short()
+    fly_there(Plan(scenario, configure(scenario)), tell=look)
+    threads[0].join()
+    assert set(seen) == {*NODES, "world"}
+    assert len(set(seen.values())) == len(seen)
+
+
+def nodes_of(folder):
+    """Sessions of the nodes of a flight, by the names that /proc gives."""
+    found = {}
+    until = time.monotonic() + 60
+    while len(found) < len(NODES) + 1 and time.monotonic() < until:
+        for pid in children(int((folder / PID).read_text())):
+            try:
+                name = Path(f"/proc/{pid}/comm").read_text().strip()
+                stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if name in (*NODES, "world"):
+                found[name] = int(stat[3])
+        time.sleep(0.02)
+    return found
+
+
+def test_a_flight_with_a_state_fault():
+    wrong = fault("planning.waypoint", "x", 4.0, 55)
+    scenario = short(autopilot="hardened")
+    log = there(scenario, wrong)
+    same(log, fly_here(scenario, wrong).log)
+    assert log.injections[0].activated
+    assert log.digest() != fly_here(scenario).log.digest()
+
+
+@pytest.mark.parametrize(
+    ("failure", "options"),
+    [
+        (SensorFault("motor", "slow", 3_000_000, instance=2), {}),
+        (SensorFault("depth_camera", "garbage", 2_000_000, 1.5, seed=4), {"localization": "estimator"}),
+        pytest.param(SensorFault("gyro", "wrong", 3_000_000), {}, marks=pytest.mark.long),
+        pytest.param(
+            SensorFault("position", "drift", 1_000_000), {"localization": "estimator"}, marks=pytest.mark.long
+        ),
+    ],
+)
+def test_a_sensor_or_motor_fails_as_in_one_process(failure, options):
+    scenario = short(**options)
+    log = there(scenario, failure)
+    same(log, fly_here(scenario, failure).log)
+    assert log.injections[0].activated
+    assert log.digest() != fly_here(scenario).log.digest()
+
+
+@pytest.mark.parametrize("name", ["gaussian", pytest.param("autoencoder", marks=pytest.mark.long)])
+def test_a_flight_with_a_fault_and_a_detector(name):
+    scenario = short()
+    wrong = fault("planning.waypoint", "x", 4.0, 62)
+    log = there(scenario, wrong, detector(name, scenario))
+    same(log, fly_here(scenario, wrong, detector(name, scenario)).log)
+    assert log.alarms
+
+
+@pytest.mark.long
+def test_a_flight_with_other_options_of_a_mission():
+    """Planner, map, wind, vehicle and speed reach the nodes."""
+    scenario = short(planner="rrt", map="octree", wind=1.0, v_max=2.0, autopilot="hardened")
+    same(there(scenario), fly_here(scenario).log)
+
+
+@pytest.mark.long
+def test_a_flight_with_a_fault_and_an_observer():
+    """As is the one with an injected estimate."""
+    scenario = short()
+    wrong = fault("planning.waypoint", "x", 4.0, 62)
+    log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
+    same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer")).log)
+    assert log.alarms
+
+
+@pytest.mark.long
+def test_a_flight_with_the_state_estimator():
+    """As is the next one, without the fault."""
+    scenario = short(localization="estimator")
+    log = there(scenario)
+    same(log, fly_here(scenario).log)
+    assert log.digest() != fly_here(short()).log.digest()
+    assert log.meta["publications"]["perception.odometry"] > 1000
+
+
+@pytest.mark.parametrize("coupling", ["observer", pytest.param("inline", marks=pytest.mark.long)])
+def test_an_injected_estimate_violates_its_rule(coupling):
+    scenario = short(localization="estimator")
+    wrong = fault("perception.odometry", "x", 3.0, 62)
+    log = there(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling))
+    same(log, fly_here(scenario, wrong, detector("acceptance", scenario), recovery=Recovery(coupling)).log)
+    assert log.injections[0].activated
+    assert (log.alarms[0].fields, log.alarms[0].action) == (("perception.odometry.x",), "recompute")
+
+
+def test_every_kind_of_recovery():
+    """Of a stage, by the setpoint generator, and of a stage that did not write what raised the alarm."""
+
+    def several():
+        return Chain(
+            Scripted("perception.collision_status", n=5, stage="perception"),
+            Scripted("control.command", n=130, stop=True),
+            Scripted("planning.waypoint", n=4, stage="control"),
+        )
+
+    log = there(short(), None, several())
+    same(log, fly_here(short(), None, several()).log)
+    assert [alarm.action for alarm in log.alarms].count("recompute") == 2
+    assert len(log.alarms) == 3
+
+
+def test_an_injector_that_was_killed_does_not_inject_again():
+    wrong = fault("control.command", "vy", 1.0, 3)
+    log = there(short(), wrong, kills=(("injector", 2_000_000),))
+    assert log.injections == fly_here(short(), wrong).log.injections
+    assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
+
+
+def test_a_killed_node_comes_back_and_the_flight_continues(capsys, tmp_path):
+    saved = tmp_path / "flight.npz"
+    assert run(["ros", "fly", "--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]) == 0
+    data = json.loads(capsys.readouterr().out)
+    lost, back = data["ros"]["lives"]
+    assert (lost["event"], lost["node"], lost["time_s"]) == ("node_lost", "octomap", 6.0)
+    assert (back["event"], back["node"], back["time_s"]) == ("node_back", "octomap", 7.0)
+    assert data["status"] == "success"
+    assert data["ros"]["nodes"] == list(NODES)
+    log = FlightLog.load(saved)
+    assert log.digest() == data["digest"]
+    # between its death and its return no map was made
+    gap = [event.time_us for event in log.events if event.kind.startswith("node")]
+    assert gap == [6_000_000, 7_000_000]
+
+
+LIVES = [("node_lost", "detector"), ("node_back", "detector")]
+"""What becomes of a detector that dies, or hangs, once."""
+
+
+def lives(log):
+    return [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
+
+
+@pytest.mark.parametrize("wrong", [None, fault("planning.waypoint", "x", 2.2, 40)], ids=["golden", "with an injector"])
+def test_a_detector_that_dies_blocks_nothing_until_it_is_back(wrong):
+    """The flight is the one without a detector, here, bit for bit."""
+    log = there(short(), wrong, Scripted(), kills=(("detector", 2_000_000),))
+    assert lives(log) == LIVES
+    same(replace(log, events=[event for event in log.events if not event.kind.startswith("node")]),
+         fly_here(short(), wrong).log)  # fmt: skip
+
+
+def test_alarms_without_end_get_a_few_recomputations_as_here():
+    alarming, limit = Scripted("control.command", times=10**6), Recovery(same_twice="limit")
+    log = there(short(), None, alarming, recovery=limit)
+    assert len(log.alarms) == MAX_UNCHANGED * (1 + int(log.column("time")[-1] // 10))
+    same(log, fly_here(short(), detector=alarming, recovery=limit).log)
+
+
+class Hanging(Scripted):
+    """A detector that does not come back from one call."""
+
+    def check(self, state, time_us):
+        if state.spec.name == "control.command" and 1_000_000 < time_us < 1_100_000:
+            time.sleep(3600)
+
+
+def test_a_hung_node_is_ended_and_restarted():
+    fly_here(short())  # what is compiled at its first use must not look like hanging
+    log = there(short(), None, Hanging(), patience_s=8.0)
+    assert lives(log) == LIVES
+    moment = log.column("time")
+    assert len(set(log.column("command_vx")[(moment > 1.2) & (moment < 1.9)])) > 1, "it blocks nothing"
+
+
+@pytest.mark.alone
+def test_time_passes_as_on_the_wall_if_wanted():
+    scenario = short()
+    flight = fly_there(Plan(scenario, configure(scenario), pace=2.0))
+    same(flight.flight.log, fly_here(scenario).log)
+    assert flight.times["flight"] >= 0.45 * flight.flight.log.column("time")[-1]
+
+
+@pytest.mark.alone
+def test_a_fault_in_a_register_of_a_node():
+    scenario = short()
+    for pace in (1.0, 0.3, 0.1):  # on a busy machine the tracer may attach only after a flight of five seconds
+        plan = Plan(
+            scenario, configure(scenario), register_faults=(fault_in_node("pid", 500_000),), pace=pace
+        )  # fmt: skip
+        log = fly_there(plan).flight.log
+        (injection,) = log.injections
+        if injection.activated:
+            break
+    assert injection.activated and injection.details["node"] == "pid", injection
+    assert int(injection.before, 16) ^ int(injection.after, 16) == 1 << injection.bit
+    expected = ("crash", "hang")
+    if not lives(log):
+        expected = ("masked",) if log.digest() == fly_here(scenario).log.digest() else ("sdc",)
+    assert effect(plan, log) in expected
+
+
+@pytest.mark.slow
+def test_a_flight_whose_supervisor_is_killed_is_a_failure_of_the_machine():
+    def kill(folder):
+        os.kill(int((folder / PID).read_text()), signal.SIGKILL)
+
+    before = set(Path(tempfile.gettempdir()).glob("mavfi-ros-*"))
+    scenario = short()
+    with pytest.raises(MachineError, match="^ROS: the process that starts the nodes was killed$"):
+        fly_there(Plan(scenario, configure(scenario)), tell=kill)
+    assert set(Path(tempfile.gettempdir()).glob("mavfi-ros-*")) <= before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
+def test_no_process_is_left_behind(number, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"], env={**os.environ, "TMPDIR": str(tmp_path)},
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    until = time.monotonic() + 120
+    while not (logs := list(tmp_path.glob("mavfi-ros-*/log/pid.out"))) and time.monotonic() < until:
+        time.sleep(0.05)
+    folder = logs[0].parents[1]
+    assert len(left_behind(folder)) > 3
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=30)
+    assert number == signal.SIGKILL or (process.returncode, stderr.count("\n")) == (130, 1)
+    until = time.monotonic() + 20
+    while (left_behind(folder) or folder.exists()) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert left_behind(folder) == []
+    assert not folder.exists()
+
+
+def test_a_flight_that_fails_says_where_to_look(capsys, tmp_path, monkeypatch):
+    from mavfi.extras.ros.ros1 import session
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(session.sys, "executable", "/bin/false")
+    assert run(["ros", "fly"]) == 1
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1 and "logs: " in text
+
+
+class Crashing(Scripted):
+    """A detector that fails once in its first life."""
+
+    def check(self, state, time_us):
+        if state.spec.name == "control.command" and 1_000_000 < time_us < 1_100_000:
+            raise ZeroDivisionError
+
+
+def test_a_node_whose_code_fails_dies_and_is_restarted():
+    assert lives(there(short(), None, Crashing())) == LIVES
+
+
+def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(MavfiError, match=r"ROS: the flight failed: .*stage 'propulsion'.*; logs: "):
+        there(short(), None, Scripted("control.command", n=10, stage="propulsion"))

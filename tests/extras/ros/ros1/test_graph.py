@@ -1,0 +1,120 @@
+"""Who publishes what to whom: derived from the kernels, with and without nodes in the way."""
+
+from functools import cache
+
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.extras.bench.sealed import Checksum, Duplicate
+from mavfi.extras.ros.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
+from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.session import configure, isolation
+from mavfi.flight.assemble import new_loop
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import PERIODIC, STATES, Stage
+from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, mission
+
+
+@cache
+def pipeline():
+    return build_pipeline(configure(mission()))
+
+
+def ways(injected):
+    return Graph(pipeline(), injected).ways
+
+
+def test_every_kernel_is_run_by_one_node():
+    nodes = Graph(pipeline()).nodes
+    assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(pipeline())
+    assert nodes["planner"] == ("planner", "trajectory")
+
+
+def test_without_taps_values_go_straight_to_their_readers():
+    found = ways(None)
+    written = {state for kernel in pipeline().values() for state in kernel.writes}
+    assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
+    for name, way in found.items():
+        assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
+        assert way.nodes == (way.writer,)
+    assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
+    assert found["planning.path"].readers == ("planner",)
+
+
+@pytest.mark.parametrize("detector", [Checksum(), Duplicate()])
+def test_detectors_that_take_part_in_what_is_not_published_are_refused(detector):
+    with pytest.raises(
+        BadInputError, match=rf"{type(detector).__name__}: takes part in what is not published; allowed"
+    ):
+        Plan(scenario := mission(), configure(scenario), detector=detector)
+
+
+def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
+    plan = Plan(scenario := mission(localization="estimator"), configure(scenario))
+    found = plan.graph.ways
+    assert plan.nodes[0] == "state_estimation" and "sensor.odometry" not in found
+    for sensor in ("sensor.imu", "sensor.position"):
+        assert (found[sensor].writer, found[sensor].readers) == (WORLD, ("state_estimation",))
+    estimate = found["perception.odometry"]
+    assert estimate.writer == "state_estimation"
+    assert estimate.readers == ("collision_check", "planner", "waypoint", "pid")
+    assert plan.world_listens("perception.odometry")
+
+
+def test_an_injector_sits_at_one_state():
+    found = ways("planning.waypoint")
+    way = found["planning.waypoint"]
+    assert (way.first, way.nodes, way.sender) == (f"{way.final}/raw", ("waypoint", INJECTOR), INJECTOR)
+    assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
+
+
+def test_the_world_and_a_detector_read_all():
+    plan = Plan(scenario := mission(), configure(scenario), detector=Scripted())
+    assert plan.nodes[-1] == DETECTOR
+    assert not plan.world_listens("sensor.depth") and plan.world_listens("perception.point_cloud")
+    assert plan.listeners("sensor.depth") == 2 and plan.listeners("control.command") == 2
+    assert plan.published_at_once() == frozenset()
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_only_triggers_make_steps_due(autopilot):
+    seen = set()
+
+    def watch_inputs(kernel):
+        receive = kernel.receive
+
+        def watched(state, time_us):
+            due = receive(state, time_us)
+            if due and kernel.name not in PERIODIC:
+                seen.add((kernel.name, state.spec.name))
+            return due
+
+        kernel.receive = watched
+
+    loop = new_loop(mission(autopilot))
+    for kernel in loop.kernels.values():
+        watch_inputs(kernel)
+    loop.fly()
+    faces = Graph(pipeline()).faces.values()
+    assert seen and seen <= {(face.name, state) for face in faces for state in face.triggers}
+    assert not any(face.triggers for face in faces if face.name in PERIODIC)
+
+
+def test_a_kernel_that_says_nothing_is_asked_about_every_input():
+    class Plain:
+        name, stage, reads, writes = "plain", Stage.PERCEPTION, ("sensor.depth", "sensor.odometry"), ()
+
+    assert face_of(Plain()).triggers == Plain.reads
+
+
+def test_values_behind_an_injector_are_held_until_they_count():
+    plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
+    assert plan.nodes == (*Graph(pipeline()).nodes, INJECTOR)
+    assert plan.published_at_once() == set(plan.graph.ways) - {"planning.waypoint"}
+
+
+def test_without_a_private_network_there_is_no_flight(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(BadInputError, match=r"no private network.*--allow-bind-all"):
+        isolation()
+    assert isolation(allow_bind_all=True) == []

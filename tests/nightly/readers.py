@@ -1,0 +1,684 @@
+"""Every reader of files and texts that others may have written, with sound examples of what it reads."""
+
+import contextlib
+import copy
+import functools
+import hashlib
+import io
+import itertools
+import json
+import os
+import sqlite3
+import struct
+import tempfile
+import zipfile
+import zlib
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import yaml
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from mavfi.analysis import VIEWS, Runs, table
+from mavfi.campaign.config import load_campaign
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.integrity import (
+    BOUND,
+    IDENTITY,
+    PLANNED,
+    TABLES,
+    checksum_of,
+    meta_checksum,
+    mission_checksum,
+    salt_of,
+)
+from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
+from mavfi.campaign.names import check_names
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.repair import repair
+from mavfi.campaign.replay import setup_of_run
+from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.shard import WHOLE
+from mavfi.campaign.store import SCHEMA, Store
+from mavfi.campaign.training import KeptRecordings
+from mavfi.cli.export import _write
+from mavfi.config import AutopilotConfig, PlatformConfig, load
+from mavfi.config import shipped as find_shipped
+from mavfi.detectors.model import Model
+from mavfi.detectors.recorder import WATCHED, Recorder
+from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
+from mavfi.errors import BadInputError
+from mavfi.extras.paper.study import load_study
+from mavfi.extras.ros.cli_attach import trained_on_file
+from mavfi.faults.spec import StateRequest, parse
+from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import find_environment, find_planner, resolve
+from mavfi.mission import MissionSpec, MissionStatus
+from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
+from mavfi.sim.environments import build_world, environment_for_file
+from mavfi.sim.mjcf import find_vehicle
+from mavfi.states import STATES, new_state
+from tests.core.unit.campaign.fakes import golden_profile, small
+from tests.core.unit.sim.environments.octrees import bits, tree_of, values
+from tests.nightly.mutations import NUMBERS, RAW, RAW_JSON, TEXTS, changed, mangled, to_json, to_yaml
+
+ROOT = Path(__file__).parents[2]
+CORPUS = Path(__file__).parent / "corpus"
+ENDS = {"start": (1.0, 1.0, 1.5), "goal": (5.0, 1.0, 1.5)}
+LEDGER = "campaign.sqlite"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader.
+
+    Attributes:
+        name: As in ONLY and in the corpus.
+        file: Name of the file that it reads.
+        seeds: Gives what its mutations begin with.
+        encode: Makes the content of a file of a seed.
+        mutate: Makes the content of a file of a random stream and the seeds.
+        read: Reads a file; it may raise a `BadInputError`, or leave a result.
+        share: Inputs of a thousand.
+        warm: Whether children may inherit what it has imported and compiled; threads of polars do not survive a fork.
+        command: Words of the command that reads it, with `{}` for the file, used for inputs that are refused.
+    """
+
+    name: str
+    file: str
+    seeds: object
+    encode: object
+    mutate: object
+    read: object
+    share: int
+    command: tuple = ()
+    warm: bool = True
+
+
+# ---- YAML --------------------------------------------------------------------------------------------------------
+def shipped(*patterns):
+    """Plain data of shipped files."""
+    files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+    return [yaml.safe_load(path.read_text(encoding="utf-8")) for path in files]
+
+
+def mutate_yaml(draw, seeds):
+    """Structure first, then in one of five cases bytes."""
+    data = to_yaml(changed(draw.choice(seeds), draw, seeds, RAW), draw.choice((None, True)))
+    return mangled(data, draw) if draw.random() < 0.2 else data
+
+
+def fly_nowhere(path, option, find):
+    """Find what a file describes; of every eighth, build the whole mission up to its first step."""
+    found = find(str(path))
+    if zlib.crc32(path.read_bytes()) % 8 == 0:
+        scenario = resolve(MissionSpec(**{"environment": "farm", "seed": 7, option: str(path)}))
+        new_loop(scenario)
+    return found
+
+
+def find_world(name):
+    """An environment and its world."""
+    environment = find_environment(name)
+    build_world(environment, 7)
+
+
+def read_vehicle(path):
+    """A vehicle must hover, and be a rigid body."""
+    vehicle = fly_nowhere(path, "vehicle", find_vehicle)
+    assert 4 * vehicle.max_rotor_thrust > 9.80665 * vehicle.mass > 0, "does not hover"
+    x, y, z = sorted(vehicle.inertia)
+    assert 0 < x and z <= (x + y) * 1.001, "no rigid body has this inertia"
+    assert 0 < vehicle.max_tilt < np.pi / 2, "tilts over"
+
+
+def read_campaign(path):
+    """As `mavfi campaign run` begins, at each of its scales."""
+    campaign = load_campaign(path)
+    for scale in ("quick", *campaign.scales):
+        sized = campaign.at_scale(scale)
+        check_names(sized, str(path))
+        scenarios = scenarios_of(sized, arms_of(sized))
+        assert plan_of(sized, model_hashes(sized, scenarios, None), scenarios).count(WHOLE)
+
+
+def read_study(path):
+    """As `mavfi reproduce` begins."""
+    load_study(path).campaigns_at("quick")
+
+
+# ---- text on the command line --------------------------------------------------------------------------------------
+FAULTS = (
+    "null", "state:planning.waypoint.x", "state:planning.trajectory.x[3]:bit=62@5.0",
+    "state:planning.waypoint",
+    "instruction:pid", "instruction:rrt_connect:which=opcode:fadd",
+    "instruction:octomap:which=floating_point:model=zero",
+    "instruction:pid:which=line:pid.py:10-20", "state:perception.collision_status.time_to_collision:bit=3@1e1",
+)  # fmt: skip
+
+
+def mutate_fault(draw, seeds):
+    """Parts of faults, and bytes."""
+    text = draw.choice(seeds)
+    if draw.random() < 0.6:
+        parts = [part for seed in seeds for part in seed.replace("@", ":@").split(":")] + [
+            *TEXTS[:30],
+            *map(str, NUMBERS),
+        ]
+        words = text.split(":")
+        words[draw.randrange(len(words))] = draw.choice(parts)
+        text = draw.choice((":", ":", "@", "[")).join(words)
+    data = text.encode("utf-8", "replace")
+    return mangled(data, draw) if draw.random() < 0.6 else data
+
+
+def read_fault(path):
+    """Faults of a host with two levels and of all, and the draw of what was not named."""
+    text = path.read_bytes().decode("utf-8", "surrogateescape")
+    with contextlib.suppress(BadInputError):
+        parse(text, levels=("state", "sensor"))
+    request = parse(text)
+    if isinstance(request, StateRequest):
+        request.resolve(1, "published", golden_profile(1))
+
+
+# ---- maps ----------------------------------------------------------------------------------------------------------
+def maps():
+    """A room of 8 x 4 x 4 m with a wall, in both formats."""
+    half, header = 1 << 15, b"id OcTree\nsize 1\nres 0.5\ndata\n"
+    voxels = {(half + i, half + j, half + k): i == 13 and j < 4 for i in range(16) for j in range(8) for k in range(8)}
+    tree = tree_of(voxels)
+    return [
+        b"# Octomap OcTree binary file\n" + header + bits(tree), b"# Octomap OcTree file\n" + header + values(tree)
+    ]  # fmt: skip
+
+
+def mutate_map(draw, seeds):
+    """Its header, or its nodes."""
+    data = draw.choice(seeds)
+    head, mark, body = data.partition(b"data\n")
+    if draw.random() < 0.3:
+        lines = head.splitlines()
+        number = draw.randrange(len(lines))
+        key = lines[number].split(b" ")[0]
+        values = (
+            [str(value).encode() for value in NUMBERS] + [text.encode() for text in TEXTS[:30]] + [b"0.001", b"100"]
+        )
+        lines[number] = draw.choice((b"", key, key + b" " + draw.choice(values), draw.choice(lines)))
+        head = b"\n".join(lines) + b"\n"
+        return head + mark + body
+    return head + mark + mangled(body, draw, [seed[60:] for seed in seeds])
+
+
+def read_map(path):
+    """As a mission in a scanned map begins."""
+    build_world(environment_for_file(path), 0, **ENDS)
+
+
+# ---- models --------------------------------------------------------------------------------------------------------
+def models():
+    """Shipped models, without their hash."""
+    found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(SHIPPED_MODELS.glob("*.json"))]
+    return [{key: value for key, value in model.items() if key != "sha256"} for model in found]
+
+
+def mutate_model(draw, seeds):
+    """Content first, then a hash that is right; in one of six cases bytes."""
+    content = changed(draw.choice(seeds), draw, seeds, RAW_JSON)
+    data = hashed(content)
+    return mangled(data, draw) if draw.random() < 0.15 else data
+
+
+def hashed(content):
+    """A model's file with the right hash."""
+    try:  # as the reader sees it
+        text = to_json(content)
+        seen = json.loads(text)
+        digest = hashlib.sha256(json.dumps(seen, sort_keys=True).encode()).hexdigest()
+    except (ValueError, TypeError, RecursionError):
+        return text
+    return text.rstrip()[:-1] + f', "sha256": "{digest}"}}'.encode()
+
+
+def read_model(path):
+    """Load it by the name that fits it, and let it judge what it would see in flight."""
+    Model.load(path)
+    text = path.read_bytes()
+    for kind, profile in itertools.product(("gaussian", "autoencoder"), ("paper", "tuned")):
+        for autopilot in ("published", "hardened"):
+            wanted = path.with_name(f"{autopilot}-i9-9940x-{kind}-{profile}.json")
+            if (
+                f'"{kind}"'.encode() not in text
+                or f'"{profile}"'.encode() not in text
+                or autopilot.encode() not in text
+            ):
+                continue
+            with contextlib.suppress(FileExistsError):
+                os.link(path, wanted)
+            fits = {"stack": autopilot, "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
+            detector, _ = load_detector(kind, profile, path.parent, fits)
+            detector.start()
+            for name, value in itertools.product(STATES, (0.5, 0.75, 1e3, -2.0)):
+                state = new_state(name)
+                for field in state.header.dtype.names or ():
+                    state.header[field] = value if state.header.dtype[field].kind == "f" else abs(int(value))
+                alarm = detector.check(state, 1000)
+                assert alarm is None or alarm.score >= 0, f"score {alarm.score}"
+                detector.accept(state, 1000)
+            return
+
+
+# ---- archives of NumPy ---------------------------------------------------------------------------------------------
+def flights():
+    """A short flight, as arrays and a record."""
+    rows = np.zeros((6, len(COLUMNS)))
+    rows[:, 0], rows[:, 1], rows[:, 7] = np.arange(6) * 0.1, np.arange(6), 1.0
+    scenario = resolve(MissionSpec(environment="sparse", seed=7))
+    log = FlightLog(
+        rows, MissionStatus.SUCCESS, [Event(0, "plan", {"vertices": 3}), Event(5, "end")],
+        [Injection("state", "planning.waypoint.x", 0.2, 62, 1.0, 2.0, activated=True)],
+        [AlarmRecord(0.2, "gaussian", "planning.waypoint", "planning", 2.0, ("planning.waypoint.x",))],
+        {"scenario": scenario.to_json(), "course_m": 5.0}, KernelEffect("sdc"),
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        log.save(Path(folder) / "flight.npz")
+        with np.load(Path(folder) / "flight.npz") as archive:
+            return [{name: archive[name] for name in archive.files}]
+
+
+def recordings():
+    """A recording of publications, as of training."""
+    recorder = Recorder()
+    for name in ("sensor.odometry", "planning.waypoint", "control.command"):
+        recorder.accept(new_state(name), 1000)
+    found = recorder.recording()
+    return [{"kinds": found.kinds, "times_us": found.times_us, "content": found.content}]
+
+
+class Trap:
+    """Unpickled, it ends the process."""
+
+    def __reduce__(self):
+        return os._exit, (3,)
+
+
+def mutate_archive(draw, seeds):
+    """Arrays, then members of the archive; in one of four cases bytes."""
+    arrays = dict(draw.choice(seeds))
+    if draw.random() < 0.001:
+        return bomb(next(iter(arrays)))
+    if "record" in arrays and draw.random() < 0.5:
+        record = json.loads(str(arrays["record"]))
+        text = to_json(changed(record, draw, [record], RAW_JSON)).decode()
+        arrays["record"] = np.array(text)
+    else:
+        for _ in range(draw.choice((1, 1, 2))):
+            if arrays:
+                _change_array(arrays, draw.choice(list(arrays)), draw)
+    data = packed(arrays, draw)
+    return mangled(data, draw) if draw.random() < 0.25 else data
+
+
+def _change_array(arrays, name, draw):
+    """Take an array away, give it another name, or put another in its place."""
+    array, kind = arrays.pop(name), draw.randrange(12)
+    if kind == 1:
+        arrays[draw.choice((*TEXTS[1:3], "x", "record", "y"))] = array
+    elif kind > 1:
+        arrays[name] = draw.choice(_others(array, draw))
+
+
+_TYPES = ("f2", "f4", ">f8", "i1", "u8", "c16", "U8", "S3", "?", "M8[s]", "m8[us]")
+
+
+def _others(array, draw):
+    """What may stand in an array's place."""
+    found = [
+        np.array([Trap()], dtype=object), np.zeros(0, array.dtype), np.stack([array, array]),
+        np.array(draw.choice(NUMBERS)), np.array(draw.choice(("", "{}", "[]", "null", "{", '{"status": 3}', "\x00"))),
+        np.zeros(3, [("a", "f8"), ("b", "i4")]), np.repeat(array, draw.choice((2, 3))),
+        np.full(draw.choice((1, 5, 7, 100_000)), draw.choice((0.0, np.nan, -1.0))),
+    ]  # fmt: skip
+    if array.dtype.kind in "fiu":
+        found.append(array.astype(draw.choice(_TYPES)))
+    if array.dtype.kind == "f":
+        struck = np.arange(array.size) == draw.randrange(max(1, array.size))
+        found.append(np.where(struck.reshape(array.shape), draw.choice(NUMBERS), array))
+    return found
+
+
+def packed(arrays, draw=None):
+    """A zip archive of .npy members; with a random stream, some lie about their size."""
+    buffer, lie = io.BytesIO(), draw.randrange(20) if draw else 2
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for place, (name, array) in enumerate(arrays.items()):
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asarray(array), allow_pickle=True)
+            content = member.getvalue()
+            if place == 0 and lie == 0:
+                shape, text = np.shape(array), draw.choice(("(10000000000,)", "(-1,)", "(3, 99999999)", "(1e3,)", "[]"))
+                content = content.replace(str(shape).encode(), text.encode(), 1)
+            if place == 0 and lie == 1:
+                content = content[: draw.randrange(len(content))]
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content)  # of no time: inputs repeat
+    return buffer.getvalue()
+
+
+@functools.cache
+def bomb(name):
+    """An archive with an array of 0.3 GB, which is much smaller itself."""
+    buffer, header = io.BytesIO(), {"descr": "<f8", "fortran_order": False, "shape": (38_000_000,)}
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open(f"{name}.npy", "w") as member:
+            np.lib.format.write_array_header_1_0(member, header)
+            for _ in range(19):
+                member.write(bytes(16_000_000))
+    return buffer.getvalue()
+
+
+def read_flight(path):
+    """As `mavfi export` does, in two formats."""
+    log = FlightLog.load(path)
+    for ending in (".csv", ".bag"):
+        to = path.with_name(f"out{ending}")
+        try:
+            _write(log, to, str(path), published=None, golden=None)
+        finally:
+            to.unlink(missing_ok=True)
+
+
+def read_recording(path):
+    """As a training that is resumed does; what cannot be read counts as absent."""
+    disk = KeptRecordings.__new__(KeptRecordings)
+    disk._folder = path.parent
+    for recording in disk.load([0]).values():
+        for name in WATCHED:
+            recording.headers(name)
+
+
+# ---- ledgers -------------------------------------------------------------------------------------------------------
+@functools.cache
+def _flown():
+    """Content of a ledger of made-up flights, all of its JSON as plain data."""
+    os.environ["MAVFI_ALLOW_PLUGINS"] = "all"
+    with tempfile.TemporaryDirectory() as folder:
+        run_campaign(small(missions=1, faults=1, environments=["sparse"]), Path(folder), executor=LocalExecutor(1))
+        with closing(sqlite3.connect(Path(folder) / LEDGER)) as ledger:
+            meta = {key: json.loads(value) for key, value in ledger.execute("SELECT key, value FROM meta")}
+            runs = [list(row) for row in ledger.execute(f"SELECT {PLANNED}, record, note, wall_s FROM runs")]
+            missions = [list(row) for row in ledger.execute("SELECT environment, seed FROM missions")]
+    del os.environ["MAVFI_ALLOW_PLUGINS"]
+    for row in runs:
+        row[6:8] = json.loads(row[6]), json.loads(row[7])
+    meta["identity"]["campaign"]["host"] = "local"
+    for arm in meta["identity"]["campaign"]["arms"].values():
+        arm["detector"] = "gaussian"
+    return {"meta": meta, "runs": runs, "missions": missions}
+
+
+def ledgers():
+    """A ledger, and one with half of its runs flown."""
+    half = copy.deepcopy(_flown())
+    for row in half["runs"][1::2]:
+        row[7:] = None, "", None
+    return [_flown(), half]
+
+
+def mutate_ledger(draw, seeds):
+    """Content, then checksums that are right; in one of six cases bytes or tables."""
+    content = draw.choice(seeds)
+    content = changed(content, draw, seeds, RAW_JSON)
+    data = ledger_of(content, draw.choice(_TRICKS) if draw.random() < 0.06 else "")
+    return mangled(data, draw) if draw.random() < 0.15 else data
+
+
+def tricks():
+    """What is done to the tables of a ledger."""
+    return _TRICKS
+
+
+_ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT"
+_TRICKS = (
+    f"DROP TABLE meta; CREATE VIEW meta AS {_ENDLESS} x AS key, x AS value, x AS checksum FROM n;",
+    f"ALTER TABLE runs RENAME TO old; CREATE VIEW runs AS SELECT old.* FROM old, ({_ENDLESS} x FROM n);",
+    "DROP TABLE missions;", "DROP TABLE runs; CREATE TABLE runs (run_id);", "DELETE FROM meta;",
+    "PRAGMA user_version = 2;", "PRAGMA user_version = 99;", "CREATE TABLE more (x);", "DELETE FROM runs;",
+    "ALTER TABLE meta ADD COLUMN x TEXT GENERATED ALWAYS AS (hex(zeroblob(900000000))) VIRTUAL;",
+    "DROP TABLE meta; CREATE TABLE meta (key, value AS (hex(zeroblob(900000000))), checksum);",
+    "CREATE TRIGGER t AFTER INSERT ON meta BEGIN DELETE FROM runs; END;",
+    "DROP TABLE missions; CREATE TABLE missions (environment, seed, checksum, more);",
+)  # fmt: skip
+
+
+def ledger_of(content, trick=""):
+    """A ledger's file whose checksums are right."""
+    with closing(sqlite3.connect(":memory:")) as ledger:
+        ledger.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA}; COMMIT;")
+        for key, value in sorted(_rows(content, "meta"), key=lambda row: str(row[0]) not in (IDENTITY, BOUND)):
+            cells = [_cell(key), to_json(value).decode()]
+            _insert(ledger, "meta (key, value, checksum)", cells, meta_checksum(*cells, salt_of(ledger)))
+        salt = salt_of(ledger)
+        for row in _rows(content, "runs"):
+            if isinstance(row, list):
+                cells = [_cell(cell, json=place in (6, 7)) for place, cell in enumerate(row[:10])]
+                _insert(ledger, f"runs ({PLANNED}, record, note, wall_s, checksum)", cells, checksum_of(*cells, *salt))
+        for row in _rows(content, "missions"):
+            if isinstance(row, list) and len(row) == 2:
+                world = tuple(map(_cell, row))
+                values = (*world, mission_checksum(ledger, world, salt))
+                with contextlib.suppress(sqlite3.Error):
+                    ledger.execute("INSERT INTO missions VALUES (?, ?, ?)", values)
+        ledger.commit()
+        if trick:
+            ledger.executescript(trick)
+        return ledger.serialize()
+
+
+def _rows(content, name):
+    found = content.get(name, [])
+    if name == "meta":
+        return list(found.items()) if isinstance(found, dict) else []
+    return found if isinstance(found, list) else []
+
+
+def _cell(value, json=False):
+    if json and value is not None:
+        return to_json(value).decode()
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        return str(value)
+    return value if isinstance(value, (int, float, str, type(None))) else to_json(value).decode()
+
+
+def _insert(ledger, place, cells, checksum):
+    marks = ", ".join("?" * (len(cells) + 1))
+    with contextlib.suppress(sqlite3.Error, UnicodeEncodeError):
+        ledger.execute(f"INSERT INTO {place} VALUES ({marks})", (*cells, checksum))
+
+
+def read_ledger(path):
+    """Everything that reads a ledger, up to the flights."""
+    directory = path.parent
+    runs = Runs.read(directory)
+    status(directory)
+    if zlib.crc32(path.read_bytes()) % 8 == 0:
+        for view in VIEWS:
+            table(runs, view)
+    with Store.open(directory) as store:
+        for run in itertools.islice(store.runs(), 2):
+            setup_of_run(store, run.spec)
+
+
+def read_damaged(path):
+    """As `mavfi campaign repair` does; what it leaves is sound."""
+    repair(path.parent)
+    Store.open(path.parent).close()
+
+
+# ---- ROS bags ------------------------------------------------------------------------------------------------------
+def bags():
+    """Two topics, one with a list."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "flight.bag"
+        with Writer(path) as writer:
+            number = writer.add_connection("/a", "std_msgs/msg/Float64", typestore=types)
+            joints = writer.add_connection("/b", "sensor_msgs/msg/JointState", typestore=types)
+            for step in range(60):
+                writer.write(number, 1 + 1_000_000 * step, struct.pack("<d", 0.5 * step))
+                names = struct.pack("<IIIII", step, step, 0, 0, 1) + struct.pack("<I1s", 1, b"j")
+                lists = b"".join(struct.pack("<Id", 1, 0.1 * step) for _ in range(3))
+                writer.write(joints, 2 + 1_000_000 * step, names + lists)
+        return [path.read_bytes()]
+
+
+def mutate_bag(draw, seeds):
+    """Its text (types, topics, definitions) by words of the same length or another, and bytes."""
+    data = draw.choice(seeds)
+    if draw.random() < 0.4:
+        words = (
+            b"float64",
+            b"string",
+            b"JointState",
+            b"position",
+            b"std_msgs",
+            b"Header",
+            b"stamp",
+            b"/a",
+            b"/b",
+            b"[]",
+        )
+        old, new = (
+            draw.choice(words),
+            draw.choice((*words, b"int8", b"[4000000000]", b"x", b"", b"\xff\xfe", b"bool[9]")),
+        )
+        at = draw.randrange(max(1, data.count(old)))
+        parts = data.split(old)
+        if draw.random() < 0.7:
+            new = new[: len(old)].ljust(len(old))
+        return old.join(parts[: at + 1]) + new + old.join(parts[at + 1 :])
+    return mangled(data, draw, seeds)
+
+
+def read_bag(path):
+    """As `mavfi ros watch --train` does, up to the trained detector."""
+    trained_on_file(path, ["/a", "/b"], {}, ("gaussian", "tuned"), [])
+
+
+# ---- MJCF ----------------------------------------------------------------------------------------------------------
+def bodies():
+    """The example's model."""
+    return [(ROOT / "examples" / "vehicle" / "courier.xml").read_bytes()]
+
+
+def mutate_body(draw, seeds):
+    """Elements and attributes of XML, and bytes."""
+    if draw.random() < 0.3:
+        return mangled(draw.choice(seeds), draw)
+    if draw.random() < 0.03:
+        return draw.choice(_XML)
+    tree = ElementTree.fromstring(draw.choice(seeds))
+    for _ in range(draw.choice((1, 1, 2))):
+        nodes = list(tree.iter())
+        node, other = draw.choice(nodes), draw.choice(nodes)
+        kind = draw.randrange(5)
+        if kind == 0 and len(node):
+            node.remove(draw.choice(list(node)))
+        elif kind == 1 and node.attrib:
+            key = draw.choice(list(node.attrib))
+            node.set(key, draw.choice((*map(str, NUMBERS), "", "x", "1 2 3", "0 0 0", "1 " * 50, node.get(key) + " 1")))
+        elif kind == 2 and node is not tree:
+            node.append(copy.deepcopy(other) if other is not tree else ElementTree.Element("freejoint"))
+        elif kind == 3:
+            node.tag = draw.choice(
+                ("geom", "body", "joint", "freejoint", "include", "replicate", "x", "inertial", "site")
+            )
+        else:
+            node.set(draw.choice(_ATTRIBUTES), draw.choice(_VALUES))
+    return ElementTree.tostring(tree)
+
+
+_ATTRIBUTES = ("mass", "size", "pos", "type", "mesh", "file", "name", "class", "count", "quat")
+_VALUES = ("1e30", "-1", "0", "mesh", "sphere", "/dev/zero", "model.xml", "999999999", "1 0 0 0")
+_FREE = b'<worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+_XML = (
+    b"<mujoco>" + b"<worldbody>" * 100_000,
+    b"<mujoco><worldbody>" + b"<body>" * 20_000 + b"</body>" * 20_000 + b"</worldbody></mujoco>",
+    b'<mujoco><include file="model.xml"/></mujoco>',
+    b'<mujoco><include file="/dev/zero"/></mujoco>',
+    b'<mujoco><asset><mesh file="/dev/zero" name="a"/></asset><worldbody><body><freejoint/><geom type="mesh" mesh="a"/>'
+    b"</body></worldbody></mujoco>",
+    b'<mujoco><asset><texture type="2d" name="t" builtin="flat" width="2000000000" height="2000000000"/></asset>'
+    b'<worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>',
+    b'<mujoco><worldbody><body><freejoint/><replicate count="100000000"><geom size="0.1"/></replicate></body>'
+    b"</worldbody></mujoco>",
+    b'<mujoco><size memory="900G"/>' + _FREE,
+    b'<mujoco><size nuserdata="2000000000"/>' + _FREE,
+    b'<mujoco><asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset><worldbody><body><freejoint/>'
+    b'<geom type="hfield" hfield="h"/></body></worldbody></mujoco>',
+    b'<mujoco><extension><plugin plugin="mujoco.sdf.torus"/></extension></mujoco>',
+    b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><mujoco model="&b;"/>',
+    b"<robot name='r'><link name='base'/></robot>",
+)  # fmt: skip
+
+
+def read_body(path):
+    """As the vehicle of a mission."""
+    content = (ROOT / "examples" / "vehicle" / "courier.yaml").read_text(encoding="utf-8")
+    vehicle = path.with_name("courier.yaml")
+    vehicle.write_text(content.replace("courier.xml", path.name), encoding="utf-8")
+    read_vehicle(vehicle)
+
+
+def _scan():
+    """An environment of a scanned map, which is not there."""
+    return {"name": "scan", "generator": "octomap_file", "parameters": {"path": "scan.bt"}, "v_max": 0.6}
+
+
+_FOLDERS = {"study": "studies"}
+
+
+def of_yaml(name, read, share, command=(), more=()):
+    """A reader of YAML files like the shipped ones."""
+    return Reader(
+        name, "x.yaml", lambda: [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more], to_yaml,
+        mutate_yaml, read, share, command,
+    )  # fmt: skip
+
+
+def of_option(name, option, share, find, more=()):
+    """A reader of YAML files that an option of `mavfi fly` names."""
+    command = ("fly", f"--{option}", "{}")
+    return of_yaml(name, lambda path: fly_nowhere(path, option, find), share, command, more)
+
+
+READERS = {
+    reader.name: reader
+    for reader in (
+        of_option("environment", "environment", 110, find_world, (_scan(),)),
+        of_yaml("vehicle", read_vehicle, 110, ("fly", "--vehicle", "{}")),
+        of_option("planner", "planner", 70, find_planner),
+        of_option("autopilot", "autopilot", 100, partial(find_shipped, "autopilots", AutopilotConfig)),
+        of_option("platform", "platform", 80, partial(find_shipped, "platforms", PlatformConfig)),
+        of_yaml("campaign", read_campaign, 45),
+        of_yaml("study", read_study, 30, ("reproduce", "--study", "{}")),
+        of_yaml("detector", lambda path: load(DetectorConfig, path), 90),
+        Reader("fault", "x.txt", lambda: FAULTS, str.encode, mutate_fault, read_fault, 150, ("fly", "--fault={text}")),
+        Reader("map", "x.bt", maps, bytes, mutate_map, read_map, 60, ("fly", "--environment", "{}")),
+        Reader("model", "x.json", models, hashed, mutate_model, read_model, 60),
+        Reader(
+            "flight", "x.npz", flights, packed, mutate_archive, read_flight, 22, ("export", "{}", "--to", "out.csv")
+        ),
+        Reader("recording", "0.npz", recordings, packed, mutate_archive, read_recording, 20),
+        Reader("ledger", LEDGER, ledgers, ledger_of, mutate_ledger, read_ledger, 12, ("runs", "{folder}"), warm=False),
+        Reader(
+            "damaged", LEDGER, ledgers, ledger_of, mutate_ledger, read_damaged, 10, ("campaign", "repair", "{folder}")
+        ),
+        Reader("bag", "x.bag", bags, bytes, mutate_bag, read_bag, 20),
+        Reader("mjcf", "model.xml", bodies, bytes, mutate_body, read_body, 20),
+    )
+}

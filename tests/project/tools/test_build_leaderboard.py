@@ -1,0 +1,198 @@
+"""The worth of each rule is that of the ledgers; bad input is one line."""
+
+import itertools
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mavfi.analysis.statistics import Rate
+from mavfi.analysis.views import VIEWS
+from mavfi.errors import BadInputError
+from mavfi.extras.bench.bench import load_bench, published_rows
+from tests.core.unit.analysis.handmade import INSTRUCTION, alarm, died, flown, golden, injected, runs
+from tools import build_leaderboard, results
+from tools.build_leaderboard import LOST_ALONE, NAME, OBSERVER, RULES, headline, main, merged, rules, summary
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """One fault at each target, lost without a scheme; learned ones bring back way-points, the recommended one all."""
+    arms = ("gaussian", "recommended", "readback", "autoencoder")
+    base = [golden(1), *(golden(1, arm=arm) for arm in arms)]
+    sites, dead = list(base), list(base)
+    lost = flown(success=False)
+    for place, target in enumerate(RULES):
+        sites.append(injected(1, lost, index=place, target=target))
+        for arm in (*arms[:2], arms[3]):
+            back = arm == "recommended" or target == "way-point"
+            sites.append(injected(1, flown() if back else lost, index=place, target=target, arm=arm))
+    kernel = replace(INSTRUCTION, kernel="rrt_connect")
+    dead.append(injected(1, died(success=False), kernel, target="rrt_connect"))
+    for arm in arms:
+        dead.append(injected(1, died(success=arm == "recommended"), kernel, arm=arm, target="rrt_connect"))
+    ledgers = {"sites": runs(*sites), "instruction": runs(*dead)}
+
+    def stored(folder):
+        if folder.name not in ledgers:
+            raise BadInputError("no ledger")
+        return ledgers[folder.name]
+
+    monkeypatch.setattr(build_leaderboard, "load", stored)
+    return Path("bench")
+
+
+def test_each_rule_has_its_faults(bench):
+    lines = rules(bench / "sites", bench / "instruction").splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert [row[0] for row in cells] == ["1", "1", "2", "2", "3", "4", "5"]
+    assert all(row[2] == "1" for row in cells)
+    assert [row[3].split()[0] for row in cells] == ["0.0", "0.0", "0.0", "0.0", "0.0", "100.0", "0.0"]
+    assert all(row[4].startswith("100.0") for row in cells)
+
+
+def test_the_headline_counts_what_comes_back(bench):
+    lines = headline(bench).splitlines()
+    assert [line for line in lines if line.startswith("| a")] == [
+        "| a value between kernels, fields and bits that lose most | 6 | 1 (17 %) | 1 (17 %) | 6 (100 %) |",
+        "| an instruction of the planner | 1 | 0 (0 %) | 0 (0 %) | 1 (100 %) |",
+    ]
+    assert not any("alarms" in line for line in lines), "no golden flights, and no fault is moved by them"
+    assert not any("remembers" in line for line in lines), "not flown"
+
+
+def test_the_headline_has_the_false_alarms_of_golden_flights(bench, monkeypatch):
+    stored = build_leaderboard.load
+    quiet, noisy = flown(injections=()), flown(injections=(), alarms=[alarm(1.0)], alarms_total=1)
+    arms = {"gaussian": noisy, "autoencoder": quiet, "recommended": quiet}
+    places = ("dense", "sparse")
+    own = [golden(1, environment=place) for place in places]
+    own += [golden(1, end, arm=arm, environment=place) for arm, end in arms.items() for place in places]
+    own = runs(*own)
+    monkeypatch.setattr(build_leaderboard, "load", lambda folder: own if folder.name == "golden" else stored(folder))
+    sentence = headline(bench).splitlines()[-1]
+    assert re.search(r"72\.0 \[[^]]+\] \(`gaussian`\), 0\.0 \[[^]]+\] \(`autoencoder`\), 0\.0", sentence), sentence
+
+
+def test_the_headline_says_of_how_many_where_a_scheme_moves_the_faults(monkeypatch):
+    arms = ("gaussian", "recommended", "autoencoder")
+    kernel = replace(INSTRUCTION, kernel="rrt_connect")
+    own = [golden(seed, arm=arm) for seed in (1, 2) for arm in ("", *arms)]
+    own += [injected(seed, died(success=False), kernel, target="rrt_connect") for seed in (1, 2)]
+    for seed, arm in itertools.product((1, 2), arms):
+        end = flown(time_s=0.4) if (seed, arm) == (1, "gaussian") else died(success=arm == "recommended")
+        own.append(injected(seed, end, kernel, arm=arm, target="rrt_connect"))
+
+    def stored(folder):
+        if folder.name != "instruction":
+            raise BadInputError("no ledger")
+        return runs(*own)
+
+    monkeypatch.setattr(build_leaderboard, "load", stored)
+    line = "| an instruction of the planner | 2 | 0 of 1 (0 %) | 0 (0 %) | 2 (100 %) |"
+    lines = headline(Path("bench")).splitlines()
+    assert line in lines and "only faults in the same value count" in lines[-1]
+
+
+def test_a_bench_without_any_level_has_no_headline(monkeypatch):
+    monkeypatch.setattr(build_leaderboard, "load", lambda folder: runs(golden(1)))
+    with pytest.raises(BadInputError, match="no part was flown with gaussian, autoencoder and recommended"):
+        headline(Path("bench"))
+
+
+@pytest.mark.parametrize("arguments", [["a"], ["a", "b", "c"], ["no-such-folder", "paper"]])
+def test_bad_input_is_one_line(arguments, capsys):
+    assert main(arguments) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("bad input: ") and stderr.count("\n") == 1
+
+
+ROW = {"scheme": "a", "lost": "3", "brought back": "0/3"}
+
+
+def test_schemes_that_were_not_flown_keep_their_rows_in_the_order_of_the_bench():
+    old = [ROW, {**ROW, "scheme": "b"}, {**ROW, "scheme": "gone"}]
+    rows = merged([{**ROW, "scheme": "c"}, {**ROW, "lost": "4"}], old, ["b", "a", "c"])
+    assert [(row["scheme"], row["lost"]) for row in rows] == [("b", "3"), ("a", "4"), ("c", "3")]
+
+
+def test_rows_by_environment_are_merged_within_it():
+    def row(environment, scheme, alarms):
+        return {"environment": environment, "setting": f"golden_{scheme}", "alarms": alarms}
+
+    old = [row("dense", "a", 1), row("all", "a", 1)]
+    rows = merged([row("dense", "b", 2), row("all", "b", 2)], old, ["b", "a"])
+    assert [(one["environment"], one["setting"]) for one in rows] == [
+        ("dense", "golden_b"), ("dense", "golden_a"), ("all", "golden_b"), ("all", "golden_a"),
+    ]  # fmt: skip
+
+
+BENCH = load_bench(NAME)
+STATE = {"scheme": "gaussian", "faults": "900", "only it lost": "2", "brought back": "20.0 [3.6, 62.4] 1/5"}
+OURS = {"scheme": "recommended", "faults": "900", "only it lost": "0", "brought back": "100.0 [56.6, 100.0] 5/5"}
+CALLS = {"scheme": "recommended", "faults": "1000", "same value injected": "990", "of these, only it lost": "0"}
+ROWS_BY_PART = {
+    "sites": [STATE, OURS], "state": [STATE, OURS], "hardened": [OURS],
+    "observer": [{**STATE, "brought back": "100.0 [43.9, 100.0] 3/3"}, {**OURS, "brought back": "—"}],
+    "instruction": [STATE, {**CALLS, "brought back": "0/4"}, {"scheme": "readback", "brought back": "3/4"}],
+    "sensor": [OURS],
+    "golden": [{"environment": "dense", "setting": "golden_gaussian", "per hour": "3.0"},
+               {"environment": "all", "setting": "golden_gaussian", "per hour": "2.0 [1.0, 3.0]"}],
+}  # fmt: skip
+
+
+def test_what_is_brought_back_is_the_sum_of_parts_with_every_detector_the_most_first():
+    found = summary(BENCH, ROWS_BY_PART)["summary"]
+    rows = {row[0]: dict(zip((column.heading for column in found.columns), row, strict=True)) for row in found.rows}
+    assert list(rows) == ["recommended", "gaussian", "readback"]
+    sums = {scheme: {key: (rate.successes, rate.n) for key, rate in row.items() if isinstance(rate, Rate)}
+            for scheme, row in rows.items()}  # fmt: skip
+    assert sums["recommended"] == {"state": (10, 10), "instruction": (0, 4)}, "part hardened lacks the other one"
+    assert sums["gaussian"] == {"state": (2, 10), "instruction": (1, 5), OBSERVER: (3, 3)}
+    assert sums["readback"] == {"instruction": (3, 4)}
+    assert rows["gaussian"]["false alarms/h, published"] == "2.0 [1.0, 3.0]"
+
+
+def test_what_a_scheme_loses_alone_is_the_sum_over_all_parts_of_the_levels():
+    found = summary(BENCH, ROWS_BY_PART)["lost_alone"]
+    rows = {row[0]: dict(zip((column.heading for column in found.columns), row, strict=True)) for row in found.rows}
+    assert (rows["recommended"]["state"].successes, rows["recommended"]["state"].n) == (0, 2700)
+    assert rows["recommended"]["instruction"].n == 990 and rows["gaussian"]["state"].successes == 4
+    assert "readback" not in rows and OBSERVER in rows["gaussian"]
+
+
+def test_the_columns_are_those_of_the_views():
+    for part in BENCH.parts.values():
+        headings = {measure.heading for measure in VIEWS[part.view].measures}
+        if part.view.startswith("schemes"):
+            assert any({lost, flown} <= headings for lost, flown in LOST_ALONE.items()), part.view
+
+
+def test_the_published_page_has_the_sums_of_the_published_rows():
+    rows = {name: published_rows(BENCH, name, "paper") for name in BENCH.parts}
+    for name, full in summary(BENCH, rows).items():
+        path = results.TABLES / "leaderboard" / f"{name}.csv"
+        assert path.read_text(encoding="utf-8") == full.to_csv(), "run `python -m tools.build_leaderboard page`"
+
+
+def test_scores_of_schemes_that_were_not_scored_again_stay(monkeypatch, tmp_path):
+    monkeypatch.setattr(results, "TABLES", tmp_path / "tables")
+    (tmp_path / "tables" / "leaderboard").mkdir(parents=True)
+    (tmp_path / "tables" / "leaderboard" / "scores.csv").write_text("arm,alarms\ngaussian,1\nlimits,1\n")
+    (tmp_path / "scores.csv").write_text("arm,alarms\ngaussian,2\ngaussian,3\n")
+    build_leaderboard.publish_scores(BENCH, tmp_path)
+    written = (tmp_path / "tables" / "leaderboard" / "scores.csv").read_text()
+    assert written == "arm,alarms\ngaussian,2\ngaussian,3\nlimits,1\n"
+
+
+def test_frozen_faults_are_not_overwritten(monkeypatch, tmp_path):
+    monkeypatch.setattr(build_leaderboard, "ROOT", tmp_path)
+    (tmp_path / "configs" / "bench").mkdir(parents=True)
+    (tmp_path / "bench" / "sites").mkdir(parents=True)
+    faults = tmp_path / "bench" / "sites" / "faults.csv"
+    faults.write_text("a\n")
+    build_leaderboard.freeze(tmp_path / "bench", "quick")
+    faults.write_text("b\n")
+    with pytest.raises(BadInputError, match=r"other faults than those of sites-quick\.csv, which is frozen"):
+        build_leaderboard.freeze(tmp_path / "bench", "quick")

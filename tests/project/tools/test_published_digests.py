@@ -1,0 +1,113 @@
+"""Digests of README.md: those of docs/results, of the program's own study, in its order."""
+
+import json
+import re
+
+import pytest
+
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import Store
+from mavfi.extras.paper.study import load_study
+from mavfi.report.text import short
+from tests.core.unit.campaign.fakes import small
+from tools import published_digests
+from tools.markers import DOCS, ROOT
+
+KNOWN = published_digests.known()
+QUICK = pytest.mark.skipif(
+    "quick" not in KNOWN, reason="README.md has no digests of scale quick: `make reproduce readme` adds them"
+)
+
+
+def test_the_readme_has_the_digests_of_the_results():
+    assert published_digests.block(KNOWN) in (ROOT / "README.md").read_text(encoding="utf-8")
+    study = (DOCS / "results" / "study.md").read_text(encoding="utf-8")
+    whole = re.findall(r"^- Digest of the ledger in \S+ \((\S+)\): (\S+)\.$", study, re.MULTILINE)
+    assert [(name, digest) for name, _, digest in KNOWN["paper"]["ledgers"]] == [
+        (name, short(digest)) for name, digest in whole
+    ]
+    assert f"- Program: {KNOWN['paper']['program']}." in study
+
+
+@pytest.mark.parametrize("scale", KNOWN)
+def test_the_digests_of_the_readme_are_those_of_what_this_program_flies(scale):
+    campaigns = load_study("paper").campaigns_at(scale)
+    assert [name for name, *_ in KNOWN[scale]["ledgers"]] == [campaign.name for campaign in campaigns.values()]
+    assert KNOWN[scale]["fingerprint"] == published_digests.fingerprint(scale), (
+        f"campaigns or golden flights have changed: `make reproduce readme SCALE={scale}` flies them again"
+    )
+
+
+@QUICK
+@pytest.mark.long
+def test_a_campaign_of_scale_quick_has_the_digest_of_the_readme(tmp_path):
+    campaign = load_study("paper").campaigns_at("quick")["states"]
+    run_campaign(campaign, tmp_path, executor=LocalExecutor(2))
+    digests = {name: digest for name, _, digest in KNOWN["quick"]["ledgers"]}
+    with Store.open(tmp_path) as store:
+        assert short(store.digest()) == digests[campaign.name]
+
+
+def test_changed_campaigns_have_another_fingerprint(monkeypatch):
+    before = published_digests.fingerprint("quick")
+    assert before == published_digests.fingerprint("quick") != published_digests.fingerprint("paper")
+    study = load_study("paper")
+    other = {
+        folder: campaign.model_copy(update={"faults": 1}) for folder, campaign in study.campaigns_at("quick").items()
+    }
+    monkeypatch.setattr(type(study), "campaigns_at", lambda *_: other)
+    assert published_digests.fingerprint("quick") != before
+
+
+@pytest.fixture
+def flown(monkeypatch, tmp_path):
+    """The folder of a study of one campaign, and its study.json."""
+    campaign = small(missions=1, faults=1)
+    run_campaign(campaign, tmp_path, executor=LocalExecutor(1))
+    monkeypatch.setattr("mavfi.extras.paper.study.Study.campaigns_at", lambda *_: {".": campaign})
+    described = {
+        "name": "small", "digest": "d" * 64, "versions": {"python": "3.11"}, "done": 2,
+        "total": 2,
+    }  # fmt: skip
+    return tmp_path, {
+        "study": "paper", "scale": "quick", "campaigns": {".": described}, "programs": ["mavfi 1"]
+    }  # fmt: skip
+
+
+def test_the_entry_of_a_study_names_what_each_ledger_needs(flown):
+    found = published_digests.of_study(*flown)
+    assert found["ledgers"] == [["small", "Python 3.11", "d" * 16]] and found["program"] == "mavfi 1"
+    table = published_digests.block({"quick": found})
+    assert "| ledger | depends on | `make reproduce` |" in table and table.endswith("Flown at scale quick by mavfi 1.")
+    bare = {"name": "small", "versions": {"numba": "1"}}
+    assert published_digests.needs(bare) == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"study": "mine"}, "holds study mine at scale quick"),
+        ({"scale": "large"}, "holds study paper at scale large"),
+        ({"campaigns": {".": {"name": "small", "done": 1, "total": 2}}}, "small: 1 of 2 runs are flown"),
+        ({"programs": []}, "does not say which program flew it"),
+    ],
+)
+def test_another_or_an_incomplete_study_is_refused(flown, change, message):
+    out, study = flown
+    with pytest.raises(ValueError, match=message):
+        published_digests.of_study(out, {**study, **change})
+
+
+def test_a_ledger_of_another_campaign_is_refused(flown, monkeypatch):
+    monkeypatch.setattr("mavfi.extras.paper.study.Study.campaigns_at", lambda *_: {".": small(missions=1, faults=2)})
+    with pytest.raises(ValueError, match="campaign small is not that of scale quick here"):
+        published_digests.of_study(*flown)
+
+
+def test_digests_are_kept_by_scale(tmp_path):
+    assert published_digests.known(tmp_path) == {}
+    entry = {"quick": {"program": "mavfi 1", "fingerprint": "f", "ledgers": []}}
+    published_digests.write(entry, tmp_path)
+    assert published_digests.known(tmp_path) == entry
+    assert json.loads((tmp_path / published_digests.FILE).read_text(encoding="utf-8")) == entry

@@ -1,0 +1,99 @@
+"""Pages of results: all rows are in files, the page shows those that matter, and a mistake is one line."""
+
+import csv
+import subprocess
+
+import pytest
+
+from mavfi.analysis.statistics import wilson
+from mavfi.analysis.table import RATE, Column, Table
+from mavfi.campaign.config import load_campaign
+from mavfi.states import BASELINES, WATCHING
+from tests.extras.bench.test_views import lasting_scenario
+from tools import results
+from tools.markers import ROOT
+from tools.results import CAMPAIGNS, Excerpt, main, write
+
+COLUMNS = (Column("scheme", "scheme"), Column("back", "brought back", RATE), Column("late", "late"))
+TABLE = Table("t", "A title", COLUMNS, [("a", wilson(1, 2), "x"), ("b", wilson(2, 2), "y")],
+              notes=("late: of them", "brought back: of the lost"))  # fmt: skip
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    monkeypatch.setattr(results, "RESULTS", tmp_path)
+    monkeypatch.setattr(results, "TABLES", tmp_path / "tables")
+    return tmp_path
+
+
+def test_all_rows_are_in_the_file_and_the_page_shows_some(folder):
+    (folder / "tables" / "name").mkdir(parents=True)
+    for file in ("old", "kept"):
+        (folder / "tables" / "name" / f"{file}.csv").touch()
+    shown = Excerpt("all", lambda row: row["scheme"] == "b", ("scheme", "brought back"))
+    page = write("name", "Title", "What.", {"all": TABLE}, [shown], ["flown"], keep=["kept"]).read_text(
+        encoding="utf-8"
+    )
+    assert page.startswith("<!-- Written by `make results NAME=name`; do not edit. -->\n\n# Title\n\nWhat.\n\n")
+    assert "| scheme | brought back |\n| --- | --- |\n| b | 100.0 [34.2, 100.0] 2/2 |\n\n" in page
+    assert "- [A title](tables/name/all.csv): 2 rows\n" in page
+    assert page.endswith("- flown\n- brought back: of the lost\n"), "notes of hidden columns are left out"
+    with (folder / "tables" / "name" / "all.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["scheme"], row["back"], row["back_n"]) for row in rows] == [("a", "0.5", "2"), ("b", "1.0", "2")]
+    assert {path.stem for path in (folder / "tables" / "name").iterdir()} == {"all", "kept"}
+
+
+@pytest.mark.parametrize("shown", [Excerpt("all", lambda row: False), Excerpt("all", columns=("scheme", "other"))])
+def test_a_page_that_would_show_nothing_is_refused(folder, shown):
+    with pytest.raises(ValueError, match="all: no rows to show"):
+        write("name", "Title", "What.", {"all": TABLE}, [shown])
+
+
+def test_the_page_of_lasting_faults_comes_from_its_ledger(folder, monkeypatch):
+    monkeypatch.setattr(results, "load", lambda ledger: lasting_scenario())
+    every = [Excerpt(excerpt.file, columns=excerpt.columns) for excerpt in CAMPAIGNS["lasting"].excerpts]
+    monkeypatch.setitem(
+        CAMPAIGNS, "lasting", results.CampaignPage("T", "W.", CAMPAIGNS["lasting"].campaigns, tuple(every))
+    )
+    page = results.write_campaigns("lasting", {"lasting": folder}).read_text(encoding="utf-8")
+    assert "| for ever | one | 1 | 0.0 [0.0, 79.3] 0/1 | 0.0 [0.0, 79.3] 0/1 |" in page
+    files = {path.stem for path in (folder / "tables" / "lasting").iterdir()}
+    assert files == {"schemes", "schemes_by_duration", "schemes_by_target"}
+
+
+@pytest.mark.parametrize("arguments", [[], ["other"]])
+def test_an_unknown_page_is_one_line(arguments, capsys):
+    assert main(arguments) == 2
+    stderr = capsys.readouterr().err
+    assert stderr.startswith("bad input: NAME: ") and "sensors" in stderr and stderr.count("\n") == 1
+
+
+def test_campaigns_are_flown_at_scale_paper_first(folder, monkeypatch):
+    commands = []
+    monkeypatch.setattr(subprocess, "run", lambda command, **options: commands.append(command))
+    monkeypatch.setattr(results, "write_campaigns", lambda name, ledgers: ROOT / "page.md")
+    assert main(["sensors"]) == 0
+    assert commands[0][3:] == ["campaign", "run", "sensors", "--out", "out/sensors", "--scale", "paper"]
+
+
+def test_campaigns_and_modules_of_all_pages_exist():
+    for page in CAMPAIGNS.values():
+        for campaign in page.campaigns:
+            load_campaign(campaign)
+    for module in results.MODULES.values():
+        assert (ROOT / f"{module.replace('.', '/')}.py").is_file()
+
+
+def test_whatever_remembers_something_is_a_target_of_one_of_these_campaigns():
+    memory = [load_campaign(name) for name in ("detector_memory", "detector_memory_others")]
+    targets = {name for campaign in memory for name in campaign.sampling.kernels}
+    assert targets == {*WATCHING} - {*BASELINES, "recovery"}, "models of baselines are not shipped"
+
+
+def test_every_duration_is_flown_with_every_group_of_fields():
+    fields, durations = zip(
+        *(group.name.split(", ") for group in load_campaign("lasting").sampling.groups), strict=True
+    )
+    assert len(fields) == len(set(fields)) * len(set(durations))
+    assert {"once", "twice", "1 s", "10 s", "for ever", "intermittent", "burst of 4"} == set(durations)
