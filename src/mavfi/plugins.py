@@ -4,6 +4,7 @@ Code is run only at the user's request: by installing a package with entry point
 passing it to the Python API, or by allowing all plug-ins.  A name in a file from another source is not sufficient.
 """
 
+import functools
 import importlib
 import inspect
 import os
@@ -69,6 +70,13 @@ def require_allowed(what: str, name: str) -> None:
 def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
     """Every name of a group of entry points with its location, "module:object"; shipped names take precedence."""
     return {point.name: point.value for point in entry_points(group=group)} | dict(shipped)
+
+
+@functools.cache
+def extensions(group: str) -> dict[str, Any]:
+    """What extras and other packages add to a group of entry points, imported: objects by name, in order of names."""
+    points = sorted(entry_points(group=group), key=lambda point: point.name)
+    return {point.name: point.load() for point in points}
 
 
 def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - a user's own
