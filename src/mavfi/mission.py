@@ -34,7 +34,7 @@ TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
 DeadNode = Literal["end", "fresh", "readback"]
-"""Restart policy of a node that dies, see `hosts.loop.restarts`."""
+"""Restart policy of a node that dies, see `flight.restarts`."""
 
 
 class MissionStatus(Enum):
@@ -65,7 +65,7 @@ def _names(kind: str) -> str:
 
 
 class MissionSpec(Config):
-    """The user's request: every option of a mission, by name.  `hosts.loop.compose.resolve` turns it into a `Scenario`.
+    """The user's request: every option of a mission, by name.  `flight.compose.resolve` turns it into a `Scenario`.
 
     The command line, campaign files, arms of campaigns, training, ROS and the Python API all read this model, so each
     option is defined once and available everywhere.  The description of a field is its help text.

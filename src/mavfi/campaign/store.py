@@ -391,7 +391,7 @@ class Store:
     def digest(self) -> str:
         """SHA-256 over plan and records, independent of order of completion, workers, stops and resumes.
 
-        Source lines in the records are not part of it, see `flight_record.without_source`.  It identifies the campaign
+        Source lines in the records are not part of it, see `record.without_source`.  It identifies the campaign
         only if the ledger is `complete`.
         """
         content = hashlib.sha256(canonical(self.meta("identity")).encode())

@@ -31,7 +31,7 @@ def new_loop(
         scenario: The mission.
         profile: Whether to record the publication times of each state.
         functions: Functions that kernels call: compiled or instrumented.
-        rewindable: Whether the flight can be restored to earlier instants (`hosts.local.checkpoints`): maps keep an
+        rewindable: Whether the flight can be restored to earlier instants (`flight.checkpoints`): maps keep an
             undo log, and kernels are marked even without a detector.
         make_plant: Constructs the plant.
         make_kernels: Constructs the kernels; they may be proxies of remote ones.

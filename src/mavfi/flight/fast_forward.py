@@ -11,7 +11,7 @@
    and follows it between that detector's alarms.
 
 The last two are not done for a detector that takes part in flights without an alarm, see `takes_part`.
-Instruction faults use the same golden flights and the same convergence, see `hosts.local.forks`.
+Instruction faults use the same golden flights and the same convergence, see `flight.forks`.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

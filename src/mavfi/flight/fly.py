@@ -40,7 +40,7 @@ def fly(  # noqa: PLR0913 - each is independent
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
         functions: Functions that kernels call: compiled or instrumented.
-        observers: Called with the loop before the flight, see `hosts.loop.observe`.
+        observers: Called with the loop before the flight, see `flight.observe`.
         make_plant: Constructs the vehicle in its world.
 
     Raises:

@@ -2,13 +2,13 @@
 
 The golden flight runs plain kernels.  At an injected call it waits while a forked child executes the call with the
 fault and completes the flight.  If the child crashes, hangs or raises, a second child continues from the same instant
-under the mission's policy for dead nodes (`hosts.loop.restarts`); by default as in a ROS graph: the node's result is
+under the mission's policy for dead nodes (`flight.restarts`); by default as in a ROS graph: the node's result is
 lost, and the node returns with initialized memory after the restart latency.  If protected code detects the fault, the
-second child computes the step again, see `hosts.local.protected`.  The golden flight then continues to the next
+second child computes the step again, see `extras.hardening.protected`.  The golden flight then continues to the next
 injected call.
 
 How the golden flight comes to the injected calls is the `Start`: from take-off, or from the last golden checkpoint
-before each call, where children also end as soon as they converge to a known flight (`hosts.local.fast_forward`).
+before each call, where children also end as soon as they converge to a known flight (`flight.fast_forward`).
 The records are the same.
 
 A false alarm of a detector before the fault causes recomputations, which shift the call numbers: the sampled call may

@@ -13,7 +13,7 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import load_object
 from mavfi.record import FlightLog, FlightRecord, Profile, record_of
 
-GROUP = "mavfi.flight"
+GROUP = "mavfi.hosts"
 """Entry-point group of hosts: classes whose constructor arguments are host-specific keys of a campaign."""
 SHIPPED = {
     "local": "mavfi.flight.mission_flights:LocalHost", "ros1": "mavfi.extras.ros.ros1.host:Ros1Host",
@@ -79,7 +79,7 @@ class RunResult:
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
 
-    Observers are called with the loop before each flight (see `hosts.loop.observe`), by the host `firmware`, and by the
+    Observers are called with the loop before each flight (see `flight.observe`), by the host `firmware`, and by the
     host `local` without fast-forward, except for faults in instructions.
     """
 

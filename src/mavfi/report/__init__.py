@@ -1,1 +1,1 @@
-"""Presentation of ledgers and flights: tables, figures, pictures, explanations; analysis is in `campaign.analysis`."""
+"""Presentation of ledgers and flights: tables, figures, pictures, explanations; analysis is in `mavfi.analysis`."""

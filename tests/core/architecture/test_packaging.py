@@ -65,6 +65,6 @@ def test_whatever_is_imported_is_asked_for():
 
 def test_only_the_dask_executor_needs_the_extra_and_only_when_it_is_used():
     needing = {name for name, tree in modules().items() if any("distributed" in found for found in imports(tree))}
-    assert needing == {"campaign/executors/dask.py"}
+    assert needing == {"extras/dask/executor.py"}
     code = "import sys, mavfi.cli, mavfi.extras.dask.executor; print('distributed' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

@@ -40,9 +40,9 @@ SHIPPED = {
     "mavfi.planners": "mavfi.pipeline.planners:_SHIPPED",
     "mavfi.flight_controllers": "mavfi.sim.controller:_SHIPPED",
     "mavfi.maps": "mavfi.pipeline.maps:_SHIPPED",
-    "mavfi.flight": "mavfi.flight.host:SHIPPED",
+    "mavfi.hosts": "mavfi.flight.host:SHIPPED",
     "mavfi.detectors": "mavfi.detectors.registry:_SHIPPED",
-    "mavfi.extras.logs": "mavfi.extras.logs.reader:_SHIPPED",
+    "mavfi.log_readers": "mavfi.extras.logs.reader:_SHIPPED",
 }
 """Where each group's own names are, found without the metadata of an installation."""
 INTERNAL = {"mavfi.detectors": {"none"}}

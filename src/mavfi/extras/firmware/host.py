@@ -99,7 +99,7 @@ def fly(
         detector: The detector; None = none.
         recovery: The recovery policy for its alarms.
         profile: Whether to record the publication times of each state.
-        observers: Called with the loop before the flight, see `hosts.loop.observe`.
+        observers: Called with the loop before the flight, see `flight.observe`.
 
     Raises:
         BadInputError: Another flight controller, or the scenario cannot be flown.

@@ -2,7 +2,8 @@
 
 The cost of a set of values is the number of simple dynamic instructions that it adds: shadows, opaque copies of
 operands, and comparisons where a value leaves the set (see `mavfi.extras.hardening.duplicate`).  A single instruction
-costs three to five others, one inside a duplicated slice little more than itself.  Slow instructions count several times.
+costs three to five others, one inside a duplicated slice little more than itself.  Slow instructions count several
+times.
 """
 
 import re

@@ -1,7 +1,7 @@
 """Protected kernels in flights.
 
 Protected code gives the bits of plain code, so kernels run plain in every call but an injected one, which executes the
-instrumented variant of the protected code.  Its time is charged to the platform, see `hosts.loop.compose`.  A detected
+instrumented variant of the protected code.  Its time is charged to the platform, see `flight.compose`.  A detected
 difference is handled as by a node that keeps its inputs: arguments and memory are those before the call, the step is
 computed again by plain code, its result is published one latency later, and an alarm is recorded.
 

@@ -13,7 +13,7 @@ from mavfi.faults.levels.message.definition import FORMATS, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
 
-GROUP = "mavfi.extras.logs"
+GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
 _SHIPPED = {
     "bag": "mavfi.extras.logs.ros:RosReader", "mcap": "mavfi.extras.logs.ros:RosReader",

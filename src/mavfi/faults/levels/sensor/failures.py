@@ -100,11 +100,11 @@ class Failures:
         return self._changed("force", _FORCE, time_us, force)
 
     def imu(self, time_us: int, sample: np.ndarray) -> np.ndarray:
-        """A sample of the IMU, as in `hosts.loop.plant.Plant.imu`. Shape (6,)."""
+        """A sample of the IMU, as in `flight.plant.Plant.imu`. Shape (6,)."""
         return self._changed("imu", _IMU, time_us, sample)
 
     def fix(self, time_us: int, measured: np.ndarray) -> np.ndarray:
-        """A position fix, as in `hosts.loop.plant.Plant.position_fix`. Shape (4,)."""
+        """A position fix, as in `flight.plant.Plant.position_fix`. Shape (4,)."""
         found = self._changed("fix", _FIX, time_us, measured)
         if found is not measured:
             found[_HEADING] = math.remainder(found[_HEADING], 2.0 * math.pi)

@@ -1,0 +1,1 @@
+from tests.core.unit.analysis.conftest import fake  # noqa: F401
