@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -31,6 +31,25 @@ _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
 """Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
 _POLL_S = 0.01
+
+
+class RosNode:
+    """The option of `mavfi inject` that names a ROS node instead of a process."""
+
+    options = {
+        "ros_node": Annotated[
+            str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
+        ]
+    }
+
+    @staticmethod
+    def pid_of(values: dict[str, Any]) -> int | None:
+        """See `mavfi.extras.registers.cli.PROCESSES`."""
+        if values["ros_node"] is None:
+            return None
+        from mavfi.extras.ros.node.master import Master
+
+        return Master().node_pid(values["ros_node"])
 
 
 def list_graph(
