@@ -19,12 +19,12 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.extras.logs.probe import Probe
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.extras.ros.node.survey import Survey
     from mavfi.extras.ros.node.watch import Listener
     from mavfi.faults.levels.message.definition import Definition
     from mavfi.faults.levels.message.injector import MessageInjector
+    from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
 
 _LONGEST_S = 7 * 86_400.0
@@ -219,8 +219,8 @@ def _trained(
 ) -> tuple[dict[str, Probe], Detector, int]:
     """Monitored fields, trained detector, and number of training messages."""
     from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.extras.logs.probe import make_probes
     from mavfi.extras.ros.node.watch import train
+    from mavfi.flight.log_readers import make_probes
 
     check_name("--detector", chosen[0], of_monitored_fields())
     if source == "online":
@@ -241,9 +241,8 @@ def trained_on_file(
     Raises:
         BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
     """
-    from mavfi.extras.logs import open_flight_log
-    from mavfi.extras.logs.probe import make_probes
     from mavfi.extras.ros.node.watch import train
+    from mavfi.flight.log_readers import make_probes, open_flight_log
 
     try:
         messages = list(open_flight_log(source).messages(topics))
