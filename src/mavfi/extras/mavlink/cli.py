@@ -10,8 +10,7 @@ import typer
 from mavfi.cli import options
 from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.extras.airsim.cli import OF_THE_PIPELINE
-from mavfi.mission import MissionSpec
+from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.extras.mavlink.server import Server
