@@ -10,14 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import ProgramConfig
 from mavfi.extras.airsim.program import Ended, client_version, run_program
 from mavfi.extras.airsim.server import msgpack
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.host import ArmSetup, Recorded, RunResult, one_by_one
+from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
@@ -40,14 +40,14 @@ class ProgramMission:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
-class AirsimProgramHost:
+class AirsimProgramHost(Host):
     """Runs of a client program."""
 
     name = "airsim_program"
     levels = frozenset({"message", "sensor"})
-    deterministic = True
     flies = False
-    in_process = False
+    config = ProgramConfig
+    config_key = "program"
 
     def __init__(self, program: ProgramConfig | None = None) -> None:
         if program is None:
@@ -57,6 +57,12 @@ class AirsimProgramHost:
     def resolve(self, spec: MissionSpec) -> ProgramMission:
         """Program and mission, in place of a scenario."""
         return ProgramMission(self._program, spec)
+
+    def check_stored(self, scenario: Mapping[str, Any]) -> None:
+        """See `Host.check_stored`."""
+        if self._program.to_json()["sha256"] != scenario["program"]["sha256"]:
+            script = self._program.script
+            raise SpecMismatchError(f"{script}: is absent, or another program than that of the campaign")
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "ProgramRuns":
         """The runs of a mission, without fast-forward: a program cannot be rewound."""

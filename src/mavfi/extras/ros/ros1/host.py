@@ -1,7 +1,9 @@
 """The host `ros1`: missions flown by ROS nodes in lock-step, bit-identical to flights of the host `local`."""
 
 from collections.abc import Mapping
+from typing import Any
 
+from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.kernels import fly_begin
 from mavfi.extras.ros.ros1.plan import Plan, check_supported
@@ -9,7 +11,7 @@ from mavfi.extras.ros.ros1.session import configure, fly, isolation
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import resolve
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.mission import MissionSpec, Scenario
 
 PATIENCE_S = 300.0
@@ -17,19 +19,22 @@ PATIENCE_S = 300.0
 changes its flight."""
 
 
-class Ros1Host:
+class Ros1Host(Host):
     """Runs every kernel, the world, injector and detector as separate ROS nodes."""
 
     name = "ros1"
     levels: frozenset[str] = frozenset({StateFault.level, SensorFault.level})
-    deterministic = True
-    flies = True
-    in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`; raises `BadInputError` for options that ROS does not support."""
         check_supported(spec)
         return resolve(spec)
+
+    @classmethod
+    def check_sampling(cls, sampling: Any) -> None:
+        """See `Host.check_sampling`."""
+        if getattr(sampling, "messages", ()) and "length" in sampling.strata:
+            raise BadInputError("sampling.strata: 'length': may lose a message; allowed on ROS: bits of numbers")
 
     def check(self) -> None:
         """See `Host.check`.
