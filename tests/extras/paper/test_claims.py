@@ -3,8 +3,9 @@ from dataclasses import replace
 import polars as pl
 import pytest
 
+from mavfi.analysis.statistics import holm
 from mavfi.errors import BadInputError
-from mavfi.extras.paper.claims import CLAIMS, Claim, Evidence, claims_table, holm, register, verdict
+from mavfi.extras.paper.claims import CLAIMS, Claim, Evidence, claims_table, register, verdict
 from mavfi.extras.paper.overheads import ALL
 from mavfi.record import EnergyTerms
 from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, alarm, flown, golden, injected, runs

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, writing
-from mavfi.extras.paper.overheads import processor
 from mavfi.version import __version__
 
 FILE = "steps.json"
