@@ -32,7 +32,7 @@ from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.battery import DETECTED
 from mavfi.extras.hardening.compiled import Compiled, compiled
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.ratio import coverage
 from mavfi.extras.hardening.recorded import copied
 from mavfi.extras.hardening.wrapper import MESSAGE

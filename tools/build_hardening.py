@@ -34,7 +34,7 @@ from mavfi.extras.hardening.learned import Injected, injections_in
 from mavfi.extras.hardening.ledger import harm_of
 from mavfi.extras.hardening.observed import Seen, observe
 from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.study import Study, advise, plan_of, planned_of
 from mavfi.extras.hardening.summary import AdviceSummary, growth_of, summary
 from mavfi.extras.hardening.target import Target

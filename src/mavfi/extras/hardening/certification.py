@@ -25,9 +25,8 @@ from mavfi.extras.hardening.certify import (
 )
 from mavfi.extras.hardening.golden import GoldenCheck, check_golden
 from mavfi.extras.hardening.observed import Seen, entries_of, observe
-from mavfi.extras.hardening.of_mission import check_plan
 from mavfi.extras.hardening.plan import Plan
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection, check_plan
 from mavfi.extras.hardening.ratio import p_value_below
 from mavfi.extras.hardening.spending import Key, Spending, key_of, spending_of, ticks_of
 from mavfi.extras.hardening.study import Study, Tell, stated
