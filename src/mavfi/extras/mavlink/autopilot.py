@@ -6,9 +6,6 @@ from enum import Enum
 from typing import Any
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.attitude import Vertical, at_attitude, at_rates
-from mavfi.extras.airsim.tasks import land
-from mavfi.extras.airsim.vehicle import TICK_US, Task
 from mavfi.extras.mavlink import telemetry
 from mavfi.extras.mavlink.flying import (
     FOREVER_S,
@@ -26,6 +23,7 @@ from mavfi.extras.mavlink.parameters import Parameters
 from mavfi.extras.mavlink.tlog import chunks_of, mavlink_dialect
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import NULL, SensorFault
+from mavfi.flight.piloted import TICK_US, Task, Vertical, at_attitude, at_rates, land
 from mavfi.numerics.frames import Triple, euler, local
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)

@@ -4,9 +4,8 @@ import math
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
-from mavfi.extras.airsim.tasks import land
-from mavfi.extras.airsim.vehicle import Task
 from mavfi.extras.mavlink.flying import FOREVER_S, climb, go_to, return_to_launch
+from mavfi.flight.piloted import Task, land
 from mavfi.numerics.frames import HOME, Triple, local
 
 if TYPE_CHECKING:
