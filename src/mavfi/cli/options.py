@@ -16,7 +16,7 @@ from mavfi.config import Vector
 from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
-from mavfi.plugins import known
+from mavfi.plugins import extensions, known
 
 if TYPE_CHECKING:
     from mavfi.campaign.executors.executor import Executor as AnyExecutor
@@ -89,6 +89,21 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped
+
+
+def with_extra_options(verb: Callable[..., None], group: str) -> Callable[..., None]:
+    """Replace a command's last parameter, `**values`, by the options of a group of entry points.
+
+    Each object of the group has `options`: the annotated types of its options by the names of their parameters.  An
+    option that the user has not set is None.
+    """
+    own = list(inspect.signature(verb, eval_str=True).parameters.values())[:-1]
+    added = {name: option for extra in extensions(group).values() for name, option in extra.options.items()}
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    own += [inspect.Parameter(name, keyword, default=None, annotation=option) for name, option in added.items()]
+    verb.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
+    verb.__annotations__ = {parameter.name: parameter.annotation for parameter in own}
+    return verb
 
 
 def _is_users(source: Enum | None) -> bool:
