@@ -90,6 +90,8 @@ def set_up_seconds() -> float | None:
 
 def machine() -> str:
     """This machine in words: processor, its number of cores, memory and system."""
+    from mavfi.extras.paper.overheads import processor
+
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     system = f"{platform.system()} {platform.machine()}"
     return f"{processor()}, {os.cpu_count()} cores, {memory:.1f} GiB of memory, {system}"
