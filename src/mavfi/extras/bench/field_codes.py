@@ -16,7 +16,7 @@ from mavfi.detectors.training import Sample, TrainedDetector, Training, check_fi
 from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.extras.bench import residual_state, residuals
 from mavfi.numerics.jit import entry
-from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, floats, new_state
+from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, new_state, rows
 
 MONITORED = "all"
 """Name of the set, in models."""
@@ -174,7 +174,7 @@ class FieldCodes:
         if watched.in_list:
             elements = self._empty[slot]
             if len(state.elements):
-                elements = floats(state.elements, watched.width).reshape(-1, watched.width)
+                elements = rows(state.elements, watched.width)
             self._measures[slot](state.header, elements, self.measured)
         else:
             self._measures[slot](state.header, self.measured)

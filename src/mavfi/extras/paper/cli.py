@@ -143,7 +143,7 @@ def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> l
 
 def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
     """Folders of the campaigns whose overheads the study shows and nobody has measured yet."""
-    from mavfi.extras.paper.overheads import load
+    from mavfi.extras.paper.overhead_views import load
 
     shown = dict.fromkeys(section.campaign for section in study.sections if TIMED in section.views)
     return [folder for folder in shown if _detectors(campaigns[folder]) and not load(out / folder)]
