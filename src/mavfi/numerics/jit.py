@@ -158,11 +158,12 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Any:
-    """Numba's environment of a compiled function; without its module, whose globals only Python objects need."""
-    try:
-        return _rebuild_env(module, constants, name)  # type: ignore[no-untyped-call]
-    except ImportError:
-        return _rebuild_env(__name__, constants, name)  # type: ignore[no-untyped-call]
+    """Numba's environment of a compiled function, which takes globals that only Python objects need from its module.
+
+    Not from one of Numba's own, which would be imported here, nor from one that has been renamed since.
+    """
+    found = module if module in sys.modules else __name__
+    return _rebuild_env(found, constants, name)  # type: ignore[no-untyped-call]
 
 
 @functools.cache
