@@ -19,8 +19,8 @@ from mavfi.plugins import Chapter
 from mavfi.report import style
 from mavfi.report.figures import links
 from mavfi.report.figures.registry import Drawing
+from mavfi.report.numbers import signed_percent
 from mavfi.report.picture import near_boxes, positions
-from mavfi.report.text import signed_percent
 
 _SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
 _MARGIN = 2.0
