@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.extras.hardening.duplicate import MESSAGE
 from mavfi.extras.hardening.protection import protection_of
-from mavfi.extras.hardening.wrapper import MESSAGE
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import budget_for
 from mavfi.faults.levels.instruction.api import apart
