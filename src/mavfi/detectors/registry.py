@@ -38,13 +38,13 @@ _SHIPPED = {
     "isolation_forest": "mavfi.extras.bench.outliers:IsolationForestDetector",
     "pca": "mavfi.extras.bench.outliers:PcaDetector",
     "mahalanobis": "mavfi.extras.bench.outliers:MahalanobisDetector",
-    "half_space_trees": "mavfi.extras.bench.half_space_trees:HalfSpaceTreesDetector",
-    "gradient_boosting": "mavfi.extras.bench.gradient_boosting:GradientBoostingDetector",
+    "half_space_trees": "mavfi.extras.bench.trees:HalfSpaceTreesDetector",
+    "gradient_boosting": "mavfi.extras.bench.trees:GradientBoostingDetector",
     "matrix_profile": "mavfi.extras.bench.matrix_profile:MatrixProfileDetector",
     "checksum": "mavfi.extras.bench.sealed:Checksum",
     "duplicate": "mavfi.extras.bench.sealed:Duplicate",
     "oracle": "mavfi.extras.bench.sealed:Oracle",
-    "random": "mavfi.extras.bench.random_alarms:RandomAlarms",
+    "random": "mavfi.extras.bench.sealed:RandomAlarms",
     "none": "mavfi.detectors.detector:NoDetector",
 }
 _METHODS = {"start": "", "check": "state, time_us", "accept": "state, time_us"}

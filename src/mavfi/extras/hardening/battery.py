@@ -8,7 +8,7 @@ import ctypes
 import inspect
 import mmap
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ _LARGE_BYTES = 1 << 16
 
 def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
     """A deep copy; arrays keep strides, access and common memory, since Numba compiles by these."""
-    return _copied(value, {}, _memory)
+    return _copied(value, {}, read_only=False)
 
 
 def kept(value: Any) -> Any:  # noqa: ANN401
@@ -39,16 +39,13 @@ def kept(value: Any) -> Any:  # noqa: ANN401
     Forks share it. They do not copy its page tables, which for all recorded calls takes two thirds of a fork, and a
     fault in one of them cannot reach it.
     """
-    return _copied(value, {}, _read_only)
+    return _copied(value, {}, read_only=True)
 
 
-_Memory = Callable[[np.ndarray], tuple[int, np.ndarray]]
-"""Lowest address of an array, and a copy of its memory."""
-
-
-def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], memory_of: _Memory) -> Any:
+def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], *, read_only: bool) -> Any:
+    """A copy; `known`: lowest address and copy of the memory of arrays that own some, by their id."""
     if isinstance(value, tuple):
-        parts = [_copied(part, known, memory_of) for part in value]
+        parts = [_copied(part, known, read_only=read_only) for part in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if not isinstance(value, np.ndarray) or value.dtype.hasobject:
         return value
@@ -56,35 +53,26 @@ def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], memory_of: _Me
     while isinstance(root.base, np.ndarray):
         root = root.base
     if id(root) not in known:
-        known[id(root)] = memory_of(root)
+        known[id(root)] = _memory(root, read_only=read_only)
     start, memory = known[id(root)]
     moved: np.ndarray = np.ndarray(value.shape, value.dtype, memory.data, value.ctypes.data - start, value.strides)
     moved.flags.writeable = value.flags.writeable
     return moved
 
 
-def _memory(root: np.ndarray) -> tuple[int, np.ndarray]:
-    low, size = _extent(root)
-    memory = np.empty(max(size, 1), np.uint8)
-    ctypes.memmove(memory.ctypes.data, low, size)
-    return low, memory
-
-
-def _read_only(root: np.ndarray) -> tuple[int, np.ndarray]:
-    low, size = _extent(root)
-    if size < _LARGE_BYTES:
-        return _memory(root)
+def _memory(root: np.ndarray, *, read_only: bool) -> tuple[int, np.ndarray]:
+    """Lowest address of an array, and a copy of its memory."""
+    low, high = np.lib.array_utils.byte_bounds(root) if root.size else (root.ctypes.data, root.ctypes.data)
+    size = high - low
+    if not read_only or size < _LARGE_BYTES:
+        memory = np.empty(max(size, 1), np.uint8)
+        ctypes.memmove(memory.ctypes.data, low, size)
+        return low, memory
     memory = np.frombuffer(mmap.mmap(-1, size), np.uint8)
     ctypes.memmove(memory.ctypes.data, low, size)
     if _LIBC.mprotect(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(size), mmap.PROT_READ):
         raise OSError(ctypes.get_errno(), "mprotect")
     return low, memory
-
-
-def _extent(root: np.ndarray) -> tuple[int, int]:
-    """Lowest address and size (bytes) of an array's memory."""
-    low, high = np.lib.array_utils.byte_bounds(root) if root.size else (root.ctypes.data, root.ctypes.data)
-    return int(low), int(high - low)
 
 
 def same_bits(one: Any, other: Any) -> bool:  # noqa: ANN401

@@ -16,15 +16,16 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from mavfi.extras.hardening.duplicate import candidates, reads_memory
+from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
 from mavfi.extras.hardening.plan import Site
-from mavfi.ir.flow import back_edges, successors
-from mavfi.ir.module import Block, Function, Instruction, Module, is_floating
+from mavfi.ir.flow import back_edges
+from mavfi.ir.module import Instruction, Module, is_floating
 
 _DIVISIONS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
 _ROUNDING = re.compile(r"@(?:llvm\.)?(?:sqrt|floor|ceil|trunc|rint|nearbyint|round|roundeven)f?(?:\.|$)")
@@ -35,8 +36,7 @@ OUTSIDE = -1
 """Index of a value that cannot be duplicated: a parameter, a constant, the result of most calls."""
 
 
-@dataclass(frozen=True, slots=True)
-class Use:
+class Use(NamedTuple):
     """A use of a value.
 
     Attributes:
@@ -52,8 +52,7 @@ class Use:
     compared: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(NamedTuple):
     """An incoming value of a phi: its index or `OUTSIDE`, executions of the edge's block, whether it closes a loop."""
 
     value: int
@@ -73,7 +72,6 @@ class Value:
         operands: Indices of its operands that can be duplicated, without repetition.
         uses: Its uses, except as condition of a branch with two targets, of which both edges check the shadow.
         entries: Incoming values of a phi.
-        own_memory: Whether its shadow needs no copy of an operand (a volatile load).
         weight: Cost of its instruction, in simple ones.
     """
 
@@ -84,8 +82,12 @@ class Value:
     operands: tuple[int, ...] = ()
     uses: list[Use] = field(default_factory=list)
     entries: tuple[Entry, ...] = ()
-    own_memory: bool = False
     weight: float = 1.0
+
+    @property
+    def own_memory(self) -> bool:
+        """Whether its shadow needs no copy of an operand (a volatile load)."""
+        return self.opcode == "load"
 
     @property
     def comparison(self) -> int:
@@ -110,61 +112,37 @@ def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, ad
     allowed = set(candidates(module))
     for number, function in enumerate(module.functions):
         counts = {block.label: executions.get((number, place)) for place, block in enumerate(function.blocks)}
-        values += _Reader(number, function, counts, addresses).values(len(values), allowed)
-    return values
-
-
-class _Reader:
-    def __init__(
-        self, number: int, function: Function, counts: Mapping[str, float | None], addresses: bool
-    ) -> None:  # fmt: skip
-        self.number, self.function, self.counts, self.addresses = number, function, counts, addresses
-        self.index: dict[str, int] = {}
-        self.back = back_edges(function)
-
-    def values(self, first: int, allowed: Set[Site]) -> list[Value]:
-        """The function's values at the allowed sites, numbered from `first`."""
-        made: list[tuple[Value, Instruction, Block]] = []
-        for place, block in enumerate(self.function.blocks):
+        back = back_edges(function)
+        # Values first: an operand of a phi may be computed later.
+        index: dict[str, int] = {}
+        made: list[tuple[Value, Instruction, str]] = []
+        for place, block in enumerate(function.blocks):
             for offset, instruction in enumerate(block.sites):
-                site = Site(self.number, place, offset)
+                site = Site(number, place, offset)
                 if site in allowed:
-                    self.index[str(instruction.result)] = first + len(made)
-                    value = Value(site, instruction.opcode, instruction.kind, self.counts[block.label] or 0.0)
-                    made.append((value, instruction, block))
-        for value, instruction, block in made:
-            self._connect(value, instruction, block)
-        values = [value for value, _, _ in made]
-        for block in self.function.blocks:
+                    index[str(instruction.result)] = len(values) + len(made)
+                    value = Value(site, instruction.opcode, instruction.kind, counts[block.label] or 0.0)
+                    made.append((value, instruction, block.label))
+        values += [value for value, _, _ in made]
+        for value, instruction, header in made:
+            value.weight = weight_of(instruction)
+            used = [name for name, _ in instruction.incoming] or instruction.uses()
+            value.operands = tuple(dict.fromkeys(index[name] for name in used if name in index))
+            value.entries = tuple(
+                Entry(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
+                for name, label in instruction.incoming
+            )
+        for block in function.blocks:
             for instruction in block.all():
-                self._note_uses(instruction, block, values, first)
-        return values
-
-    def _connect(self, value: Value, instruction: Instruction, block: Block) -> None:
-        """Set operands and entries."""
-        value.own_memory = instruction.opcode == "load"
-        value.weight = weight_of(instruction)
-        used = [name for name, _ in instruction.incoming] or instruction.uses()
-        value.operands = tuple(dict.fromkeys(self.index[name] for name in used if name in self.index))
-        value.entries = tuple(
-            Entry(self.index.get(name, OUTSIDE), self.counts.get(label) or 0.0, (label, block.label) in self.back)
-            for name, label in instruction.incoming
-        )
-
-    def _note_uses(self, instruction: Instruction, block: Block, values: Sequence[Value], first: int) -> None:
-        user = self.index.get(str(instruction.result), OUTSIDE)
-        if instruction.opcode == "phi":
-            for name, label in instruction.incoming:
-                if name in self.index:
-                    values[self.index[name] - first].uses.append(Use(user, label, self.counts.get(label)))
-            return
-        if len(set(successors(instruction))) == 2 and instruction.opcode == "br":
-            return
-        for name in dict.fromkeys(instruction.uses()):
-            if name in self.index:
-                compared = self.addresses and reads_memory(instruction) and name in instruction.addresses
-                use = Use(user, block.label, self.counts[block.label], compared)
-                values[self.index[name] - first].uses.append(use)
+                if is_fork(instruction):
+                    continue
+                user = index.get(str(instruction.result), OUTSIDE)
+                needed = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
+                for name, label in needed:
+                    if name in index:
+                        compared = addresses and reads_memory(instruction) and name in instruction.addresses
+                        values[index[name]].uses.append(Use(user, label, counts.get(label), compared))
+    return values
 
 
 def weight_of(instruction: Instruction) -> float:
@@ -304,8 +282,7 @@ _PRICES = np.geomspace(50.0, 1e-3, 48)
 """Prices of the hull, relative to benefit / cost of duplicating everything."""
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(NamedTuple):
     """A set of values to duplicate.
 
     Attributes:
@@ -363,7 +340,8 @@ class Chooser:
 
     def within(self, budget: float) -> Choice:
         """The best known choice that adds at most `budget` dynamic instructions: a larger one never covers less."""
-        return max((step for step in self._steps if step.cost <= budget), key=lambda step: step.benefit).choice(self)
+        step = max((step for step in self._steps if step.cost <= budget), key=lambda step: step.benefit)
+        return self.choice([*step.corner.chosen, *step.added[: step.taken]])
 
     @cached_property
     def _steps(self) -> list["_Step"]:
@@ -419,18 +397,14 @@ class Chooser:
         return after - before
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """A corner of the hull with the first `count` of some additions."""
+class _Step(NamedTuple):
+    """A corner of the hull with the first `taken` of some additions."""
 
     corner: Choice
     added: list[int]
-    count: int
+    taken: int
     cost: float
     benefit: float
-
-    def choice(self, chooser: Chooser) -> Choice:
-        return chooser.choice([*self.corner.chosen, *self.added[: self.count]])
 
 
 def upper_hull(choices: Iterable[Choice]) -> list[Choice]:

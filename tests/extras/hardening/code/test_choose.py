@@ -112,7 +112,7 @@ def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
 
 
 def test_a_comparison_is_made_where_it_is_executed_less_often():
-    value = Value(Site(0, 0, 0), "load", "double", HOT, own_memory=True)
+    value = Value(Site(0, 0, 0), "load", "double", HOT)
     value.uses.append(Use(OUTSIDE, "%b1", COLD))
     assert total_cost([value], {0}) == HOT + 3 * COLD
     value.uses.append(Use(OUTSIDE, "%b2", None))  # a block whose executions are not counted
