@@ -141,7 +141,7 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
 
 def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
-    from mavfi.extras.logs.ulog_writer import write_ulog
+    from mavfi.extras.logs.ulog import write_ulog
     from mavfi.extras.mavlink.tlog import write_tlog
     from mavfi.report.export.files import write_bag, write_csv, write_mcap
 

@@ -8,10 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mavfi.extras.hardening.of_mission import check_flown
 from mavfi.flight.assemble import new_loop
 from mavfi.flight.loop import Loop
 from mavfi.mission import Scenario
+from mavfi.rewriting import check_flown
 from mavfi.states import new_state, rows
 
 _LATER_US = 1_000_000

@@ -115,7 +115,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
 @pytest.mark.slow
 def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("mavfi.campaign.training.record", lambda *_, **__: None)
-    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
+    monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)
     changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
     sections = [
         {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "flight_times"]},
@@ -218,7 +218,7 @@ def trained(monkeypatch):
     no_report(monkeypatch)
     monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
-    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
+    monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)
     return found
 
 

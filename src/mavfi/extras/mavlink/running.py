@@ -5,11 +5,11 @@ import socket
 import numpy as np
 
 from mavfi.errors import writing
-from mavfi.extras.logs.lines import end_line, line_of
 from mavfi.extras.mavlink.tlog import FlightMessages
 from mavfi.flight.loop import Loop
 from mavfi.flight.observe import Item
 from mavfi.mission import MissionStatus
+from mavfi.report.export.lines import end_line, line_of
 from mavfi.states import State
 
 HOST = "127.0.0.1"

@@ -10,23 +10,24 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from mavfi.analysis import published as paper
 from mavfi.analysis.measures import (
-    POPULATIONS,
     in_leading,
     leading,
+    leading_faults,
     leads,
     population_names,
     population_text,
 )
+from mavfi.analysis.rows import POPULATIONS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.extras.paper import published as paper
-from mavfi.extras.paper.views import leading_faults
+from mavfi.plugins import Chapter
 from mavfi.report import style
 from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing, register
+from mavfi.report.figures.registry import Drawing
 
 _LEGEND: dict[str, Any] = {"columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
@@ -196,10 +197,7 @@ def _signed(share: float, _: float) -> str:
     return f"{percent:+d} %" if percent else "0 %"
 
 
-register(
+CHAPTER = Chapter(10, (
     Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
-    Drawing(
-        "flight_time", flight_time,
-        _arrival_caption, general=True,
-    ),
-)  # fmt: skip
+    Drawing("flight_time", flight_time, _arrival_caption, general=True),
+))  # fmt: skip

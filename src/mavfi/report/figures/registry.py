@@ -1,4 +1,4 @@
-"""`Drawing`: runs of a campaign -> figure.  Every figure is a drawing, registered by name in `FIGURES`."""
+"""`Drawing`: runs of a campaign -> figure.  Every figure is a drawing."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from mavfi.analysis.runs import Runs
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
+from mavfi.plugins import Catalogue
 from mavfi.report import style
 
 
@@ -28,12 +29,8 @@ class Drawing:
         return self.caption if isinstance(self.caption, str) else self.caption(runs)
 
 
-FIGURES: dict[str, Drawing] = {}  # by name, in the order of reports
-
-
-def register(*drawings: Drawing) -> None:
-    """Register figures; a figure replaces an earlier one with the same name."""
-    FIGURES.update({drawing.name: drawing for drawing in drawings})
+FIGURES: Mapping[str, Drawing] = Catalogue("mavfi.figures")
+"""By name, in the order of reports."""
 
 
 def drawing(name: str) -> Drawing:

@@ -12,7 +12,7 @@ from mavfi.campaign.samplers.smaller import change_of
 from mavfi.campaign.shrink import Shrunk, Trial, shrink
 from mavfi.campaign.store import Store
 from mavfi.cli import run
-from mavfi.cli.shrink import command
+from mavfi.cli.runs import command
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import parse

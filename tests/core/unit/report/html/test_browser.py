@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mavfi.extras.paper.views import by_bits, leading_faults
+from mavfi.analysis.measures import leading_faults
+from mavfi.extras.paper.views import by_bits
 from mavfi.report.campaign_report import report_of
 from mavfi.report.figures import figure
 from mavfi.report.html.flight_data import Course

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors import residuals
+from mavfi.extras.bench import residuals
 from mavfi.extras.bench.field_codes import QUANTA, CodeRecorder, FieldCodes, sample_of
 from mavfi.flight.fly import fly
 from mavfi.states import AUTOPILOTS, floats, rows
@@ -28,7 +28,7 @@ def flown(request):
     recorder, published = CodeRecorder(request.param), []
     fly(mission(request.param), recorders=[recorder.accept, lambda state, now: published.append(state)])
     field_codes = FieldCodes(request.param)
-    return request.param, field_codes, sample_of(recorder.codes(), field_codes), published
+    return request.param, field_codes, sample_of(recorder.recording(), field_codes), published
 
 
 def column(flown, state, name):

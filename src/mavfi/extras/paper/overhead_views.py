@@ -1,66 +1,48 @@
-"""Views of alarms (false alarms, detected faults), and the overhead of detection and recovery."""
+"""View of the paper's Table II: compute time overhead of detection and recovery, measured, modelled and published."""
 
-from collections import Counter
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from mavfi.analysis import measures as m
-from mavfi.analysis.flight_views import (
-    HEALS,
-    SETTING,
-    TOTAL,
-    named_populations,
-    of_states,
-    watched,
-)
+from mavfi.analysis import published as paper
+from mavfi.analysis.flight_views import SETTING, watched
 from mavfi.analysis.measures import Measure
-from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.table import NUMBER, PER_HOUR, SMALL, TEXT
-from mavfi.analysis.views import View, register
-from mavfi.extras.paper import published as paper
-from mavfi.extras.paper.overheads import ALL
+from mavfi.analysis.table import SMALL
+from mavfi.analysis.views import View
+from mavfi.errors import BadInputError
+from mavfi.plugins import Chapter
 from mavfi.record import FlightRecord
 from mavfi.states import PPC_STAGES
 
-
-# ---- alarms ------------------------------------------------------------------------------------------------------
-def _golden_watched(runs: Runs) -> Runs:
-    return runs.golden.where(pl.col("detector") != "", end="flown")
-
-
-def _kinds(own: Runs) -> str:
-    kinds: Counter[str] = Counter()
-    for record in own.recorded():
-        kinds.update(record.alarm_counts)
-    # "source/action/outcome"; the name of the setting already contains the source
-    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in kinds.items())
+FILE = "overheads.json"
+"""Name of the file of measured overheads in the folder of a campaign."""
+ALL = "all"
+"""Key of the sum over all stages."""
 
 
-def _systematic_note(runs: Runs) -> str:
-    parts = _golden_watched(runs).groups("setting", "environment").values()
-    always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
-    alarms = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
-    return f"systematic: same state and instant in more than 90 % of the flights{alarms}"
+def load(directory: Path) -> dict[str, Any]:
+    """Read measured overheads from the folder of a campaign; empty if there are none.
+
+    Raises:
+        BadInputError: The file is invalid.
+    """
+    path = directory / FILE
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found["processor"], found["missions"]
+        {(row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"]) for row in found["rows"]}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BadInputError(f"{path}: is not a file of measured overheads; remove it, or measure again") from None
+    return found
 
 
-def _monitored_note(runs: Runs) -> str:
-    name = runs.campaign.get("monitored_set", "")
-    return (
-        f"monitored set {name}: the fields that the paper's detectors see; others watch more (the acceptance test "
-        "every field of the states with a rule), and may catch faults outside it"
-    )
-
-
-def _detected(runs: Runs) -> Runs:
-    own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
-    in_set = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
-    return named_populations(own).adding(in_monitored_set=in_set)
-
-
-# ---- overhead ----------------------------------------------------------------------------------------------------
 def of_stages(record: FlightRecord) -> list[Mapping[str, Any]]:
     """Modelled recomputation time by stage and in total, with the modelled compute time of the pipeline (us)."""
     recomputed = sum(record.recompute_us.values())
@@ -143,7 +125,7 @@ def _overhead_notes(runs: Runs) -> list[str]:
     ]
 
 
-register(
+CHAPTER = Chapter(20, (
     View(
         "overheads_as_in_the_paper", "Table II: compute time overhead of detection and of recovery",
         (*SETTING, "stage"),
@@ -158,36 +140,4 @@ register(
         where=lambda runs: runs.injected.where(pl.col("detector") != "", end="flown").exploded(of_stages),
         notes=_overhead_notes, applies=lambda runs: watched(runs) and runs.has_missions,
     ),
-    View(
-        "false_alarms", "False alarms", SETTING,
-        (
-            m.count("flights", "flights"), m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
-            Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
-            Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
-            Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
-            Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
-            Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
-            Measure("kinds", "kinds", TEXT, _kinds),
-        ),
-        where=_golden_watched, total=TOTAL,
-        notes=lambda runs: (
-            "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
-            "which alone is left where there is no alarm; upper bound: one-sided 95 %", _systematic_note(runs),
-        ), applies=watched,
-    ),
-    View(
-        "detections", "Detection of activated faults", ("environment", "setting", "bits", "in_monitored_set"),
-        (
-            m.rate("detected", "detected", "detected_at_site"),
-            m.rate("downstream", "detected downstream", "detected_downstream"),
-        ),
-        where=_detected,
-        notes=lambda runs: (
-            HEALS, _monitored_note(runs),
-            "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the latency is 0 "
-            "by construction",
-            "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
-            "detector has not; false alarms that the fault has shifted are among them",
-        ), applies=lambda runs: of_states(runs) and watched(runs),
-    ),
-)  # fmt: skip
+))  # fmt: skip
