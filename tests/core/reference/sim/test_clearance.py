@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.sim.contact import sphere_touches_voxels
-from mavfi.sim.environments.clutter import clutter
+from mavfi.sim.environments.generated import clutter
 from mavfi.sim.environments.world import World
 
 
