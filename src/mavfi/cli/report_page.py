@@ -7,6 +7,7 @@ from pathlib import Path
 
 import polars as pl
 
+from mavfi.analysis.listing import ordered, partner
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
@@ -14,7 +15,6 @@ from mavfi.campaign.mission import host_of
 from mavfi.campaign.replay import explain, explained_levels
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import FILE, Store
-from mavfi.campaign.telling import ordered, partner
 from mavfi.cli.flight_pages import page_of_explanation
 from mavfi.cli.progress import Bar
 from mavfi.errors import BadInputError

@@ -96,8 +96,8 @@ def explain(
     if picture is not None:
         draw_flight(picture, found.flight, found.golden, detector=detector_name(found.spec))
     if html is not None:
+        from mavfi.analysis.listing import partner
         from mavfi.analysis.runs import Runs
-        from mavfi.campaign.telling import partner
         from mavfi.cli.flight_pages import page_of_explanation
         from mavfi.report.html.flight_page import write_flight_page
 

@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
+from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
-from mavfi.campaign.telling import with_flights
 from mavfi.extras.paper import views as v
 from mavfi.extras.paper.cases import path_cases
 from mavfi.extras.paper.platform_views import compared
