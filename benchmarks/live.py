@@ -18,7 +18,7 @@ from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.observe import Attached
 from mavfi.mission import MissionSpec
-from tests.core.unit.report.export.viewer import Viewer
+from tests.extras.logs.viewer import Viewer
 from tools.markers import DOCS, fill
 
 PAGE = DOCS / "logs.md"

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from mavfi.cli.console import check_number, console
 from mavfi.errors import BadInputError
+from mavfi.plugins import load_object
 
-if TYPE_CHECKING:
-    from mavfi.extras.logs.live import LiveView
-    from mavfi.extras.mavlink.running import Telemetry
-
+_GROUP = "mavfi.observers"
 _LAST_PORT = 65_535
 REAL_TIME = 1.0
 Live = Annotated[bool, typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live).")]
@@ -56,16 +54,14 @@ def observing(live: bool, mavlink: int | None, pace: float) -> Iterator[tuple[Ca
             view.close()
 
 
-def _views(live: bool, mavlink: int | None) -> Iterator[LiveView | Telemetry]:
+def _views(live: bool, mavlink: int | None) -> Iterator[Any]:
+    """Observers that extras add by entry points, each a class with `address` and `close`."""
     out = console(error=True)
     if live:
-        from mavfi.extras.logs.live import PORT, LiveView
-
-        view = LiveView(PORT)
+        view = load_object("observer", "live", _GROUP, {})()
         out.print(f"serving the flight at {view.address}", markup=False, highlight=False)
         yield view
     if mavlink is not None:
-        from mavfi.extras.mavlink.running import HOST, Telemetry
-
-        out.print(f"sending the flight to udp://{HOST}:{mavlink}", markup=False, highlight=False)
-        yield Telemetry(mavlink)
+        view = load_object("observer", "mavlink", _GROUP, {})(mavlink)
+        out.print(f"sending the flight to {view.address}", markup=False, highlight=False)
+        yield view

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.extras.logs.lines import INFO, end_line, line_of
 from mavfi.flight.loop import Loop
 from mavfi.flight.observe import Item
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS
 from mavfi.report.export.files import Maker
+from mavfi.report.export.lines import INFO, end_line, line_of
 from mavfi.report.export.timeline import (
     TICK_TOPICS,
     Converter,
@@ -78,7 +78,7 @@ class LiveView:
         BadInputError: The library is not installed, or the port is in use.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int = PORT) -> None:
         try:
             import foxglove
         except ImportError:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from mavfi.errors import writing
-from mavfi.extras.logs.lines import ERROR, INFO, WARN, Line, line_of, lines_of
 from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
+from mavfi.report.export.lines import ERROR, INFO, WARN, Line, line_of, lines_of
 
 FAULT_TOPIC = "mavfi_fault"
 """Topic that is 0 before and 1 from the first activated injection."""

@@ -9,7 +9,6 @@ from mavfi.errors import BadInputError
 from mavfi.extras.airsim.attitude import Vertical, at_attitude, at_rates
 from mavfi.extras.airsim.tasks import land
 from mavfi.extras.airsim.vehicle import TICK_US, Task
-from mavfi.extras.logs.lines import chunks_of
 from mavfi.extras.logs.tlog import mavlink_dialect
 from mavfi.extras.mavlink import telemetry
 from mavfi.extras.mavlink.flying import (
@@ -28,6 +27,7 @@ from mavfi.extras.mavlink.parameters import Parameters
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import NULL, SensorFault
 from mavfi.numerics.frames import Triple, euler, local
+from mavfi.report.export.lines import chunks_of
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 """MAV_RESULT; 1 = temporarily rejected."""

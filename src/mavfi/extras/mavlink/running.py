@@ -5,11 +5,11 @@ import socket
 import numpy as np
 
 from mavfi.errors import writing
-from mavfi.extras.logs.lines import end_line, line_of
 from mavfi.extras.mavlink.tlog import FlightMessages
 from mavfi.flight.loop import Loop
 from mavfi.flight.observe import Item
 from mavfi.mission import MissionStatus
+from mavfi.report.export.lines import end_line, line_of
 from mavfi.states import State
 
 HOST = "127.0.0.1"
@@ -32,6 +32,7 @@ class Telemetry:
         self._link = self._messages.link(self)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._to = HOST, port
+        self.address = f"udp://{HOST}:{port}"
         self._rows, self._texts = 0, 0
 
     def begin(self, loop: Loop) -> None:
@@ -59,7 +60,7 @@ class Telemetry:
 
     def write(self, packet: bytes) -> None:
         """Send a packet."""
-        with writing(f"udp://{HOST}:{self._to[1]}"):
+        with writing(self.address):
             try:
                 self._socket.sendto(packet, self._to)
             except ConnectionRefusedError:  # no ground station listens yet

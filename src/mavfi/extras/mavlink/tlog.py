@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import writing
-from mavfi.extras.logs.lines import ERROR, INFO, WARN, Line, chunks_of, lines_of
 from mavfi.extras.logs.tlog import mavlink_dialect
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog
+from mavfi.report.export.lines import ERROR, INFO, WARN, Line, chunks_of, lines_of
 
 _SEVERITIES = {ERROR: 3, WARN: 4, INFO: 6}
 """MAV_SEVERITY of each level."""

@@ -16,8 +16,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import writing
-from mavfi.extras.logs.lines import ERROR, INFO, WARN
 from mavfi.record import COLUMNS, FlightLog
+from mavfi.report.export.lines import ERROR, INFO, WARN
 from mavfi.report.export.timeline import Message
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"

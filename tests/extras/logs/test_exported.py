@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.logs.lines import LONGEST_TEXT
 from mavfi.extras.logs.ulog_writer import FAULT_TOPIC, write_ulog
 from mavfi.extras.mavlink.tlog import write_tlog
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import euler, geodetic, local, ned_of
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection
+from mavfi.report.export.lines import LONGEST_TEXT
 
 SECONDS = 4.0
 

@@ -15,7 +15,7 @@ from mavfi.flight.observe import Attached
 from mavfi.mission import MissionSpec
 from mavfi.numerics.frames import ned_of
 from mavfi.report.export.files import Maker
-from tests.core.unit.report.export.viewer import Viewer
+from tests.extras.logs.viewer import Viewer
 
 pytestmark = pytest.mark.slow
 
