@@ -155,8 +155,7 @@ def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHo
 
 
 def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
-    from mavfi.cli.flight_pages import fly_command, page_of_result
-    from mavfi.report.html.flight_page import write_flight_page
+    from mavfi.report.html.flight_page import fly_command, page_of_result, write_flight_page
 
     write_flight_page(html, page_of_result(result, setup, bare, fly_command(*options)))
 

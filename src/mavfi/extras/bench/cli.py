@@ -189,7 +189,7 @@ def _write(own: "Mapping[str, Table]", scored: "Mapping[str, Scores]", page: str
 
 
 def _show(tables: "Mapping[str, Table]", out: Path) -> None:
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     terminal = console()
     names = list(tables)
@@ -217,7 +217,7 @@ def overheads(
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar
     from mavfi.extras.paper.overheads import measure, save
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     check_number("--missions", missions, 1, 1000)
     with Store.open(directory) as store:
