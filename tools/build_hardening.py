@@ -24,6 +24,7 @@ from typing import Any
 
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import NUMBER, Column, Table
+from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
 from mavfi.extras.hardening.certification import Certification, merged
@@ -33,12 +34,11 @@ from mavfi.extras.hardening.learned import Injected, injections_in
 from mavfi.extras.hardening.ledger import harm_of
 from mavfi.extras.hardening.observed import Seen, observe
 from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.study import Study, advise, plan_of, planned_of
 from mavfi.extras.hardening.summary import AdviceSummary, growth_of, summary
 from mavfi.extras.hardening.target import Target
 from mavfi.extras.hardening.text import advice_table, caveats, certificate_table, headline, verdict_line
-from mavfi.extras.paper.overheads import processor
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from tools import results

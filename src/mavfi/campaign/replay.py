@@ -23,7 +23,6 @@ from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError, SpecMismatchError
-from mavfi.extras.hardening.of_mission import check_plan
 from mavfi.faults.fault import Fault
 from mavfi.flight import recorded
 from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
@@ -31,6 +30,7 @@ from mavfi.flight.mission_flights import LocalHost
 from mavfi.mission import Scenario
 from mavfi.outcomes import Effect, effect_of
 from mavfi.record import End, FlightRecord, record_of
+from mavfi.rewriting import rewriter
 
 CONFIDENCE = 0.95
 """Of the bound on the share of wrong records."""
@@ -118,7 +118,7 @@ def _scenario(store: Store, stored: dict[str, Any]) -> Scenario:
     """The scenario as flown, with the content of the files that its mission named, e.g. of its protection plan."""
     scenario = parse(Scenario, stored, str(store.directory), stored=True)
     if scenario.protection is not None:
-        check_plan(scenario.protection, f"of {store.directory}")
+        rewriter().check(scenario.protection, f"of {store.directory}")
     return scenario
 
 

@@ -6,32 +6,32 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.extras.firmware import cli as firmware
-from mavfi.extras.ros import cli_nodes as ros_nodes
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
+from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.flight.host import ArmSetup
-    from mavfi.flight.mission_flights import LocalHost
+    from mavfi.faults.fault import Fault
+    from mavfi.flight.host import ArmSetup, Host
     from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
 
 DEFAULT_PROFILE = "paper"
+FLY_OPTIONS = "mavfi.fly_options"
+"""Group of entry points: objects with `options`, see `with_extra_options`, and `chosen(mission, values)`.
 
-World = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451.")
-]
+The latter takes the values of all these options, `fault` and `html`, and returns a fault of the extra's own level and
+the host that flies the mission, each None if its options ask for none.
+"""
 
 
 @options.with_mission_options
+@options.with_extra_options(FLY_OPTIONS, observing.OBSERVERS)
 def fly(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     fault: options.Fault = None,
@@ -39,17 +39,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
     detector: options.Detector = "none",
     profile: options.Profile = None,
     models: options.Models = None,
-    register_fault: firmware.FaultOption = None,
-    registers: ros_nodes.RegistersOption = None,
-    register_seed: ros_nodes.SeedOption = None,
     as_json: options.AsJson = False,
     save: options.Save = None,
     picture: options.Picture = None,
     html: options.Html = None,
-    live: observing.Live = False,
-    mavlink: observing.Mavlink = None,
     pace: observing.Pace = observing.REAL_TIME,
-    world: World = None,
+    **extra: Any,  # noqa: ANN401 - of the options of extras
 ) -> None:
     """Fly one mission and report its result; with a fault, compare it with the golden run.
 
@@ -57,15 +52,14 @@ def fly(  # noqa: PLR0913 - one parameter per option
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
     _check_dead_node(mission, fault)
-    observing.check_options(live, mavlink, pace, fault)
+    observers = observing.chosen_observers(extra, pace, fault)
     for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
         check_file(option, path, endings)
-    in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html or world))
+    wanted, host = _chosen(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
     from mavfi.faults.spec import parse
 
-    wanted = in_register if fault is None else parse(fault, mission.localization)
-    host = _host(world, fault, mission)
+    wanted = wanted if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.flight.compose import resolve
@@ -79,7 +73,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
             _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario, mission)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        with observing.observing(live, mavlink, pace) as views:
+        with observing.observing(observers, extra, pace) as views:
             result = fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
@@ -132,26 +126,11 @@ def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[s
     result.log.save(save)
 
 
-def _host(world: str | None, fault: str | None, mission: MissionSpec) -> LocalHost | None:
-    """The host of a world behind an address; None = the simulator."""
-    if world is None:
-        return None
-    from mavfi.extras.airsim.program import world_address
-    from mavfi.extras.airsim.remote import Remote
-    from mavfi.flight.mission_flights import LocalHost
-
-    if (fault or "").startswith("instruction:"):
-        raise BadInputError(
-            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:, sensor:"
-        )
-    if _is_chosen(mission, "flight_controller"):
-        text = "that of the server flies; allowed: without --world"
-        raise BadInputError(f"--flight-controller: {mission.flight_controller}: {text}")
-    if _is_chosen(mission, "depth_noise"):
-        text = "the server's camera has its own noise; allowed: without --world"
-        raise BadInputError(f"--depth-noise: {mission.depth_noise:g}: {text}")
-    host, port = world_address(world)
-    return LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
+def _chosen(mission: MissionSpec, values: dict[str, Any]) -> tuple[Fault | None, Host | None]:
+    """The fault and the host that options of extras ask for, see `FLY_OPTIONS`."""
+    chosen = [extra.chosen(mission, values) for extra in extensions(FLY_OPTIONS).values()]
+    fault = next((fault for fault, _ in chosen if fault is not None), None)
+    return fault, next((host for _, host in chosen if host is not None), None)
 
 
 def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:

@@ -16,7 +16,7 @@ from mavfi.config import Vector
 from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
-from mavfi.plugins import known
+from mavfi.plugins import extensions, known
 
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
 Fault = Annotated[
@@ -75,6 +75,26 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped
+
+
+def with_extra_options(*groups: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Replace a command's last parameter, `**values`, by the options of groups of entry points.
+
+    Each object of a group has `options`: the annotated types of its options by the names of their parameters.  An
+    option that the user has not set is None.
+    """
+
+    def decorate(verb: Callable[..., None]) -> Callable[..., None]:
+        parameters = list(inspect.signature(verb, eval_str=True).parameters.values())[:-1]
+        for extra in (extra for group in groups for extra in extensions(group).values()):
+            for name, option in extra.options.items():
+                keyword = inspect.Parameter.KEYWORD_ONLY
+                parameters.append(inspect.Parameter(name, keyword, default=None, annotation=option))
+        verb.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        verb.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return verb
+
+    return decorate
 
 
 def _is_users(source: Enum | None) -> bool:

@@ -15,7 +15,7 @@ from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, kernel_jit
-from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state
+from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state, rows
 
 SOURCE = "acceptance"
 Compiled = Callable[..., Any]
@@ -221,12 +221,12 @@ class AcceptanceTest(Detector):
         if name == _STATUS:
             return int(self._judge_status(state.header, self.record))
         if name == _PATH:
-            vertices, odometry = _rows(state.elements, 3), bytes_of(self.odometry)
+            vertices, odometry = rows(state.elements, 3), bytes_of(self.odometry)
             return int(
                 self._functions["judge_path"](state.header, vertices, now, odometry, self.record, self.blocks)
             )  # fmt: skip
         if name == _TRAJECTORY:
-            points = _rows(state.elements, rules.POINT_WIDTH)
+            points = rows(state.elements, rules.POINT_WIDTH)
             return int(self._functions["judge_trajectory"](state.header, points, bytes_of(self.odometry), self.record))
         if name == _ESTIMATE:
             return self.estimates.check(state, now)
@@ -263,10 +263,10 @@ class AcceptanceTest(Detector):
         elif name == _STATUS:
             self._note_status(state.header, now, self.record)
         elif name == _PATH:
-            self._functions["note_path"](state.header, _rows(state.elements, 3), self.record)
+            self._functions["note_path"](state.header, rows(state.elements, 3), self.record)
         elif name == _TRAJECTORY:
             self._make_room(len(state.elements))
-            points = _rows(state.elements, rules.POINT_WIDTH)
+            points = rows(state.elements, rules.POINT_WIDTH)
             self._functions["note_trajectory"](state.header, points, self.record, self.blocks)
 
     def _make_room(self, count: int) -> None:
@@ -321,10 +321,6 @@ class AcceptanceTest(Detector):
         return AcceptanceTest, (self.limits, self.rules), self.memory()
 
     __setstate__ = restore
-
-
-def _rows(elements: np.ndarray, width: int) -> np.ndarray:
-    return floats(elements, width).reshape(-1, width)
 
 
 def _field_at(state: State, place: int) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
-from mavfi.extras.hardening.of_mission import check_flown
 from mavfi.faults.fault import MemoryFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.levels.state_injector import StateInjector
@@ -18,6 +17,7 @@ from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.flight.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.rewriting import check_flown
 from mavfi.sim.simulator import Simulator
 
 LocalFault = StateFault | MemoryFault | SensorFault

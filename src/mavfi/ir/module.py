@@ -69,7 +69,7 @@ class Instruction:
         arguments: For a call: type and value of each argument.
         location: Number of its debug location, or None.
         variable: Source variable whose value the result is, or None.
-        role: What it is in protected code, see `mavfi.extras.hardening.duplicate`; "" = as compiled.
+        role: What it is in rewritten code, e.g. protected; "" = as compiled.
     """
 
     opcode: str

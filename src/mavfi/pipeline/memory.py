@@ -96,7 +96,6 @@ class Remembers:
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
         """See `Kernel.resume`; by default no output is read back."""
-        del last, time_us
         return ()
 
     def fingerprint(self) -> bytes:

@@ -13,10 +13,7 @@ from mavfi.config import VehicleConfig
 from mavfi.plugins import load_object
 
 GROUP = "mavfi.flight_controllers"
-_SHIPPED = {
-    "cascade": "mavfi.sim.cascade:Cascade",
-    "betaflight": "mavfi.extras.firmware.controller:BetaflightController",
-}
+_SHIPPED = {"cascade": "mavfi.sim.cascade:Cascade"}
 
 
 class Start(NamedTuple):

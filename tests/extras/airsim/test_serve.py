@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from mavfi.extras.logs import open_flight_log
+from mavfi.flight.log_readers import open_flight_log
 
 CLIENT = """
 import math

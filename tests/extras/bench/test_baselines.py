@@ -12,11 +12,11 @@ from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
 from mavfi.detectors.registry import figures_of
-from mavfi.detectors.samples import join
 from mavfi.detectors.scoring import Threshold
+from mavfi.detectors.training import join
 from mavfi.errors import BadInputError
 from mavfi.extras.bench import half_space_trees, library
-from mavfi.extras.bench.field_codes import MONITORED, Codes, FieldCodes, sample_of
+from mavfi.extras.bench.field_codes import MONITORED, FieldCodes, sample_of
 from mavfi.extras.bench.forest import Branch, Trees, forest_of, limit_of
 from mavfi.extras.bench.gradient_boosting import (
     GradientBoostingDetector,
@@ -84,7 +84,7 @@ class BestStretchDetector(MatrixProfileDetector):
 def sample():
     field_codes = FieldCodes("published")
     flown = [with_codes(flight(seed, ticks=500)) for seed in range(6)]
-    return join([sample_of(Codes(one.slots, one.regimes, one.codes), field_codes) for one in flown])
+    return join([sample_of(one, field_codes) for one in flown])
 
 
 def fitted(kind, sample, figures):

@@ -5,8 +5,14 @@ import pytest
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
 from mavfi.extras.firmware import build
-from mavfi.extras.firmware.cli import register_fault
+from mavfi.extras.firmware.cli import RegisterFaultOptions
 from mavfi.extras.firmware.injector import WALK
+from mavfi.mission import MissionSpec
+
+
+def register_fault(text, registers, seed):
+    values = {"register_fault": text, "registers": registers, "register_seed": seed}
+    return RegisterFaultOptions.chosen(MissionSpec(), values)[0]
 
 
 def test_the_fault_is_that_of_the_options():

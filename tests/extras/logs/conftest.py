@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.logs.calls import Call
-from mavfi.extras.logs.ulog_writer import write_ulog
+from mavfi.extras.airsim.calls import Call
+from mavfi.extras.logs.ulog import write_ulog
 from mavfi.extras.mavlink.tlog import write_tlog
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS, FlightLog, Injection

@@ -5,7 +5,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mavfi.errors import BadInputError
-from mavfi.extras.logs import open_flight_log
+from mavfi.flight.log_readers import open_flight_log
 
 
 @pytest.fixture

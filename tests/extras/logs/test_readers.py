@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.logs import open_flight_log
-from mavfi.extras.logs.calls import Call, read_calls
+from mavfi.extras.airsim.calls import Call, read_calls
+from mavfi.flight.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
 
 REAL = Path(__file__).parents[3].parent / "shared" / "data" / "logs"

@@ -21,7 +21,6 @@ from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, watched_in
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.protected import rewriting_of
 from mavfi.faults.fault import NO_SITE, Fault, InstructionFault
 from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
@@ -35,6 +34,7 @@ from mavfi.flight.policy import INLINE, Recovery
 from mavfi.ir.digest import DIGEST_VERSION
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
+from mavfi.rewriting import rewriting_of
 from mavfi.states import DETECTORS, INJECTABLE, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 _MAX_ROUNDS = 6
@@ -88,7 +88,7 @@ def draw_instruction_faults(
         flights = _flights_of(ArmSetup(scenario, None if detector is None else lambda: detector, recovery), arm)
 
     # 1. Count the instructions of every call in the golden flight.
-    rewriting = rewriting_of(scenario)
+    rewriting = rewriting_of(scenario.protection)
     functions = {kernel: _functions(kernel, detector) for kernel in request.kernels}
     compiled = {entry: function for entries in functions.values() for entry, function in entries.items()}
     counters = {entry: Profiling(function, rewriting) for entry, function in compiled.items()}

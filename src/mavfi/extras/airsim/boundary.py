@@ -18,9 +18,9 @@ from typing import Any, TextIO
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim.calls import Call
 from mavfi.extras.airsim.table import CALLS
 from mavfi.extras.airsim.values import Path, count, flip, keys_of, leaves, make_double, path_of
-from mavfi.extras.logs.calls import Call
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import SensorFault

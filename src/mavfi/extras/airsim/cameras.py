@@ -14,19 +14,7 @@ import numpy as np
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim import pictures
-from mavfi.extras.airsim.frames import (
-    Data,
-    Triple,
-    flipped,
-    geo_point,
-    looking,
-    mount,
-    pose,
-    pose_numbers,
-    quaternion,
-    turned,
-    vector,
-)
+from mavfi.extras.airsim.frames import Data, geo_point, looking, mount, pose, pose_numbers, quaternion, vector
 from mavfi.extras.airsim.frames import rotation as rotated
 from mavfi.extras.airsim.table import (
     FILM_MM,
@@ -40,6 +28,7 @@ from mavfi.extras.airsim.table import (
     vehicle_call,
 )
 from mavfi.numerics.elementary import atan2, tan
+from mavfi.numerics.frames import Triple, flipped, turned
 from mavfi.numerics.rotations import rotation_matrix
 
 CAMERA_RANGE = 100.0

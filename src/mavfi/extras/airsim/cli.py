@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,7 +15,7 @@ from mavfi.cli.console import check_file, check_name, check_number, check_seed, 
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, writing
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
-from mavfi.mission import OF_A_DETECTOR, MissionSpec
+from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,11 +24,8 @@ if TYPE_CHECKING:
     from mavfi.extras.airsim.program import Ended
     from mavfi.extras.airsim.server import Server
     from mavfi.faults.levels.sensor.fault import SensorFault
+    from mavfi.flight.mission_flights import LocalHost
 
-OF_THE_PIPELINE = (
-    "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
-    "epoch_liveness", "protection", *OF_A_DETECTOR,
-)  # fmt: skip
 _CLOCKS = ("real", "steps")
 
 Fault = Annotated[
@@ -52,6 +49,41 @@ Python = Annotated[
     str, typer.Option(metavar="PYTHON", help="Interpreter with an AirSim client; mavfi's own by default.")
 ]
 Script = Annotated[Path, typer.Argument(metavar="SCRIPT", help="Client program of AirSim; [ARGS] are its own.")]
+
+
+class WorldOption:
+    """The option of `mavfi fly` for a server of AirSim's API as the world."""
+
+    options = {
+        "world": Annotated[
+            str | None,
+            typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451."),
+        ]
+    }
+
+    @staticmethod
+    def chosen(mission: MissionSpec, values: dict[str, Any]) -> tuple[None, LocalHost | None]:
+        """See `mavfi.cli.fly.FLY_OPTIONS`; raises `BadInputError` for what does not go with a server."""
+        world, fault = values["world"], values["fault"] or ""
+        if world is None:
+            return None, None
+        from mavfi.extras.airsim.program import world_address
+        from mavfi.extras.airsim.remote import Remote
+        from mavfi.flight.mission_flights import LocalHost
+
+        if fault.startswith("instruction:"):
+            text = "faults in instructions fork the flight; allowed with --world: state:, memory:, sensor:"
+            raise BadInputError(f"--fault: {fault}: {text}")
+        default = MissionSpec.model_fields
+        if mission.flight_controller != default["flight_controller"].default:
+            text = "that of the server flies; allowed: without --world"
+            raise BadInputError(f"--flight-controller: {mission.flight_controller}: {text}")
+        if mission.depth_noise != default["depth_noise"].default:
+            text = "the server's camera has its own noise; allowed: without --world"
+            raise BadInputError(f"--depth-noise: {mission.depth_noise:g}: {text}")
+        host, port = world_address(world)
+        return None, LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
+
 
 app = typer.Typer(no_args_is_help=True)
 

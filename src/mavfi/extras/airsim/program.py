@@ -19,7 +19,7 @@ from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
 from mavfi.extras.airsim.server import HOST, Server
 from mavfi.extras.airsim.table import Api
-from mavfi.extras.airsim.vehicle import ApiVehicle
+from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.sim.scene import STEP_US
 
@@ -39,14 +39,14 @@ def make_api(
         image: Size of images; "" = AirSim's default, or without a ground start that of the mission's camera.
         name: Of the vehicle.
         version: Of the API.
-        on_ground: See `ApiVehicle`.
+        on_ground: See `PilotedVehicle`.
 
     Raises:
         BadInputError: The mission cannot be flown.
     """
     if on_ground and spec.v_max is None:
         spec = spec.model_copy(update={"v_max": V_MAX})
-    vehicle = ApiVehicle(spec, on_ground=on_ground)
+    vehicle = PilotedVehicle(spec, on_ground=on_ground)
     own = vehicle.scenario.camera
     size = pixels(image or (IMAGE if on_ground else f"{own.width}x{own.height}"))
     return Api(vehicle, name, size, version, paused=not on_ground)

@@ -11,22 +11,12 @@ import numpy as np
 
 from mavfi.config import names
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.frames import (
-    LEVEL,
-    Data,
-    Triple,
-    flipped,
-    from_geo_point,
-    geo_point,
-    pose,
-    pose_numbers,
-    triple,
-    vector,
-)
+from mavfi.extras.airsim.frames import LEVEL, Data, from_geo_point, geo_point, pose, pose_numbers, triple, vector
 from mavfi.extras.airsim.identity import KEY, identity
 from mavfi.extras.airsim.pictures import DUST, FOG
 from mavfi.extras.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
-from mavfi.extras.airsim.vehicle import TICK_US
+from mavfi.flight.piloted import TICK_US
+from mavfi.numerics.frames import Triple, flipped
 from mavfi.sim.scene import STEP_US
 
 _DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}

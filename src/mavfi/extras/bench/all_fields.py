@@ -8,12 +8,12 @@ import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT, Network, fit_autoencoder, network_of
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
-from mavfi.detectors.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
-from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.scoring import ScoringDetector, Threshold
+from mavfi.detectors.training import Sample, TrainedDetector, regime_limits
 from mavfi.extras.bench.code_scorer import CodeScorer, Judged, conclude
-from mavfi.extras.bench.field_codes import FieldCodes
+from mavfi.extras.bench.field_codes import ALL_FIELDS, FieldCodes
+from mavfi.extras.bench.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
 from mavfi.numerics.elementary import quick_tanh
 from mavfi.numerics.jit import kernel_jit
 
@@ -139,7 +139,7 @@ class AllFieldsDetector(ScoringDetector, TrainedDetector):
         model: A model of the detector's kind.
     """
 
-    watches_all = True
+    training = ALL_FIELDS
 
     def __init__(self, model: Model) -> None:
         scorer = self.scorer_of(model, FieldCodes(model.provenance["stack"]))

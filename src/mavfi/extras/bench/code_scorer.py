@@ -6,10 +6,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.residual_state import REGIME, SLOT, ResidualState
-from mavfi.detectors.samples import Sample
 from mavfi.detectors.scoring import Reading, Scorer, Threshold, Verdict, score_of
+from mavfi.detectors.training import Sample
 from mavfi.extras.bench.field_codes import COMPILED, FieldCodes
+from mavfi.extras.bench.residual_state import REGIME, SLOT, ResidualState
 from mavfi.numerics.jit import entry, kernel_jit
 from mavfi.states import STATES, State
 

@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.detector import DIFFERENT, Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.numerics.crc import crc32c
 from mavfi.states import KERNELS, PPC_STAGES, STATES, State, StateSpec
 
-DIFFERENT = 2.0
-"""Score of a value that differs from the one sent."""
 ALL = frozenset(name for name, spec in STATES.items() if spec.stage in PPC_STAGES)
 """States published by kernels."""
 

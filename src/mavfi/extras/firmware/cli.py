@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import console, write_json
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.cli_nodes import instant, register_options
+from mavfi.extras.registers.cli import RegistersOption, SeedOption, instant, register_options
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import RegisterFault
+    from mavfi.mission import MissionSpec
 
-FaultOption = Annotated[
+_FaultOption = Annotated[
     str | None,
     typer.Option(
-        "--register-fault",
         metavar="firmware@SECONDS",
         help="Flip a bit in a register of the flight controller's firmware, e.g. firmware@10.",
     ),
@@ -67,23 +67,29 @@ def setup(
     out.print("[dim]try:[/dim] mavfi fly --flight-controller betaflight --register-fault firmware@10")
 
 
-def register_fault(
-    text: str | None, registers: str | None, seed: int | None, *, alone: bool = True
-) -> RegisterFault | None:
-    """The fault of `--register-fault`; None = no fault.  `alone`: none of --fault, --html, --world is given.
+class RegisterFaultOptions:
+    """The options of `mavfi fly` for a fault in a register of the firmware."""
 
-    Raises:
-        BadInputError: An option is invalid, or has no effect.
-    """
-    kind, draw_seed = register_options(registers, seed, has_fault=text is not None)
-    if text is None:
-        return None
-    if not alone:
-        raise BadInputError("--register-fault: allowed: without --fault, --html and --world")
+    options = {"register_fault": _FaultOption, "registers": RegistersOption, "register_seed": SeedOption}
+
+    @staticmethod
+    def chosen(mission: MissionSpec, values: dict[str, Any]) -> tuple[RegisterFault | None, None]:
+        """See `mavfi.cli.fly.FLY_OPTIONS`; raises `BadInputError` for an option that is invalid, or has no effect."""
+        del mission
+        text = values["register_fault"]
+        kind, seed = register_options(values["registers"], values["register_seed"], has_fault=text is not None)
+        if text is None:
+            return None, None
+        if any(values.get(name) for name in ("fault", "html", "world")):
+            raise BadInputError("--register-fault: allowed: without --fault, --html and --world")
+        return _register_fault(text, kind, seed), None
+
+
+def _register_fault(text: str, kind: str, seed: int) -> RegisterFault:
     from mavfi.extras.firmware.host import register_fault as fault_at
     from mavfi.extras.firmware.injector import NODE
 
     node, time_us = instant("--register-fault", text, f"{NODE}@10")
     if node != NODE:
         raise BadInputError(f"--register-fault: {text!r}: allowed: {NODE}@SECONDS, e.g. {NODE}@10")
-    return fault_at(time_us, draw_seed, kind)
+    return fault_at(time_us, seed, kind)

@@ -14,7 +14,6 @@ from mavfi.extras.firmware.build import installed
 from mavfi.extras.firmware.controller import BetaflightController
 from mavfi.extras.firmware.injector import NODE, WALK, FirmwareInjector
 from mavfi.extras.firmware.tracking import Tracking
-from mavfi.extras.hardening.of_mission import check_flown
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.assemble import new_loop, watch
@@ -27,6 +26,7 @@ from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.outcomes import ControlErrors
 from mavfi.record import CONTROLLER_LOST, KernelEffect
+from mavfi.rewriting import check_flown
 
 CONTROLLERS = ("betaflight",)
 """Flight controllers that are firmware."""

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.analysis.statistics import TAIL, Rate
+from mavfi.analysis.statistics import TAIL, Rate, holm
+from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.hardening.certify import (
     REFUTED,
@@ -24,14 +25,11 @@ from mavfi.extras.hardening.certify import (
 )
 from mavfi.extras.hardening.golden import GoldenCheck, check_golden
 from mavfi.extras.hardening.observed import Seen, entries_of, observe
-from mavfi.extras.hardening.of_mission import check_plan
 from mavfi.extras.hardening.plan import Plan
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection, check_plan
 from mavfi.extras.hardening.ratio import p_value_below
 from mavfi.extras.hardening.spending import Key, Spending, key_of, spending_of, ticks_of
 from mavfi.extras.hardening.study import Study, Tell, stated
-from mavfi.extras.paper.claims import holm
-from mavfi.extras.paper.overheads import processor
 from mavfi.ir.build import name_of
 from mavfi.states import INJECTABLE
 

@@ -18,7 +18,7 @@ from mavfi.extras.hardening.learned import affordable
 from mavfi.extras.hardening.measure import Timed
 from mavfi.extras.hardening.observed import Seen
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.ratio import bounds_of, coverage, difference, ratio_bounds
 from mavfi.extras.hardening.target import Target
 from mavfi.faults.levels.instruction.build import cached_build

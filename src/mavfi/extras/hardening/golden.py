@@ -9,7 +9,7 @@ import numpy as np
 from mavfi.extras.hardening.compiled import Compiled, compiled
 from mavfi.extras.hardening.observed import entries_of
 from mavfi.extras.hardening.plan import Plan
-from mavfi.extras.hardening.protection import protection_of
+from mavfi.extras.hardening.protected import protection_of
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.fly import fly
 from mavfi.ir.build import name_of

@@ -15,6 +15,8 @@ from mavfi.extras.hardening.vulnerability.source import read_source
 from mavfi.report.html.page import render
 from mavfi.report.text import percent
 
+HTML = Path(__file__).parent / "html"
+"""Folder of templates and style sheets."""
 _SPACE = "\u00a0"
 """Between a number and its unit in headings, where a line must not break."""
 
@@ -61,6 +63,7 @@ def write_certificate(
     """
     content = render(
         "certificate.html.j2",
+        HTML,
         plan=plan.name,
         digest=certification.plan[:12],
         table=certificate_table(certification),
@@ -75,6 +78,7 @@ def page(summary: AdviceSummary, directory: Path, plan: Path | None) -> str:
     """Render the page as text."""
     return render(
         "harden.html.j2",
+        HTML,
         summary=summary,
         caveats=caveats(summary),
         headline=headline(summary).replace(" %", f"{_SPACE}%"),

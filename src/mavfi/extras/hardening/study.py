@@ -9,6 +9,7 @@ from pathlib import Path
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.mission import host_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
@@ -27,7 +28,6 @@ from mavfi.extras.hardening.learned import Learn, injections_in
 from mavfi.extras.hardening.observed import observe
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
 from mavfi.extras.hardening.target import Target, targets_of
-from mavfi.extras.paper.overheads import processor
 from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, PLANNERS
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -14,11 +14,37 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
+    from mavfi.extras.logs.live import LiveView
     from mavfi.extras.logs.report import Rates
     from mavfi.extras.logs.watch import Judged, LogWatch
 
 _MOST_FLIPS = 100_000
 _MOST_LISTED = 10
+
+
+class LiveOption:
+    """The option of `mavfi fly` that serves the running flight to viewers; see the entry points `mavfi.observers`."""
+
+    options = {
+        "live": Annotated[
+            bool | None,
+            typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live)."),
+        ]
+    }
+
+    @staticmethod
+    def chosen(values: dict[str, Any]) -> bool:
+        """Whether the option is set."""
+        return bool(values["live"])
+
+    @staticmethod
+    def build(values: dict[str, Any]) -> tuple[LiveView, str]:
+        """The observer, and a line of text that says where the flight can be seen."""
+        del values
+        from mavfi.extras.logs.live import PORT, LiveView
+
+        view = LiveView(PORT)
+        return view, f"serving the flight at {view.address}"
 
 
 def watch(  # noqa: PLR0913 - one parameter per option

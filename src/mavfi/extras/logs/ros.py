@@ -9,8 +9,8 @@ from pathlib import Path
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
-from mavfi.extras.logs.reader import LoggedMessage, check_topics, reading
 from mavfi.faults.levels.message.definition import Definition
+from mavfi.flight.log_readers import LoggedMessage, check_topics, reading
 
 _HEADER = "MSG: std_msgs/Header\n"
 

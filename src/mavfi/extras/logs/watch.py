@@ -9,10 +9,9 @@ import numpy as np
 
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn
 from mavfi.errors import BadInputError, allowed
-from mavfi.extras.logs.probe import LONGEST_LIST, Probe
-from mavfi.extras.logs.reader import LoggedMessage, check_topics, open_flight_log
 from mavfi.faults.levels.message.definition import AbsentError, Leaf, flip_bit
 from mavfi.faults.strata import bits_of
+from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage, Probe, check_topics, open_flight_log
 from mavfi.states import Field, State
 
 _EVENT_GAP_US = 1_000_000

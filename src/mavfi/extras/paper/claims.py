@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
 from mavfi.errors import BadInputError
 from mavfi.plugins import Catalogue
@@ -95,14 +96,3 @@ def verdict(one: Evidence, corrected: float | None) -> str:
     if corrected is None or corrected >= LEVEL:
         return UNDECIDED
     return CONFIRMED if one.supports else CONTRADICTED
-
-
-def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
-    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
-    adjusted: list[float | None] = [None] * len(p_values)
-    largest = 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        adjusted[place] = largest
-    return adjusted

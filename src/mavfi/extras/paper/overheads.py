@@ -8,7 +8,6 @@ blocks, since a timer around each call would take longer than the call.
 """
 
 import json
-import platform
 import statistics
 import time
 from collections import Counter, defaultdict
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.plan import arms_of
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, write_text
@@ -205,15 +205,6 @@ def _sealed(
     for state, now in publications:
         seal(state, now)
         yield state, now
-
-
-def processor() -> str:
-    """Model name of the processor, as reported by the operating system."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 def measure(

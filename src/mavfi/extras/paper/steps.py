@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, writing
 from mavfi.version import __version__
 
@@ -89,8 +90,6 @@ def set_up_seconds() -> float | None:
 
 def machine() -> str:
     """This machine in words: processor, its number of cores, memory and system."""
-    from mavfi.extras.paper.overheads import processor
-
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     system = f"{platform.system()} {platform.machine()}"
     return f"{processor()}, {os.cpu_count()} cores, {memory:.1f} GiB of memory, {system}"
@@ -98,7 +97,7 @@ def machine() -> str:
 
 def program() -> str:
     """This program in words: its version, and its commit if it runs in a clone."""
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[4]
     done = None
     if (root / ".git").exists():
         command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]

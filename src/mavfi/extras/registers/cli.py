@@ -2,25 +2,60 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_seed, console, write_json
+from mavfi.cli.console import check_name, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import DEFAULT_WALK
+from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
     from mavfi.record import Injection
 
+PROCESSES = "mavfi.processes"
+"""Group of entry points: objects with `options` (see `with_extra_options`), each of which names a process in another
+way than its id, and `pid_of(values)`, the process id; None = their options are not set."""
+_LONGEST_S = 1e6
 
+RegistersOption = Annotated[
+    str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
+]
+SeedOption = Annotated[
+    int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
+]
+
+
+def register_options(registers: str | None, seed: int | None, *, has_fault: bool) -> tuple[str, int]:
+    """Values of `--registers` and `--register-seed`, which need a register fault."""
+    from mavfi.faults.fault import REGISTERS
+
+    for option, value in (("--registers", registers), ("--register-seed", seed)):
+        if value is not None and not has_fault:
+            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
+    check_name("--registers", registers or "all", REGISTERS)
+    check_seed("--register-seed", seed or 0)
+    return registers or "all", seed or 0
+
+
+def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, int]:
+    """Parse node and instant (s), as in `example`, to name and microseconds; raises `BadInputError` if invalid."""
+    node, separator, seconds = text.partition("@")
+    try:
+        time_s = float(seconds)
+    except ValueError:
+        separator, time_s = "", 0.0
+    if not separator or not 0.0 <= time_s < _LONGEST_S:
+        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. {example}")
+    return node, round(1e6 * time_s)
+
+
+@options.with_extra_options(PROCESSES)
 def inject(  # noqa: PLR0913 - one parameter per option
     pid: Annotated[int | None, typer.Option(help="Process to inject; one of your own.")] = None,
-    ros_node: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
-    ] = None,
     symbol: Annotated[
         str, typer.Option(help="Inject at the next call of this function: its name, or a part that no other has.")
     ] = "",
@@ -44,6 +79,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     seed: Annotated[int, typer.Option(help="Draws length of walk, register and bit.")] = 0,
     null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
     as_json: options.AsJson = False,
+    **others: Any,  # noqa: ANN401 - of the options of extras
 ) -> None:
     """Flip one bit in one register of a running process (x86-64 Linux), and report the injection.
 
@@ -58,23 +94,22 @@ def inject(  # noqa: PLR0913 - one parameter per option
     from mavfi.faults.fault import RegisterFault
 
     fault = RegisterFault(registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed)
-    process = _process(pid, ros_node)
+    process = _process(pid, others)
     done = inject_register(process, fault, count, None if as_json else _report)
     if as_json:
         injections = [injection.to_json() for injection in done]
         write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
 
 
-def _process(pid: int | None, ros_node: str | None) -> int:
-    """Process id from --pid or --ros-node, exactly one of which must be given."""
-    if (pid is None) == (ros_node is None):
-        raise BadInputError("--pid, --ros-node: allowed: one of them")
+def _process(pid: int | None, others: dict[str, Any]) -> int:
+    """Process id from --pid or another option that names a process, exactly one of which must be given."""
+    if sum(value is not None for value in (pid, *others.values())) != 1:
+        names = ", ".join(map(options.option_name, ("pid", *others)))
+        raise BadInputError(f"{names}: allowed: one of them")
     if pid is not None:
         return pid
-    from mavfi.extras.ros.node.master import Master
-
-    assert ros_node is not None
-    return Master().node_pid(ros_node)
+    found = (extra.pid_of(others) for extra in extensions(PROCESSES).values())
+    return next(number for number in found if number is not None)
 
 
 def _report(injection: Injection) -> None:

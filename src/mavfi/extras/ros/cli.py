@@ -11,6 +11,7 @@ from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_json
 from mavfi.cli.fly import check_company, load_watcher
 from mavfi.cli.stopping import stoppable
+from mavfi.extras.registers.cli import RegistersOption, SeedOption, instant
 from mavfi.extras.ros import cli_attach as ros_attach
 from mavfi.extras.ros import cli_nodes as ros_nodes
 from mavfi.mission import MissionSpec
@@ -52,8 +53,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     ] = 0.0,
     kill: ros_nodes.KillOption = None,
     register_fault: ros_nodes.FaultOption = None,
-    registers: ros_nodes.RegistersOption = None,
-    register_seed: ros_nodes.SeedOption = None,
+    registers: RegistersOption = None,
+    register_seed: SeedOption = None,
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,
@@ -71,7 +72,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_file("--save", save, FLIGHTS)
     check_number("--pace", pace, 0, 1000)
     request = ros_nodes.request_of(fault, mission)
-    kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
+    kills = tuple(instant("--kill", text) for text in kill or ())
     faults = ros_nodes.register_faults(register_fault or (), registers, register_seed)
     from mavfi.extras.ros.ros1 import finder
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -19,18 +19,37 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.extras.logs.probe import Probe
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.extras.ros.node.survey import Survey
     from mavfi.extras.ros.node.watch import Listener
     from mavfi.faults.levels.message.definition import Definition
     from mavfi.faults.levels.message.injector import MessageInjector
+    from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
 
 _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
 """Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
 _POLL_S = 0.01
+
+
+class RosNode:
+    """The option of `mavfi inject` that names a ROS node instead of a process."""
+
+    options = {
+        "ros_node": Annotated[
+            str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
+        ]
+    }
+
+    @staticmethod
+    def pid_of(values: dict[str, Any]) -> int | None:
+        """See `mavfi.extras.registers.cli.PROCESSES`."""
+        if values["ros_node"] is None:
+            return None
+        from mavfi.extras.ros.node.master import Master
+
+        return Master().node_pid(values["ros_node"])
 
 
 def list_graph(
@@ -200,8 +219,8 @@ def _trained(
 ) -> tuple[dict[str, Probe], Detector, int]:
     """Monitored fields, trained detector, and number of training messages."""
     from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.extras.logs.probe import make_probes
     from mavfi.extras.ros.node.watch import train
+    from mavfi.flight.log_readers import make_probes
 
     check_name("--detector", chosen[0], of_monitored_fields())
     if source == "online":
@@ -222,9 +241,8 @@ def trained_on_file(
     Raises:
         BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
     """
-    from mavfi.extras.logs import open_flight_log
-    from mavfi.extras.logs.probe import make_probes
     from mavfi.extras.ros.node.watch import train
+    from mavfi.flight.log_readers import make_probes, open_flight_log
 
     try:
         messages = list(open_flight_log(source).messages(topics))

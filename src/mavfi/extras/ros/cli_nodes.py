@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavfi.cli.console import check_name, check_seed
 from mavfi.errors import BadInputError
+from mavfi.extras.registers.cli import instant, register_options
 
 if TYPE_CHECKING:
     from mavfi.extras.ros.ros1.plan import Plan
@@ -18,20 +18,12 @@ if TYPE_CHECKING:
     from mavfi.mission import MissionSpec, Scenario
     from mavfi.record import FlightLog, Injection
 
-_LONGEST_S = 1e6
-
 KillOption = Annotated[
     list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch restarts it.")
 ]
 FaultOption = Annotated[
     list[str] | None,
     typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. octomap@5."),
-]
-RegistersOption = Annotated[
-    str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
-]
-SeedOption = Annotated[
-    int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
 ]
 
 
@@ -65,18 +57,6 @@ def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:
     return None if request is None else draw_request(scenario, request, seed or 0)[0]
 
 
-def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, int]:
-    """Parse node and instant (s), as in `example`, to name and microseconds; raises `BadInputError` if invalid."""
-    node, separator, seconds = text.partition("@")
-    try:
-        time_s = float(seconds)
-    except ValueError:
-        separator, time_s = "", 0.0
-    if not separator or not 0.0 <= time_s < _LONGEST_S:
-        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. {example}")
-    return node, round(1e6 * time_s)
-
-
 def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
     """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`."""
     from mavfi.extras.ros.ros1.register_injector import fault_in_node
@@ -84,18 +64,6 @@ def register_faults(texts: Sequence[str], registers: str | None, seed: int | Non
     kind, first_seed = register_options(registers, seed, has_fault=bool(texts))
     named = (instant("--register-fault", text) for text in texts)
     return tuple(fault_in_node(*each, kind, first_seed + place) for place, each in enumerate(named))
-
-
-def register_options(registers: str | None, seed: int | None, *, has_fault: bool) -> tuple[str, int]:
-    """Values of `--registers` and `--register-seed`, which need a register fault."""
-    from mavfi.faults.fault import REGISTERS
-
-    for option, value in (("--registers", registers), ("--register-seed", seed)):
-        if value is not None and not has_fault:
-            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
-    check_name("--registers", registers or "all", REGISTERS)
-    check_seed("--register-seed", seed or 0)
-    return registers or "all", seed or 0
 
 
 def check(plan: Plan) -> None:

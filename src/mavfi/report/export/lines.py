@@ -8,14 +8,6 @@ from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection
 
 INFO, WARN, ERROR = "info", "warn", "error"
-LONGEST_TEXT = 50
-"""Characters of one STATUSTEXT of MAVLink; longer texts are sent in chunks."""
-
-
-def chunks_of(text: str) -> list[bytes]:
-    """The texts of the STATUSTEXT messages of a line: one or more."""
-    content = text.encode("ascii", "replace")
-    return [content[place : place + LONGEST_TEXT] for place in range(0, len(content), LONGEST_TEXT)] or [b""]
 
 
 @dataclass(frozen=True, slots=True)

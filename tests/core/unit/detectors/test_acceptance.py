@@ -13,7 +13,7 @@ from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.states import STATES, floats, new_state
+from mavfi.states import STATES, floats, new_state, rows
 from tests.core.unit.detectors.streams import LIMITS, odometry
 from tests.core.unit.detectors.test_registry import FITS
 
@@ -63,7 +63,7 @@ def short(state, autopilot):
 def step_of(autopilot, index, share=0.0, trajectory=1):
     """The way-point that a trajectory's point becomes; interpolated, by a share of the way to the next."""
     state = make(WAYPOINT, trajectory_seq=trajectory, future_collision_seq=1, index=index)
-    own = floats(points(autopilot).elements, 11)
+    own = rows(points(autopilot).elements, 11)
     floats(state.header, 11)[:] = (
         own[index]
         if autopilot == "published"
@@ -344,7 +344,7 @@ def test_a_trajectory_for_which_there_is_no_room_makes_more():
     detector = flying("published")
     several = rule_memory.CAPACITY + 7
     long = make(TRAJECTORY, several, trajectory_seq=2, future_collision_seq=1)
-    floats(long.elements, 11)[:] = np.arange(several)[:, None]
+    rows(long.elements, 11)[:] = np.arange(several)[:, None]
     detector.accept(long, NOW)
     other = AcceptanceTest(LIMITS["published"])
     other.restore(detector.memory())

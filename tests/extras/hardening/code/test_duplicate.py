@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.hardening.candidates import candidates
 from mavfi.extras.hardening.duplicate import protect
 from mavfi.extras.hardening.plan import FunctionPlan, signature_text
-from mavfi.extras.hardening.protection import Protection
+from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.recorded import copied
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import signature_of, variant_of

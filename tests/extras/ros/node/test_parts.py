@@ -8,12 +8,12 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.logs.probe import make_probes
 from mavfi.extras.ros.node.master import Master
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Peer
 from mavfi.extras.ros.node.tcpros import Source, decode_header, encode_header
 from mavfi.faults.levels.message.definition import Definition
+from mavfi.flight.log_readers import make_probes
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})

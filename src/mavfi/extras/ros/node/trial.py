@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.logs.probe import LONGEST_LIST
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.node.bench import Bench, Drive
 from mavfi.extras.ros.node.config import NodeConfig
@@ -27,6 +26,7 @@ from mavfi.extras.ros.ros1.folder import own_path
 from mavfi.extras.ros.ros1.supervisor import adopt_orphans, end_all, end_with_parent, loopback_up, private_network
 from mavfi.faults.fault import RegisterFault, fault_from_json
 from mavfi.faults.levels.message.definition import Definition
+from mavfi.flight.log_readers import LONGEST_LIST
 from mavfi.outcomes import Effect
 from mavfi.record import Injection
 

@@ -16,13 +16,13 @@ from typing import Any
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import foreign_state, learn
 from mavfi.errors import MavfiError
-from mavfi.extras.logs.probe import Probe
 from mavfi.extras.ros.node.guardian import Guardian, Registered
 from mavfi.extras.ros.node.master import Master, absolute
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet, Peer
 from mavfi.extras.ros.node.relay import sources_of
 from mavfi.faults.levels.message.definition import Definition
+from mavfi.flight.log_readers import Probe
 
 ALARM_TOPIC, ALARM_TYPE = "/mavfi/alarm", "std_msgs/String"
 FIRST_PATIENCE_S = 10.0

@@ -6,11 +6,9 @@ from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
-import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from mavfi.config import config_root
-from mavfi.extras.logs.ulog_writer import FORMATS
 from mavfi.report.export.timeline import tick_messages
 
 LAYOUTS = config_root() / "layouts"
@@ -55,12 +53,3 @@ def test_plotjuggler_with_mcap():
     for curve in curves("plotjuggler_mcap.xml"):
         _, topic, *path = curve.split("/")
         check_field(f"/{topic}", path)
-
-
-@pytest.mark.parametrize("curve", curves("plotjuggler_ulg.xml"))
-def test_plotjuggler_with_ulog(curve):
-    topic, field = curve.split("/")
-    name, _, index = field.partition(".")
-    kinds = {f.split()[1]: f.split()[0] for f in FORMATS[topic].rstrip(";").split(";")}
-    length = re.search(r"\[(\d+)\]", kinds[name])
-    assert (length is None) == (index == "") and (length is None or int(index) < int(length[1]))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors import residuals
+from mavfi.extras.bench import residuals
 from mavfi.extras.bench.field_codes import QUANTA, CodeRecorder, FieldCodes, sample_of
 from mavfi.flight.fly import fly
-from mavfi.states import AUTOPILOTS, floats
+from mavfi.states import AUTOPILOTS, floats, rows
 from tests.core.flights.missions import mission
 
 
@@ -28,7 +28,7 @@ def flown(request):
     recorder, published = CodeRecorder(request.param), []
     fly(mission(request.param), recorders=[recorder.accept, lambda state, now: published.append(state)])
     field_codes = FieldCodes(request.param)
-    return request.param, field_codes, sample_of(recorder.codes(), field_codes), published
+    return request.param, field_codes, sample_of(recorder.recording(), field_codes), published
 
 
 def column(flown, state, name):
@@ -116,7 +116,7 @@ def test_paths_and_trajectories(flown):
         if state.spec.name == "sensor.odometry":
             motion = floats(state.header, 6)
         elif state.spec.name == "planning.path":
-            path = vertices = floats(state.elements, 3).reshape(-1, 3)
+            path = vertices = rows(state.elements, 3)
             legs = np.sqrt((np.diff(vertices, axis=0) ** 2).sum(axis=1)).sum()
             line = np.sqrt(((vertices[-1] - vertices[0]) ** 2).sum()) if len(vertices) else 0.0
             wanted["detour"].append(legs - line)
@@ -124,7 +124,7 @@ def test_paths_and_trajectories(flown):
             entry = state.header["entry_speed"][0]
             wanted["entry_speed"].append(entry - np.sqrt((motion[3:] ** 2).sum()) if entry else 0.0)
         else:
-            points = floats(state.elements, 11).reshape(-1, 11)
+            points = rows(state.elements, 11)
             steps = np.diff(points[:, :3], axis=0) - points[1:, 4:7] * points[1:, 10:]
             wanted["step"].append(np.abs(steps).max(initial=0.0))
             wanted["change"].append(np.abs(np.diff(points[:, 4:7], axis=0)).max(initial=0.0))

@@ -1,14 +1,17 @@
 """PX4 ULog and MAVLink telemetry logs hold the flight; independent readers say so."""
 
+import re
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
-from mavfi.extras.logs.ulog_writer import FAULT_TOPIC, write_ulog
-from mavfi.extras.mavlink.tlog import write_tlog
+from mavfi.config import config_root
+from mavfi.extras.logs.ulog import FAULT_TOPIC, FORMATS, write_ulog
+from mavfi.extras.mavlink.tlog import LONGEST_TEXT, write_tlog
 from mavfi.mission import MissionStatus
-from mavfi.numerics.frames import euler, geodetic, local, ned_of
+from mavfi.numerics.frames import local
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection
-from mavfi.report.export.lines import LONGEST_TEXT
 
 SECONDS = 4.0
 
@@ -110,12 +113,15 @@ def test_numbers_that_are_not_finite_or_too_large_are_written(tmp_path):
     assert sum(m.get_type() == "GLOBAL_POSITION_INT" for m in found) == len(log.rows) / 5 - 2
 
 
-def test_geodetic_and_back():
-    ned = np.array([120.0, -45.0, -7.0])
-    np.testing.assert_allclose(local(*geodetic(ned)), ned, atol=1e-6)
+def curves():
+    layout = ElementTree.parse(config_root() / "layouts" / "plotjuggler_ulg.xml")
+    return [curve.get("name") for curve in layout.iter("curve")]
 
 
-def test_half_a_turn_about_x():
-    ned = ned_of(make_log().rows)
-    assert euler(ned.quaternion[50])[2] == pytest.approx(-1.0)
-    assert np.array_equal(ned.rates[:, 2], -np.ones(len(ned.rates)))
+@pytest.mark.parametrize("curve", curves())
+def test_plotjuggler_with_ulog(curve):
+    topic, field = curve.split("/")
+    name, _, index = field.partition(".")
+    kinds = {f.split()[1]: f.split()[0] for f in FORMATS[topic].rstrip(";").split(";")}
+    length = re.search(r"\[(\d+)\]", kinds[name])
+    assert (length is None) == (index == "") and (length is None or int(index) < int(length[1]))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import residuals
 from mavfi.detectors.features import REGIMES
+from mavfi.extras.bench import residuals
 from mavfi.numerics.jit import kernel_jit
 
 SLOT, REGIME, ACCEPTED, LEARNED = range(4)

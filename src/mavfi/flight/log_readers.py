@@ -1,4 +1,4 @@
-"""Readers of recorded flights: their interface, the known formats, and messages with numbers at fixed offsets."""
+"""Flights recorded elsewhere: interface of their readers, messages with numbers, and the numbers to monitor in them."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -8,18 +8,19 @@ from typing import Protocol
 
 import numpy as np
 
+from mavfi.detectors.foreign import foreign_spec, foreign_state
 from mavfi.errors import BadInputError, MavfiError, allowed
-from mavfi.faults.levels.message.definition import FORMATS, Leaf
+from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
+from mavfi.states import State, StateSpec
 
 GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
-_SHIPPED = {
-    "bag": "mavfi.extras.logs.ros:RosReader", "mcap": "mavfi.extras.logs.ros:RosReader",
-    "ulg": "mavfi.extras.logs.ulog:UlogReader", "tlog": "mavfi.extras.logs.tlog:TlogReader",
-    "csv": "mavfi.extras.logs.table:CsvReader", "jsonl": "mavfi.extras.logs.calls:CallsReader",
-}  # fmt: skip
+_OLD_GROUP = "mavfi.flight_logs"
+_MOST_FIELDS = 64
+LONGEST_LIST = 16
+"""Longer lists in messages are left out."""
 
 
 class Number(Protocol):
@@ -129,11 +130,11 @@ def open_flight_log(path: Path) -> FlightLogReader:
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
-    extension, formats = path.suffix.removeprefix("."), known(GROUP, _SHIPPED)
+    extension, formats = path.suffix.removeprefix("."), known(GROUP, known(_OLD_GROUP, {}))
     if extension not in formats:
         endings = ", ".join(f".{name}" for name in sorted(formats))
         raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")
-    factory = load_object("reader of flight logs", extension, GROUP, _SHIPPED)
+    factory = load_object("reader of flight logs", extension, GROUP, formats)
     reader: FlightLogReader = build("reader of flight logs", extension, factory, path, needs={"messages": "topics"})
     return reader
 
@@ -155,3 +156,65 @@ def check_topics(path: Path, topics: Sequence[str], held: Collection[str]) -> No
     for topic in topics:
         if topic not in held:
             raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
+
+
+# ---- monitored numbers ------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Probe:
+    """Extracts the monitored fields of a topic's messages, as a state of `spec`."""
+
+    definition: Layout
+    spec: StateSpec
+
+    def read(self, message: bytes) -> State | None:
+        """The field values; None if the message lacks any of them."""
+        try:
+            leaves = [self.definition.locate(message, field.name) for field in self.spec.header]
+        except AbsentError:
+            return None
+        return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])
+
+
+def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
+    """The probe of each topic.
+
+    Args:
+        first: Definition and one message, by topic.
+        wanted: Field paths, each for every topic that has it, or `topic:path` for one topic; empty = all numbers.
+
+    Raises:
+        BadInputError: A field that no topic has or that is not numeric; no fields at all; too many.
+    """
+    fields: dict[str, list[str]] = {topic: [] for topic in first}
+    for name in wanted:
+        _assign(name, first, fields)
+    if not wanted:
+        fields = {topic: definition.numbers(message, LONGEST_LIST) for topic, (definition, message) in first.items()}
+    count = sum(map(len, fields.values()))
+    if not 0 < count <= _MOST_FIELDS:
+        raise BadInputError(f"--fields: {count} numbers in {', '.join(first)}; allowed: 1 to {_MOST_FIELDS}, name them")
+    return {topic: Probe(first[topic][0], foreign_spec(topic, paths)) for topic, paths in fields.items() if paths}
+
+
+def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
+    """Assign a requested field to its topics."""
+    topic, colon, path = name.rpartition(":")
+    if colon and _full(topic, first) not in first:
+        raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
+    refusal: BadInputError | None = None
+    found = False
+    for candidate in [_full(topic, first)] if colon else list(first):
+        try:
+            first[candidate][0].check(path)
+        except BadInputError as error:
+            refusal = refusal or error
+        else:
+            fields[candidate].append(path)
+            found = True
+    if not found and refusal is not None:
+        raise refusal
+
+
+def _full(topic: str, first: Mapping[str, tuple[Layout, bytes]]) -> str:
+    """Name of a topic, with the slash of ROS if it was omitted."""
+    return topic if topic in first else "/" + topic.removeprefix("/")
