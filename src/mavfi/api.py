@@ -16,13 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
-from mavfi.faults.spec import Request, parse
 from mavfi.flight.compose import resolve
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
 from mavfi.flight.policy import Recovery
@@ -37,8 +34,10 @@ if TYPE_CHECKING:
 
     from mavfi.analysis.runs import Runs
     from mavfi.analysis.table import Table
+    from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
     from mavfi.campaign.session import Progress
+    from mavfi.faults.spec import Request
 
 
 def fly(
@@ -74,10 +73,12 @@ def fly(
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models, spec.trained_for, detector_options)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
-    bare, request = resolve(asked), parse(fault, spec.localization) if isinstance(fault, str) else None
-    if isinstance(fault, str):
-        return fly_request(own, request, fault_seed, label, bare)
-    return _fly_fault(own, fault, label, bare)
+    bare = resolve(asked)
+    if not isinstance(fault, str):
+        return _fly_fault(own, fault, label, bare)
+    from mavfi.faults.spec import parse
+
+    return fly_request(own, parse(fault, spec.localization), fault_seed, label, bare)
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -92,12 +93,15 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
     Raises:
         BadInputError: Invalid text, or the mission has no such site.
     """
+    from mavfi.campaign.samplers.request import draw_request
+    from mavfi.faults.spec import parse
+
     spec = _spec(mission, options)
     return draw_request(resolve(spec), parse(fault, spec.localization), seed)[0]
 
 
 def run(
-    campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
+    campaign: "Campaign | str | Path", directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
     executor: "Executor | None" = None, progress: "Callable[[Progress], None] | None" = None,
 ) -> "Runs":  # fmt: skip
     """Fly a campaign or its remaining runs, and load its ledger.
@@ -113,6 +117,7 @@ def run(
     Raises:
         BadInputError: See `campaign.run.run_campaign`.
     """
+    from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.names import check_names
     from mavfi.campaign.run import run_campaign
@@ -170,7 +175,7 @@ def figure(runs: "Runs", name: str) -> "Figure":
 
 def fly_request(
     setup: ArmSetup,
-    request: Request | RegisterFault | None,
+    request: "Request | RegisterFault | None",
     seed: int,
     label: str,
     bare: Scenario,
@@ -189,11 +194,13 @@ def fly_request(
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault, golden = (
-        (None, None)
-        if request is None
-        else draw_request(setup.scenario, request, seed, setup.detector(), setup.recovery)
+    if request is None:
+        return _fly_fault(setup, None, label, bare, own_host=own_host)
+    from mavfi.campaign.samplers.request import (
+        draw_request,  # draws of all levels, which a golden flight has no use for
     )
+
+    fault, golden = draw_request(setup.scenario, request, seed, setup.detector(), setup.recovery)
     return _fly_fault(setup, fault, label, bare, golden if own_host is None else None, own_host)
 
 

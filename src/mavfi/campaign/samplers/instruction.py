@@ -31,7 +31,7 @@ from mavfi.flight.case import check_kernel
 from mavfi.flight.host import ArmSetup, Flight, MissionFlights
 from mavfi.flight.mission_flights import LocalFlights, LocalHost
 from mavfi.flight.policy import INLINE, Recovery
-from mavfi.ir.digest import DIGEST_VERSION
+from mavfi.ir.module import DIGEST_VERSION
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.rewriting import rewriting_of

@@ -28,8 +28,8 @@ from mavfi.extras.hardening.candidates import (
 from mavfi.extras.hardening.plan import Site
 from mavfi.extras.hardening.wrapper import GLOBALS, raising
 from mavfi.ir.flow import back_edges, loop_depths, successors
-from mavfi.ir.grammar import VOLATILE_LOAD
 from mavfi.ir.module import Block, Function, Instruction, Module, width
+from mavfi.ir.parser import VOLATILE_LOAD
 
 DETECTED = -4
 """Status of a protected function in which a value and its shadow differ.

@@ -18,8 +18,8 @@ from mavfi.mission import MissionStatus
 from mavfi.plugins import Chapter
 from mavfi.report import links, style
 from mavfi.report.figures import Drawing
+from mavfi.report.numbers import signed_percent
 from mavfi.report.picture import near_boxes, positions
-from mavfi.report.text import signed_percent
 
 _SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
 _MARGIN = 2.0
