@@ -11,9 +11,9 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
-from mavfi.cli.progress import StudyBar
 from mavfi.extras.paper import overhead_views
 from mavfi.extras.paper.cli import FLIGHTS
+from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
 from mavfi.extras.paper.steps import Steps

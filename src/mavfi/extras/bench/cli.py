@@ -61,7 +61,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.extras.bench.bench import entries, load_bench, scales, with_only, with_schemes
     from mavfi.extras.bench.leaderboard import Flown, write_leaderboard
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     chosen = load_bench(bench)
     if scale not in scales(chosen):
@@ -123,7 +123,7 @@ def overheads(
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar
     from mavfi.extras.paper.overheads import measure, save
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     check_number("--missions", missions, 1, 1000)
     with Store.open(directory) as store:

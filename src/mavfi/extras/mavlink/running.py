@@ -32,6 +32,7 @@ class Telemetry:
         self._link = self._messages.link(self)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._to = HOST, port
+        self.address = f"udp://{HOST}:{port}"
         self._rows, self._texts = 0, 0
 
     def begin(self, loop: Loop) -> None:
@@ -59,7 +60,7 @@ class Telemetry:
 
     def write(self, packet: bytes) -> None:
         """Send a packet."""
-        with writing(f"udp://{HOST}:{self._to[1]}"):
+        with writing(self.address):
             try:
                 self._socket.sendto(packet, self._to)
             except ConnectionRefusedError:  # no ground station listens yet

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -54,7 +53,7 @@ def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, i
     return node, round(1e6 * time_s)
 
 
-@partial(options.with_extra_options, group=PROCESSES)
+@options.with_extra_options(PROCESSES)
 def inject(  # noqa: PLR0913 - one parameter per option
     pid: Annotated[int | None, typer.Option(help="Process to inject; one of your own.")] = None,
     symbol: Annotated[
