@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
-    from mavfi.extras.mavlink.running import Telemetry
+    from mavfi.extras.mavlink.tlog import Telemetry
 
 _LAST_PORT = 65_535
 REAL_TIME = 1.0
@@ -65,7 +65,7 @@ def _views(live: bool, mavlink: int | None) -> Iterator[LiveView | Telemetry]:
         out.print(f"serving the flight at {view.address}", markup=False, highlight=False)
         yield view
     if mavlink is not None:
-        from mavfi.extras.mavlink.running import HOST, Telemetry
+        from mavfi.extras.mavlink.tlog import HOST, Telemetry
 
         out.print(f"sending the flight to udp://{HOST}:{mavlink}", markup=False, highlight=False)
         yield Telemetry(mavlink)

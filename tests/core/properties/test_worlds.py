@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 from mavfi.errors import BadInputError
 from mavfi.sim.environments.arena import CEILING, HALF_WIDTH, LENGTH
 from mavfi.sim.environments.clutter import clutter
-from mavfi.sim.environments.cuboids import HALO, _throw, cuboid_count, cuboids
+from mavfi.sim.environments.cuboids import EXCLUDED, HALO, _throw, cuboid_count, cuboids, draw_law, training
 from mavfi.sim.environments.factory import factory
 from mavfi.sim.environments.farm import farm
-from mavfi.sim.environments.training import EXCLUDED, draw_law, training
 
 GROUND = LENGTH * 2 * HALF_WIDTH - 2 * (2 * HALO) ** 2
 seeds = st.integers(0, 10**7)

@@ -24,7 +24,7 @@ ENTRY_POINT_GROUP = "mavfi.environments"
 
 _BUILT_IN = {name: f"mavfi.sim.environments.{name}:{name}" for name in ("cuboids", "factory", "farm", "clutter")}
 _BUILT_IN |= {
-    "training": "mavfi.sim.environments.training:training",
+    "training": "mavfi.sim.environments.cuboids:training",
     "octomap_file": "mavfi.sim.environments.octomap_file:octomap_file",
 }
 SCAN_ENDINGS = (".bt", ".ot")
