@@ -57,7 +57,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         check_file(option, path, endings)
     wanted, host = _chosen(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
-    from mavfi.faults.spec import parse
+    from mavfi.levels.level import parse
 
     wanted = wanted if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:

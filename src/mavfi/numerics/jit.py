@@ -103,7 +103,7 @@ class CodeFiles(NullCache):
     @property
     def cache_path(self) -> str:
         """Folder of the files."""
-        return str(numba.config.CACHE_DIR or code_folder())
+        return str(numba.config.CACHE_DIR or code_folder())  # type: ignore[attr-defined]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the Numba types of the arguments; None if there is none, or none that can be used."""
@@ -134,7 +134,7 @@ class CodeFiles(NullCache):
             with contextlib.suppress(OSError):
                 part.unlink()
             return
-        _delete_oldest(code_folder())
+        _delete_oldest(code_folder())  # type: ignore[attr-defined]
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         """File of a signature; None if nothing tells whether a value that the function uses has changed."""
