@@ -105,7 +105,7 @@ def unit_text(name: str, unit: Unit) -> str:
 
 def _executed(unit: str, host: str, controller: str = "cascade", localization: str = "truth") -> bool:
     """Whether a host executes failures of a unit in missions with a flight controller and localization."""
-    levels = find_host(host).levels if host == "local" else host_class(host).levels
+    levels = cast(frozenset[str], find_host(host).levels if host == "local" else host_class(host).levels)
     if SensorFault.level not in levels:
         return False
     try:
