@@ -29,6 +29,7 @@ PERIOD_S = 0.002
 TOPIC = "/speed"
 READER = """
 import sys, time
+from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.master import Master
 from mavfi.extras.ros.node.peer import Peer
 
