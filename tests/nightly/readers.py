@@ -56,8 +56,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
 from mavfi.faults.spec import StateRequest, parse
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import find_environment, find_planner, resolve
+from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
 from mavfi.sim.environments import build_world, environment_for_file

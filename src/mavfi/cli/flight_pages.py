@@ -7,8 +7,8 @@ from mavfi.campaign.divergence import departure, first_difference, spread
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import Fault
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Flight
-from mavfi.flight.policy import Recovery
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.report.explain import Lines, detector_name, end_of, lines, steps, verdict
 from mavfi.report.flight_result import FlightResult

@@ -45,7 +45,7 @@ def observing(live: bool, mavlink: int | None, pace: float) -> Iterator[tuple[Ca
     if not live and mavlink is None:
         yield ()
         return
-    from mavfi.flight.observe import Attached
+    from mavfi.flight.loop import Attached
 
     views = list(_views(live, mavlink))
     try:

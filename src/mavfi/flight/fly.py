@@ -1,18 +1,18 @@
 """One in-process flight, bit-reproducible."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import MemoryFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import Flight
-from mavfi.flight.loop import Loop
+from mavfi.flight.loop import Listener
 from mavfi.flight.memory_faults import MemoryInjector
 from mavfi.flight.plant import MakePlant
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.flight.taps import Recorder
 from mavfi.mission import Scenario
@@ -27,7 +27,7 @@ LocalFault = StateFault | MemoryFault | SensorFault
 def fly(  # noqa: PLR0913 - each is independent
     scenario: Scenario, fault: LocalFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
-    functions: KernelFunctions = PLAIN, observers: Sequence[Callable[[Loop], None]] = (),
+    functions: KernelFunctions = PLAIN, observers: Sequence[Listener] = (),
     make_plant: MakePlant = Simulator,
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
@@ -40,7 +40,7 @@ def fly(  # noqa: PLR0913 - each is independent
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
         functions: Functions that kernels call: compiled or instrumented.
-        observers: Called with the loop before the flight, see `flight.observe`.
+        observers: Take part in the flight.
         make_plant: Constructs the vehicle in its world.
 
     Raises:
@@ -57,8 +57,8 @@ def fly(  # noqa: PLR0913 - each is independent
         inject_sensor_fault(loop, fault)
         watch(loop, detector, recovery)
         loop.taps.recorders.extend(recorders)
-        for attach in observers:
-            attach(loop)
+        for observer in observers:
+            loop.attach(observer)
         flight = loop.fly()
         check_flown(scenario.protection)
     finally:

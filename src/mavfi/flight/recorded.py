@@ -4,10 +4,10 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault
 from mavfi.flight.case import Published
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.fly import LocalFault, fly
 from mavfi.flight.forks import fly_with_publications
 from mavfi.flight.host import Flight
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.states import State
 

@@ -28,9 +28,9 @@ from mavfi.faults.levels.instruction.selection import parse_selection
 from mavfi.faults.sampling import share_out, stream
 from mavfi.faults.spec import InstructionRequest, InstructionSite
 from mavfi.flight.case import check_kernel
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import ArmSetup, Flight, MissionFlights
 from mavfi.flight.mission_flights import LocalFlights, LocalHost
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN

@@ -20,12 +20,12 @@ from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import MemoryRequest
 from mavfi.faults.strata import WORD_BITS, bits_of
-from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.case import check_watched
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import ArmSetup, Flight, MissionFlights
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.flight.memory_faults import memory_of
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.words import Words, collapsed, words_of
 from mavfi.states import KERNELS, WATCHING

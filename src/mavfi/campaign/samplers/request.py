@@ -7,9 +7,9 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, RegisterFault, StateFault
 from mavfi.faults.levels.sensor.fault import RANDOM, SensorFault
 from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, SensorRequest, StateRequest
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.host import Flight
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.sensor_faults import check_read
 from mavfi.mission import Scenario
 from mavfi.states import DETECTORS, WATCHING

@@ -6,8 +6,7 @@ import numpy as np
 
 from mavfi.errors import writing
 from mavfi.extras.mavlink.tlog import FlightMessages
-from mavfi.flight.loop import Loop
-from mavfi.flight.observe import Item
+from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.report.export.lines import end_line, line_of
 from mavfi.states import State

@@ -9,7 +9,7 @@ from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
 from mavfi.extras.ros.ros1.plan import Plan
 from mavfi.extras.ros.ros1.session import configure, isolation
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import new_loop
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, mission

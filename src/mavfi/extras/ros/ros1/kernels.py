@@ -9,8 +9,8 @@ from mavfi.detectors.detector import Detector
 from mavfi.extras.ros.ros1.messages import Action, deserialized
 from mavfi.extras.ros.ros1.plan import Plan
 from mavfi.extras.ros.ros1.ports import Inbox, Ports
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.ppc import build_pipeline

@@ -19,7 +19,7 @@ from mavfi.extras.ros.ros1.graph import Face
 from mavfi.extras.ros.ros1.messages import Action, message_type, serialized
 from mavfi.extras.ros.ros1.plan import Plan
 from mavfi.extras.ros.ros1.taps import alarm_of
-from mavfi.flight.compute import latency
+from mavfi.flight.loop import latency
 from mavfi.states import STATES, State
 
 HELD = -1
