@@ -8,10 +8,10 @@ from typing import cast
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.autopilot import TYPES as MAVLINK_TYPES
 from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
-from mavfi.extras.ros.ros1.graph import WORLD, Graph
+from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.extras.ros.ros1.messages import type_name
-from mavfi.extras.ros.ros1.session import configure
+from mavfi.extras.ros.ros1.plan import WORLD, Graph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.compose import new_loop, resolve

@@ -33,7 +33,7 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import _rebuild_env
 from numba.core.errors import NumbaDebugInfoWarning
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.core.serialize import dumps
 
 from mavfi.numerics.dependencies import UnknownDependencyError, code_digest, content_digest, signature_digest
@@ -103,7 +103,7 @@ class CodeFiles(NullCache):
     @property
     def cache_path(self) -> str:
         """Folder of the files."""
-        return str(numba.config.CACHE_DIR or code_folder())  # type: ignore[attr-defined]
+        return str(numba.config.CACHE_DIR or code_folder())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the Numba types of the arguments; None if there is none, or none that can be used."""

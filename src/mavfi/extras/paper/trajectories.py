@@ -16,9 +16,8 @@ from mavfi.extras.paper.cases import RULE, Case, path_cases
 from mavfi.flight.host import Flight
 from mavfi.mission import MissionStatus
 from mavfi.plugins import Chapter
-from mavfi.report import style
-from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing
+from mavfi.report import links, style
+from mavfi.report.figures import Drawing
 from mavfi.report.numbers import signed_percent
 from mavfi.report.picture import near_boxes, positions
 

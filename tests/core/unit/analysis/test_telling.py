@@ -1,7 +1,7 @@
 import polars as pl
 
+from mavfi.analysis.listing import ordered, partner
 from mavfi.analysis.rows import SCHEMA
-from mavfi.campaign.telling import ordered, partner
 
 
 def _row(index, success, *, arm="", time=100.0, distance=50.0, **changes):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.detectors import rule_memory
+from mavfi.detectors import acceptance
 from mavfi.states import new_state
 from tests.core.unit.detectors.streams import LIMITS
 
@@ -19,7 +19,7 @@ class Twin:
 
     def note_status(self, counter, now):
         if counter != self.counters[-1][1]:
-            self.counters = (*self.counters[1 - rule_memory.COUNTERS :], (now, counter))
+            self.counters = (*self.counters[1 - acceptance.KEPT_COUNTERS :], (now, counter))
 
     def answerable(self, now):
         began = now - BEGAN_US
@@ -28,41 +28,41 @@ class Twin:
 
     def note_trajectory(self, number, points):
         if len(points):
-            kept = [item for item in self.trajectories.items() if item[0] != number][1 - rule_memory.KEPT :]
+            kept = [item for item in self.trajectories.items() if item[0] != number][1 - acceptance.KEPT :]
             self.trajectories = dict([*kept, (number, points)])
 
 
 @pytest.fixture(scope="module")
 def record():
-    return rule_memory.new_record(LIMITS["published"])
+    return acceptance.new_record(LIMITS["published"])
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 200_000), st.integers(-(2**31), 2**31 - 1) | st.integers(0, 3)), max_size=12))
 def test_counters_that_a_path_can_answer(record, notes):
     twin, now, state = Twin(), 0, new_state("perception.collision_status")
-    rule_memory.forget(record)
+    acceptance.forget(record)
     for step, counter in notes:
         now += step
         state.header["future_collision_seq"] = counter
-        rule_memory.note_status(state.header, now, record)
+        acceptance.note_status(state.header, now, record)
         twin.note_status(counter, now)
         for later in (now, now + BEGAN_US, now + 400_000):
-            assert rule_memory.answerable(later, record).tolist() == twin.answerable(later)
+            assert acceptance.answerable(later, record).tolist() == twin.answerable(later)
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 6), st.integers(0, 5)), max_size=12))
 def test_points_of_the_last_trajectories(record, notes):
-    twin, state, blocks = Twin(), new_state("planning.trajectory"), np.zeros((rule_memory.KEPT, 5, 11))
-    rule_memory.forget(record)
+    twin, state, blocks = Twin(), new_state("planning.trajectory"), np.zeros((acceptance.KEPT, 5, 11))
+    acceptance.forget(record)
     for place, (number, count) in enumerate(notes):
         points = np.full((count, 11), float(place))
         state.header["trajectory_seq"] = number
-        rule_memory.note_trajectory(state.header, points, record, blocks)
+        acceptance.note_trajectory(state.header, points, record, blocks)
         twin.note_trajectory(number, points)
         for wanted in range(8):
             expected = twin.trajectories.get(wanted, np.zeros((0, 11)))
-            assert np.array_equal(rule_memory.points_of(wanted, record, blocks), expected)
+            assert np.array_equal(acceptance.points_of(wanted, record, blocks), expected)
         last = next(reversed(twin.trajectories.values()), np.zeros((0, 11)))
-        assert np.array_equal(rule_memory.newest(record, blocks), last)
+        assert np.array_equal(acceptance.newest(record, blocks), last)

@@ -45,48 +45,56 @@ def drawing(name: str) -> Drawing:
     return FIGURES[name]
 
 
-def figure(runs: Runs, name: str) -> Figure:
-    """Draw one figure of a report.
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure of some runs."""
+
+    name: str
+    figure: Figure
+    caption: str
+
+
+def drawn(runs: Runs, names: Sequence[str] | None = None) -> list[Drawn]:
+    """Draw figures, without those that are not applicable.
 
     Args:
-        runs: Runs of a campaign, with flights if the figure needs them.
-        name: A key of `FIGURES`.
+        runs: Runs of a campaign, with flights if a figure needs them.
+        names: Keys of `FIGURES`; None = the general ones, if there are flights.
+
+    Raises:
+        BadInputError: A figure does not exist.
+    """
+    if names is None:
+        names = [name for name, found in FIGURES.items() if found.general and runs.has_missions]
+    with style.house_style():
+        made = [(drawing(name), drawing(name).draw(runs)) for name in names]
+    return [Drawn(found.name, figure, found.caption_of(runs)) for found, figure in made if figure is not None]
+
+
+def figure(runs: Runs, name: str) -> Figure:
+    """Draw one figure of a report.
 
     Raises:
         BadInputError: The figure does not exist, or is not applicable to these runs.
     """
-    with style.house_style():
-        made = drawing(name).draw(runs)
-    if made is None:
+    made = drawn(runs, [name])
+    if not made:
         raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
-    return made
+    return made[0].figure
 
 
 def draw(
     runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = ""
 ) -> Mapping[str, str]:  # fmt: skip
-    """Draw all applicable figures as PNG files.
-
-    Args:
-        runs: Runs of a campaign, with flights if a figure needs them.
-        directory: Folder for the files.
-        names: Keys of `FIGURES`; None = the general ones.
-        start: Prefix of the file names.
-
-    Returns:
-        Captions by file name.
+    """Write figures (see `drawn`) as PNG files, whose names begin with `start`; returns captions by file name.
 
     Raises:
         BadInputError: A figure does not exist, or the directory cannot be written.
     """
-    if names is None:
-        names = [name for name, found in FIGURES.items() if found.general]
     captions = {}
-    with style.house_style():
-        for name in names:
-            made = drawing(name).draw(runs)
-            if made is not None:
-                file = f"{start}{name}.png"
-                style.write(made, directory / file)
-                captions[file] = drawing(name).caption_of(runs)
+    for made in drawn(runs, names):
+        file = f"{start}{made.name}.png"
+        with style.house_style():
+            style.write(made.figure, directory / file)
+        captions[file] = made.caption
     return captions

@@ -25,9 +25,8 @@ from mavfi.analysis.statistics import Rate
 from mavfi.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.plugins import Chapter
-from mavfi.report import style
-from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing
+from mavfi.report import links, style
+from mavfi.report.figures import Drawing
 
 _LEGEND: dict[str, Any] = {"columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
