@@ -651,12 +651,15 @@ class Attached(Listener):
 
     def __init__(self, observer: Observer, pace: float = 0.0) -> None:
         self._observer, self._pace = observer, pace
-        self.published = observer.published  # type: ignore[method-assign]
 
     def begin(self, loop: Loop) -> None:
         """See `Listener`."""
         self._loop, self._seen, self._began = loop, [0, 0, 0], time.monotonic()
         self._observer.begin(loop)
+
+    def published(self, state: State, now: int) -> None:
+        """See `Listener`."""
+        self._observer.published(state, now)
 
     def after_tick(self, now: int) -> None:
         """See `Listener`."""
