@@ -103,12 +103,12 @@ class CodeFiles(NullCache):
     @property
     def cache_path(self) -> str:
         """Folder of the files."""
-        return str(numba.config.CACHE_DIR or code_folder())
+        return str(numba.config.CACHE_DIR or code_folder())  # type: ignore[attr-defined]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the Numba types of the arguments; None if there is none, or none that can be used."""
         # Not `target_context.refresh()`: it imports all that Numba can compile, SciPy's linear algebra, too (0.4 s).
-        rtsys.initialize(target_context)  # type: ignore[no-untyped-call]
+        rtsys.initialize(target_context)
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None

@@ -17,7 +17,7 @@ from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, Recovery
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.flight.loop import Listener, Record
 from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.mission import MissionSpec, Scenario
@@ -29,13 +29,12 @@ CONTROLLERS = ("betaflight",)
 """Flight controllers that are firmware."""
 
 
-class FirmwareHost:
+class FirmwareHost(Host):
     """Flies each mission in this process, in lock-step with the firmware's process."""
 
     name = "firmware"
     levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
-    deterministic = True
-    flies = True
+    single_levels = frozenset({RegisterFault.level})
     in_process = True
 
     def resolve(self, spec: MissionSpec) -> Scenario:

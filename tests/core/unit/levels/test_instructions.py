@@ -7,12 +7,12 @@ import pytest
 from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.samplers import instruction, sampler_for
-from mavfi.campaign.samplers.instruction import DrawnFaults
-from mavfi.campaign.samplers.sampler import draws_of
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight.host import ArmSetup
+from mavfi.levels import instruction
+from mavfi.levels.instruction import DrawnFaults
+from mavfi.levels.level import draws_of, sampler_for
 from mavfi.record import End
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DETECTOR, TROUBLE, deaths, small

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.samplers.memory import Exposure, MemorySampler, _Drawing
-from mavfi.campaign.samplers.sampler import Draw, Sampled, watched_in
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, MemoryFault
 from mavfi.faults.strata import WORD_BITS, bits_of
+from mavfi.levels.level import Draw, Sampled
+from mavfi.levels.memory import Exposure, MemorySampler, _Drawing
 from mavfi.pipeline.words import Words
 
 INSTANTS = {
@@ -69,7 +69,7 @@ def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():
     variants = {draw.target: draw.variant for block in sampler.blocks("sparse") for draw in (block.draw(0),)}
     assert variants == {"pid": "", "gaussian": "gad", "acceptance": "rules"}
     tuned = campaign_of("physics_gate", gad=("gaussian", {}), tuned=("gaussian", {"profile": "tuned"}))
-    assert watched_in(tuned, "physics_gate") == "tuned"
+    assert tuned.arm_with("physics_gate") == "tuned"
     for kernels, own in ((["acceptance"], {}), (["recovery"], arms), (["nothing"], arms), (["gaussian"], {})):
         with pytest.raises(ValueError, match="sampling"):
             MemorySampler(campaign_of(*kernels, **own))
@@ -134,7 +134,7 @@ def test_what_does_not_exist_is_refused():
 def test_faults_go_to_their_draws_and_a_null_run_flips_nothing():
     sampler = MemorySampler(campaign(share="kernel"))
     one, two = MemoryFault("pid", "fresh", None, "?", 3, 0), MemoryFault("octomap", "scan", None, "i4", 4, 1)
-    golden = {"": Sampled(None, faults={"pid/": [one], "octomap/": [two], "null/": [two]})}
+    golden = {"": Sampled(None, faults={("pid", ""): [one], ("octomap", ""): [two], ("null", ""): [two]})}
     draws = [Draw("octomap", 0, 10_000), Draw("pid", 0, 10_000), Draw("pid", 2, 10_000)]
     assert sampler.draw(draws, "sparse", golden) == [two, one, None]
     assert sampler.draw(draws, "sparse", {}) == [None] * 3

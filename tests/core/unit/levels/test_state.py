@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.samplers.sampler import Sampled
-from mavfi.campaign.samplers.state import StateSampler
 from mavfi.errors import BadInputError
 from mavfi.flight.host import Flight
+from mavfi.levels.level import Sampled
+from mavfi.levels.state import StateSampler
 from mavfi.record import Profile
 
 SITES = ["planning.waypoint.x", "perception.collision_status.collision"]

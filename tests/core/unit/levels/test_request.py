@@ -1,10 +1,11 @@
 import pytest
 
-from mavfi.campaign.samplers.request import draw_request, text_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
-from mavfi.faults.spec import MemoryRequest, parse
 from mavfi.flight.compose import resolve
+from mavfi.flight.host import ArmSetup
+from mavfi.levels.level import parse, text_of
+from mavfi.levels.memory import MemoryRequest
 from mavfi.mission import MissionSpec
 
 
@@ -33,7 +34,7 @@ def test_the_text_of_a_fault_in_memory_or_in_none():
 )
 def test_the_text_of_a_fault_in_an_instruction_names_all_of_it(changed):
     fault = InstructionFault("", "ab" * 32, 42, 7, budget=10_300, kernel="pid", entry="track", **changed)
-    assert draw_request(resolve(MissionSpec()), parse(text_of(fault)), 0) == (fault, None)
+    assert parse(text_of(fault)).draw(ArmSetup(resolve(MissionSpec())), 0) == (fault, None)
 
 
 @pytest.mark.parametrize(
@@ -44,4 +45,4 @@ def test_the_text_of_a_fault_in_an_instruction_names_all_of_it(changed):
 def test_instructions_of_functions_that_are_not_flown_are_refused(kernel, message):
     text = f"instruction:{kernel}:call=0:index=0:bit=3:budget=100:ir={'ab' * 32}"
     with pytest.raises(BadInputError, match=message):
-        draw_request(resolve(MissionSpec()), parse(text), 0)
+        parse(text).draw(ArmSetup(resolve(MissionSpec())), 0)

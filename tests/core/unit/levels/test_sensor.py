@@ -5,12 +5,11 @@ from collections import Counter
 import pytest
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import Sampled, draws_of
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.sensor.fault import FAILING, UNITS
 from mavfi.flight.host import RunResult
+from mavfi.levels.level import Sampled, draws_of, sampler_for
 from mavfi.record import End, FlightRecord
 
 GOLDEN = {"": Sampled(RunResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}

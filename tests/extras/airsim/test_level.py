@@ -5,12 +5,11 @@ from collections import Counter
 import pytest
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import Sampled, draws_of
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Passed
 from mavfi.flight.host import RunResult
+from mavfi.levels.level import Sampled, draws_of, sampler_for
 from mavfi.record import End, FlightRecord
 
 CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
