@@ -80,7 +80,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.ros.ros1.host import configure
     from mavfi.extras.ros.ros1.plan import Plan
     from mavfi.flight.compose import resolve
-    from mavfi.flight.policy import Recovery
+    from mavfi.flight.decide import Recovery
 
     scenario = resolve(mission)
     watching, label = load_watcher(detector, profile, models, scenario, mission)

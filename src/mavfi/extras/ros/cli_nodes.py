@@ -33,7 +33,7 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
     A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
     """
     from mavfi.extras.ros.ros1.plan import check_supported
-    from mavfi.flight.watching import with_keys_of
+    from mavfi.flight.compose import with_keys_of
 
     resolved = with_keys_of(mission, detector)
     if "grain" not in mission.model_fields_set and resolved.grain == "message":
