@@ -12,7 +12,7 @@ from mavfi.campaign.config import (
     RegisterSampling,
     Sampling,
 )
-from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.sampling import MessageSampling, SensorSampling, StateSampling, label_of
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec

@@ -90,4 +90,3 @@ def partner(runs: pl.DataFrame, run_id: str) -> str | None:
     ).filter((pl.col("detector") != "") if not row["detector"] else (pl.col("setting") == FI))
     found: list[str] = same.sort("success", descending=True, maintain_order=True)["run_id"].to_list()
     return found[0] if found else None
-

@@ -11,11 +11,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from mavfi.config import Config, names
+from mavfi.config import SCAN_ENDINGS, Config, names
 from mavfi.dropped import dropped_name
 from mavfi.faults.levels.sensor.fault import FAILING, UNITS
 from mavfi.faults.strata import STRATA
-from mavfi.sim.environments import SCAN_ENDINGS
 from mavfi.states import STATES
 
 _ENVIRONMENT_FILES = (".yaml", ".yml", *SCAN_ENDINGS)

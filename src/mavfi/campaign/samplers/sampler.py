@@ -3,14 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mavfi.campaign.config import Campaign
-from mavfi.detectors.registry import contains
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
-from mavfi.flight.host import ArmSetup, MissionFlights, Recorded
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import ArmSetup, MissionFlights, Recorded
 
 NULL = "null"  # target of null runs: the complete path through the injector, with an empty mask
 
@@ -45,6 +46,8 @@ def watched_in(campaign: Campaign, target: str) -> str:
     Raises:
         BadInputError: It is in no arm, or in several.
     """
+    from mavfi.detectors.registry import contains
+
     arms = [name for name, arm in campaign.arms.items() if arm.detector and contains(arm.detector, arm.profile, target)]
     if len(arms) != 1:
         raise BadInputError(f"sampling.kernels: {target!r}: is in {len(arms)} arms; allowed: what is in one arm")
@@ -101,7 +104,7 @@ class TargetBlocks:
 class Sampled:
     """A golden run, with the data from which faults are drawn."""
 
-    flight: Recorded
+    flight: "Recorded"
     counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # per kernel, see `FlightRecord`
     faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)  # drawn in flight, by target
 
@@ -123,7 +126,7 @@ class Sampler(Protocol):
         """All faults of an environment."""
 
     def golden(
-        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
     ) -> Sampled:  # fmt: skip
         """Fly the golden run of the campaign's own mission, of a variant, or of an arm whose detector is injected.
 
@@ -153,7 +156,7 @@ class OwnMissions:
     profile = False
 
     def golden(
-        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
     ) -> Sampled:  # fmt: skip
         """See `Sampler.golden`."""
         del draws, environment, setup

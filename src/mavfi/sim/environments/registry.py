@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mavfi.config import EnvironmentConfig, Vector
+from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
@@ -27,7 +27,6 @@ _BUILT_IN |= {
     "training": "mavfi.sim.environments.training:training",
     "octomap_file": "mavfi.sim.environments.octomap_file:octomap_file",
 }
-SCAN_ENDINGS = (".bt", ".ot")
 
 
 def build_world(
