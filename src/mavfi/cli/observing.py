@@ -48,7 +48,7 @@ def observing(
         return
     from mavfi.flight.observe import Attached
 
-    attached = []
+    attached: list[Callable[[Any], None]] = []
     with ExitStack() as stack:
         for observer in chosen:
             view, text = observer.build(values)

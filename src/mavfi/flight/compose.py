@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mavfi import config as configs
-from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
+from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.errors import BadInputError
 from mavfi.flight.compute import stage_latency
 from mavfi.flight.loop import CONTROL_PERIOD_US
@@ -20,7 +20,7 @@ from mavfi.pipeline.planners import find_search
 from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
-from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file, find_generator
+from mavfi.sim.environments import World, environment_for_file, find_generator
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
