@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from mavfi.extras.hardening.candidates import candidates
+from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.plan import FunctionPlan, signature_text
 from mavfi.ir.module import digest_of
 from mavfi.ir.parser import parse_module

@@ -22,7 +22,7 @@ from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of, reason_of
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.flight import recorded
 from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
@@ -108,8 +108,8 @@ def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     scenario = None
     if host.flies:
         scenario = _scenario(store, {**stored, "seed": spec.seed})
-    elif campaign.program is not None and campaign.program.to_json()["sha256"] != stored["program"]["sha256"]:
-        raise SpecMismatchError(f"{campaign.program.script}: is absent, or another program than that of the campaign")
+    else:
+        host.check_stored(stored)
     mission = MissionPlan(campaign, *spec.world, store.models_dir, store.meta("identity")["models"])
     return host, setup_of(mission, arms[spec.arm], host, scenario)
 
@@ -144,7 +144,7 @@ class Explanation:
 
 def explained_levels(host: Host) -> frozenset[str]:
     """Levels of a host's faults whose publications can be recorded: those that the host `local` flies, too."""
-    return host.levels & LocalHost.levels if host.flies and host.deterministic else frozenset()
+    return host.levels & LocalHost().levels if host.flies and host.deterministic else frozenset()
 
 
 def explain(directory: Path, run_id: str) -> Explanation:
@@ -197,7 +197,7 @@ def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
     if not levels or (spec.fault is not None and spec.fault.level not in levels):
         raise BadInputError(
             f"{store.directory}: run {spec.run_id}: its publications cannot be recorded; allowed: faults of level "
-            f"{', '.join(sorted(LocalHost.levels))} at hosts that fly missions; see mavfi replay and mavfi runs"
+            f"{', '.join(sorted(LocalHost().levels))} at hosts that fly missions; see mavfi replay and mavfi runs"
         )
     return setup
 

@@ -255,7 +255,7 @@ def fit(
     if missing:
         raise BadInputError(f"provenance of a model: lacks {', '.join(missing)}")
     origin = {**provenance, "versions": {name: version(name) for name in ("numpy", "scikit-learn")}}
-    classes = {name: detector for name, detector in trainable(extras).items() if detector.training is training}
+    classes = {name: detector for name, detector in trainable(extras).items() if detector.training == training}
     models = {}
     for profile in training.profiles:
         wanted = {name: detector for name, detector in classes.items() if only is None or (name, profile) in only}

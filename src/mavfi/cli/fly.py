@@ -55,11 +55,11 @@ def fly(  # noqa: PLR0913 - one parameter per option
     observers = observing.chosen_observers(extra, pace, fault)
     for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
         check_file(option, path, endings)
-    wanted, host = _chosen(mission, {"fault": fault, "html": html, **extra})
+    of_extra, host = _chosen(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
-    from mavfi.faults.spec import parse
+    from mavfi.levels.level import parse
 
-    wanted = wanted if fault is None else parse(fault, mission.localization)
+    request = of_extra if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.flight.compose import resolve
@@ -74,7 +74,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         watching, label = load_watcher(detector, profile, models, scenario, mission)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
         with observing.observing(observers, extra, pace) as views:
-            result = fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
+            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:

@@ -48,7 +48,7 @@ def observing(
         return
     from mavfi.flight.observe import Attached
 
-    attached: list[Callable[[Any], None]] = []
+    attached: list[Attached] = []
     with ExitStack() as stack:
         for observer in chosen:
             view, text = observer.build(values)

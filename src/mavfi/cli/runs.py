@@ -137,8 +137,8 @@ def shrink(
 def command(found: "Shrunk") -> str:
     """Command that flies the smallest fault."""
     from mavfi.campaign.ledger import stored_campaign
-    from mavfi.campaign.samplers.request import seed_of, text_of
     from mavfi.campaign.store import Store
+    from mavfi.faults.fault import find_level
     from mavfi.report.html.flight_page import fly_command
 
     spec = found.spec
@@ -148,4 +148,5 @@ def command(found: "Shrunk") -> str:
     mission = campaign.spec(spec.environment, spec.seed, overrides)
     fault = found.smallest.fault
     profile = spec.detector_profile if spec.model else None
-    return fly_command(mission, text_of(fault), seed_of(fault), spec.detector or "none", profile, None)
+    level = find_level(fault.level)
+    return fly_command(mission, level.text_of(fault), level.seed_of(fault), spec.detector or "none", profile, None)

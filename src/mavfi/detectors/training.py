@@ -190,6 +190,12 @@ class Training(ABC):
     profiles: tuple[str, ...]
     environments: tuple[str, ...]
 
+    def __eq__(self, other: object) -> bool:  # in another process it is another object
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
     @abstractmethod
     def recorder(self, autopilot: str) -> Any:  # noqa: ANN401 - a detector that records
         """A detector whose `recording()` has the `parts` of a flight with this autopilot profile."""

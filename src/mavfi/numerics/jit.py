@@ -33,7 +33,7 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import _rebuild_env
 from numba.core.errors import NumbaDebugInfoWarning
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.core.serialize import dumps
 
 from mavfi.numerics.dependencies import UnknownDependencyError, code_digest, content_digest, signature_digest
@@ -108,7 +108,7 @@ class CodeFiles(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the Numba types of the arguments; None if there is none, or none that can be used."""
         # Not `target_context.refresh()`: it imports all that Numba can compile, SciPy's linear algebra, too (0.4 s).
-        rtsys.initialize(target_context)  # type: ignore[no-untyped-call]
+        rtsys.initialize(target_context)
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None

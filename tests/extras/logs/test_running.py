@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.mavlink.running import Telemetry
+from mavfi.extras.mavlink.tlog import Telemetry
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly

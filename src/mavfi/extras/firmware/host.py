@@ -18,7 +18,7 @@ from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.compose import resolve
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.flight.loop import Loop
 from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.recording import Record
@@ -32,13 +32,12 @@ CONTROLLERS = ("betaflight",)
 """Flight controllers that are firmware."""
 
 
-class FirmwareHost:
+class FirmwareHost(Host):
     """Flies each mission in this process, in lock-step with the firmware's process."""
 
     name = "firmware"
     levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
-    deterministic = True
-    flies = True
+    single_levels = frozenset({RegisterFault.level})
     in_process = True
 
     def resolve(self, spec: MissionSpec) -> Scenario:

@@ -89,11 +89,10 @@ def _advise(
     from rich.text import Text
 
     from mavfi.extras.hardening.certification import with_certified
-    from mavfi.extras.hardening.ledger import harm_of
     from mavfi.extras.hardening.page import write_page
     from mavfi.extras.hardening.plan import load_plan, save_plan
     from mavfi.extras.hardening.study import advise, plan_of
-    from mavfi.extras.hardening.summary import summary
+    from mavfi.extras.hardening.summary import harm_of, summary
     from mavfi.extras.hardening.text import advice_table, caveats, headline
     from mavfi.report.text import show_table
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mavfi.analysis.runs import Runs
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.training import Training
+    from mavfi.campaign.training import RecordedFlights
     from mavfi.extras.paper.cli_report import StudyBar
     from mavfi.extras.paper.steps import Steps
     from mavfi.extras.paper.study import Study
@@ -96,11 +96,11 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
 
 def _train(
-    lacking: Iterable["MissionSpec"], fly: Callable[..., "Training"], executor: "LocalExecutor", bar: "StudyBar"
+    lacking: Iterable["MissionSpec"], fly: Callable[..., "RecordedFlights"], executor: "LocalExecutor", bar: "StudyBar"
 ) -> None:
     """Fly and fit the models that are lacking."""
     from mavfi.campaign.executors.executor import map_each
-    from mavfi.campaign.training import Training
+    from mavfi.campaign.training import RecordedFlights
 
     trainings = []
     for mission in lacking:
@@ -108,7 +108,7 @@ def _train(
             trainings.append(fly(mission))
     if trainings:
         with bar.timed("fitting of detectors", "trainings"):
-            for done, _ in enumerate(map_each(executor, Training.fit, trainings), 1):
+            for done, _ in enumerate(map_each(executor, RecordedFlights.fit, trainings), 1):
                 bar.show(done, len(trainings))
 
 

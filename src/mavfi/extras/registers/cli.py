@@ -108,8 +108,8 @@ def _process(pid: int | None, others: dict[str, Any]) -> int:
         raise BadInputError(f"{names}: allowed: one of them")
     if pid is not None:
         return pid
-    found = (extra.pid_of(others) for extra in extensions(PROCESSES).values())
-    return next(number for number in found if number is not None)
+    numbers = (extra.pid_of(others) for extra in extensions(PROCESSES).values())
+    return int(next(number for number in numbers if number is not None))
 
 
 def _report(injection: Injection) -> None:

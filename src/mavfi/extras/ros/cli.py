@@ -17,8 +17,8 @@ from mavfi.extras.ros import cli_nodes as ros_nodes
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
+    from mavfi.extras.ros.ros1.host import RosFlight
     from mavfi.extras.ros.ros1.plan import Plan
-    from mavfi.extras.ros.ros1.session import RosFlight
     from mavfi.report.flight_result import FlightResult
 
 _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
@@ -77,8 +77,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.ros.ros1 import finder
 
     finder.require()
+    from mavfi.extras.ros.ros1.host import configure
     from mavfi.extras.ros.ros1.plan import Plan
-    from mavfi.extras.ros.ros1.session import configure
     from mavfi.flight.compose import resolve
     from mavfi.flight.policy import Recovery
 
@@ -96,7 +96,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
 def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:
     """Fly the plan; the result includes the golden run if there is a fault."""
-    from mavfi.extras.ros.ros1.session import fly as fly_there
+    from mavfi.extras.ros.ros1.host import fly as fly_there
     from mavfi.report.flight_result import FlightResult
 
     tell = _invite if plan.pace > 0 and not quiet else None

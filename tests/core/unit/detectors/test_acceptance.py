@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.detectors import load_detector, rule_memory, rules
+from mavfi.detectors import acceptance, load_detector, rules
 from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
@@ -331,7 +331,7 @@ def test_judging_changes_nothing_and_memory_is_restored(autopilot):
 @pytest.mark.parametrize("autopilot", LIMITS)
 def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
     compiled = [flying(autopilot, *before).check(state, NOW) for state, before in everything(autopilot)]
-    for module in (rules, rule_memory):
+    for module in (rules, acceptance):
         for name, found in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(found, "py_func", found))
     plain = {name: function.py_func for name, function in COMPILED.items()}
@@ -342,7 +342,7 @@ def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
 
 def test_a_trajectory_for_which_there_is_no_room_makes_more():
     detector = flying("published")
-    several = rule_memory.CAPACITY + 7
+    several = acceptance.CAPACITY + 7
     long = make(TRAJECTORY, several, trajectory_seq=2, future_collision_seq=1)
     rows(long.elements, 11)[:] = np.arange(several)[:, None]
     detector.accept(long, NOW)

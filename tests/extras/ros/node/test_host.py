@@ -12,7 +12,7 @@ from mavfi.campaign.store import Store
 from mavfi.cli import run as cli
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.node import host
-from mavfi.extras.ros.node.trial import Trial
+from mavfi.extras.ros.node.bench import Trial
 from mavfi.outcomes import effect_of
 
 PLAIN = {

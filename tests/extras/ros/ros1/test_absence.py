@@ -144,7 +144,7 @@ def test_every_command_of_the_page_is_accepted(monkeypatch, command):
         raise FlyingError(plan)
 
     monkeypatch.setattr(finder, "missing", list)
-    monkeypatch.setattr("mavfi.extras.ros.ros1.session.fly", fly)
+    monkeypatch.setattr("mavfi.extras.ros.ros1.host.fly", fly)
     with pytest.raises(FlyingError) as stopped:
         run(shlex.split(command)[1:])
     (plan,) = stopped.value.args

@@ -18,11 +18,11 @@ from mavfi.detectors.detector import Chain
 from mavfi.errors import MachineError, MavfiError
 from mavfi.extras.ros.cli_nodes import effect
 from mavfi.extras.ros.ros1.folder import PID
+from mavfi.extras.ros.ros1.host import configure
+from mavfi.extras.ros.ros1.host import fly as fly_there
 from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
-from mavfi.extras.ros.ros1.roll_call import is_alive
-from mavfi.extras.ros.ros1.session import configure
-from mavfi.extras.ros.ros1.session import fly as fly_there
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.decide import MAX_UNCHANGED
@@ -307,7 +307,7 @@ def test_no_process_is_left_behind(number, tmp_path):
 
 
 def test_a_flight_that_fails_says_where_to_look(capsys, tmp_path, monkeypatch):
-    from mavfi.extras.ros.ros1 import session
+    from mavfi.extras.ros.ros1 import host as session
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

@@ -9,10 +9,9 @@ from contextlib import suppress
 from typing import Any
 
 from mavfi.extras.ros.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
-from mavfi.extras.ros.ros1.graph import DETECTOR, WORLD
 from mavfi.extras.ros.ros1.messages import Action
-from mavfi.extras.ros.ros1.plan import Plan
-from mavfi.extras.ros.ros1.ports import Inbox, Ports
+from mavfi.extras.ros.ros1.plan import DETECTOR, WORLD, Plan
+from mavfi.extras.ros.ros1.ports import Inbox, Ports, is_alive, wait_for
 from mavfi.extras.ros.ros1.register_injector import PLANNED, RegisterInjector
 from mavfi.extras.ros.ros1.remote import (
     SILENT,
@@ -24,7 +23,6 @@ from mavfi.extras.ros.ros1.remote import (
     RemoteKernel,
     Watchdog,
 )
-from mavfi.extras.ros.ros1.roll_call import is_alive, wait_for
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.loop import Loop
