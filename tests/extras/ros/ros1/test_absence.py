@@ -9,7 +9,7 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.cli_nodes import mission_with
+from mavfi.extras.ros.cli import mission_with
 from mavfi.extras.ros.ros1 import finder
 from mavfi.mission import MissionSpec
 from tests.core.architecture.source import ROOT
