@@ -162,15 +162,14 @@ def read_octree(path: Path) -> tuple[Leaves, float]:
     content = read_file(path, _LARGEST_FILE)
     has_values, resolution, offset = _read_header(path, content)
     nodes = np.frombuffer(content, np.uint8, offset=offset)
-    parse = _parse_values if has_values else _parse_bits
     nothing = Leaves(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.bool_))
-    count = parse(nodes, nothing)
+    count = _parse(nodes, has_values, nothing)
     if count == _TRUNCATED:
         raise BadInputError(f"{path}: truncated: the octree does not end within the file")
     if count == _TOO_DEEP:
         raise BadInputError(f"{path}: not an octree of {_DEPTH} levels")
     leaves = Leaves(np.empty((count, 3), np.int32), np.empty(count, np.int32), np.empty(count, np.bool_))
-    parse(nodes, leaves)
+    _parse(nodes, has_values, leaves)
     return leaves, resolution
 
 
@@ -201,68 +200,46 @@ def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
 
 
 @kernel_jit
-def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Traverse the nodes of a `.bt` file; store leaves up to the capacity, and return their number."""
+def _parse(nodes: np.ndarray, has_values: bool, leaves: Leaves) -> int:
+    """Traverse the nodes of a file; store leaves up to the capacity, and return their number.
+
+    Args:
+        nodes: Bytes of the file behind its header.
+        has_values: Whether nodes are those of `.ot`, else of `.bt`.
+        leaves: Output.
+    """
+    size = 5 if has_values else 2
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0
     while top > 0:
         top -= 1
         x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        if level == 0 and not has_values:
+            return _TOO_DEEP
+        if at + size > len(nodes):
+            return _TRUNCATED
+        flags = int(nodes[at + 4]) if has_values else int(nodes[at]) | int(nodes[at + 1]) << 8
+        if has_values and flags == 0:  # a node without children
+            log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
+            _store(leaves, count, (x, y, z), 1 << level, not (log_odds < 0.0))
+            count += 1
+            at += size
+            continue
         if level == 0:
             return _TOO_DEEP
-        if at + 2 > len(nodes):
-            return _TRUNCATED
-        bits = int(nodes[at]) | int(nodes[at + 1]) << 8
-        at += 2
+        at += size
         half = 1 << (level - 1)
         for child in range(7, -1, -1):
-            kind = bits >> (2 * child) & 3
+            kind = 3 * (flags >> child & 1) if has_values else flags >> (2 * child) & 3
             corner = (x + (child & 1) * half, y + (child >> 1 & 1) * half, z + (child >> 2) * half)
             if kind == 3:
-                _push(stack, top, corner, level - 1)
+                stack[top] = (*corner, level - 1)
                 top += 1
             elif kind > 0:
                 _store(leaves, count, corner, half, kind == 2)
                 count += 1
     return count
-
-
-@kernel_jit
-def _parse_values(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Traverse the nodes of an `.ot` file; store leaves up to the capacity, and return their number."""
-    stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
-    stack[0, 3] = _DEPTH
-    top, at, count = 1, 0, 0
-    while top > 0:
-        top -= 1
-        x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
-        if at + 5 > len(nodes):
-            return _TRUNCATED
-        log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
-        children = int(nodes[at + 4])
-        at += 5
-        if children == 0:
-            _store(leaves, count, (x, y, z), 1 << level, not (log_odds < 0.0))
-            count += 1
-            continue
-        if level == 0:
-            return _TOO_DEEP
-        half = 1 << (level - 1)
-        for child in range(7, -1, -1):
-            if children >> child & 1:
-                corner = (x + (child & 1) * half, y + (child >> 1 & 1) * half, z + (child >> 2) * half)
-                _push(stack, top, corner, level - 1)
-                top += 1
-    return count
-
-
-@kernel_jit
-def _push(stack: np.ndarray, top: int, corner: tuple[int, int, int], level: int) -> None:
-    stack[top, 0] = corner[0]
-    stack[top, 1] = corner[1]
-    stack[top, 2] = corner[2]
-    stack[top, 3] = level
 
 
 @kernel_jit
