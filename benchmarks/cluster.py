@@ -22,13 +22,13 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost, R, T
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.plan import Flown, Planned, Row
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.store import FILE
 from mavfi.extras.dask import executor as dask
 from mavfi.extras.dask.executor import LOOPBACK, DaskExecutor
-from mavfi.extras.paper.overheads import processor
 from tools.markers import DOCS, fill
 
 RUNS = 7

@@ -93,7 +93,7 @@ def measure_relay(bench: Bench) -> None:
 
 def measure_stops(bench: Bench) -> None:
     """Stop time of robot_state_publisher for an injection at a symbol."""
-    node = load_campaign("ros_robot_state_publisher").node
+    node = load_campaign("ros_robot_state_publisher").under_test
     assert node is not None
     for name, value in node.parameters.items():
         bench.master.call("setParam", name, value)

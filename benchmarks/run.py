@@ -26,7 +26,7 @@ from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
 from benchmarks.rows import Row
 from mavfi.analysis.table import Table
-from mavfi.extras.paper.overheads import processor
+from mavfi.campaign.fingerprint import processor
 from mavfi.flight.assemble import new_loop
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly

@@ -12,18 +12,16 @@ from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.extras.ros.ros1.messages import type_name
 from mavfi.extras.ros.ros1.plan import WORLD, Graph
-from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
+from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit, check_read
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.assemble import new_loop
 from mavfi.flight.compose import resolve
-from mavfi.flight.host import GROUP, SHIPPED
+from mavfi.flight.host import find_host, host_class
 from mavfi.flight.loop import CONTROL_PERIOD_US
-from mavfi.flight.sensor_faults import check_read
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
-from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
 from tools import build_reference
 from tools.fault_levels import level_table
@@ -107,7 +105,8 @@ def unit_text(name: str, unit: Unit) -> str:
 
 def _executed(unit: str, host: str, controller: str = "cascade", localization: str = "truth") -> bool:
     """Whether a host executes failures of a unit in missions with a flight controller and localization."""
-    if SensorFault.level not in load_object("host", host, GROUP, SHIPPED).levels:
+    levels = find_host(host).levels if host == "local" else host_class(host).levels
+    if SensorFault.level not in levels:
         return False
     try:
         check_read(unit, controller, localization)

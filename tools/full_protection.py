@@ -8,11 +8,11 @@ Signatures and calls, in which the time is measured, are those of a golden fligh
 import sys
 from pathlib import Path
 
+from mavfi.campaign.fingerprint import processor
 from mavfi.extras.hardening.advise import codes_of, times_of
 from mavfi.extras.hardening.observed import observe
 from mavfi.extras.hardening.plan import FunctionPlan, Plan, save_plan
 from mavfi.extras.hardening.target import targets_of
-from mavfi.extras.paper.overheads import processor
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.states import PLANNERS

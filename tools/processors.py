@@ -2,7 +2,7 @@
 
 import re
 
-from mavfi.extras.paper.overheads import processor
+from mavfi.campaign.fingerprint import processor
 
 
 def with_others(table: str, page: str, name: str) -> str:

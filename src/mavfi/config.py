@@ -331,6 +331,14 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored:
         raise BadInputError(f"{source}: {finding(error, model)}") from None
 
 
+def parse_part(model: type[ConfigType], data: object, key: str, context: Any) -> ConfigType:
+    """Validate the part of a file under a key, in a validator of the whole; a ValueError names key and value."""
+    try:
+        return model.model_validate(data, context=context)
+    except ValidationError as error:
+        raise ValueError(finding(error, model, key)) from None
+
+
 def checked(kind: type[Checked], data: object, source: str) -> Checked:
     """Validate data from a source (named in messages) as a dataclass.
 

@@ -5,7 +5,15 @@ import json
 from enum import Enum
 from typing import Any, Literal
 
-from pydantic import AliasChoices, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import (
+    AliasChoices,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from mavfi.config import (
     STORED,
@@ -23,7 +31,8 @@ from mavfi.config import (
     WindConfig,
     names,
 )
-from mavfi.extras.hardening.plan import Plan
+from mavfi.errors import BadInputError
+from mavfi.rewriting import rewriter
 
 ARRIVAL_RADIUS = 2.0
 """Distance from the goal that counts as arrival (m)."""
@@ -186,7 +195,18 @@ class Scenario(Config):
     localization: LocalizationConfig = LocalizationConfig()
     dead_node: DeadNode = "fresh"
     flight_controller: str = "cascade"
-    protection: Plan | None = None
+    protection: SerializeAsAny[Config] | None = None
+
+    @field_validator("protection", mode="before")
+    @classmethod
+    def _stored_plan(cls, value: Any, info: ValidationInfo) -> Any:
+        """The extra that owns the key reads the plan."""
+        if not isinstance(value, dict):
+            return value
+        try:
+            return rewriter().read(value, stored=info.context == STORED)
+        except BadInputError as error:
+            raise ValueError(str(error)) from None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; options at their defaults are omitted, so that a mission without them keeps its key.

@@ -50,14 +50,15 @@ from mavfi.cli.export import _write
 from mavfi.config import AutopilotConfig, PlatformConfig, load
 from mavfi.config import shipped as find_shipped
 from mavfi.detectors.model import Model
-from mavfi.detectors.recorder import WATCHED, Recorder
 from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
+from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
-from mavfi.faults.spec import StateRequest, parse
 from mavfi.flight.assemble import new_loop
 from mavfi.flight.compose import find_environment, find_planner, resolve
+from mavfi.levels.level import parse
+from mavfi.levels.state import StateRequest
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
 from mavfi.sim.environments import build_world, environment_for_file
@@ -297,7 +298,7 @@ def recordings():
     for name in ("sensor.odometry", "planning.waypoint", "control.command"):
         recorder.accept(new_state(name), 1000)
     found = recorder.recording()
-    return [{"kinds": found.kinds, "times_us": found.times_us, "content": found.content}]
+    return [found._asdict()]
 
 
 class Trap:
@@ -395,8 +396,8 @@ def read_flight(path):
 def read_recording(path):
     """As a training that is resumed does; what cannot be read counts as absent."""
     disk = KeptRecordings.__new__(KeptRecordings)
-    disk._folder = path.parent
-    for recording in disk.load([0]).values():
+    disk._folder, disk._trainings = path.parent, (MONITORED_FIELDS,)
+    for (recording,) in disk.load([0]).values():
         for name in WATCHED:
             recording.headers(name)
 

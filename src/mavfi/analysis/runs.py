@@ -7,6 +7,7 @@ from typing import Any
 
 import polars as pl
 
+from mavfi.analysis.about import describe
 from mavfi.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
@@ -43,8 +44,6 @@ class Runs:
         Raises:
             BadInputError: The folder has no ledger.
         """
-        from mavfi.analysis.about import describe
-
         with Store.open(directory) as store:
             return Runs.of(store.runs(done=True), describe(store))
 

@@ -237,3 +237,14 @@ def smallest_difference(rate: float, first_n: int, second_n: int) -> float | Non
     p = min(max(rate, margin), 1 - margin)
     spread = np.sqrt(p * (1 - p) * (1 / first_n + 1 / second_n))
     return float((_NORMAL.inv_cdf(1 - TAIL) + _NORMAL.inv_cdf(_POWER)) * spread)
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
+    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
+    adjusted: list[float | None] = [None] * len(p_values)
+    largest = 0.0
+    for rank, (p, place) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * p))
+        adjusted[place] = largest
+    return adjusted

@@ -35,6 +35,15 @@ def python() -> str:
     return ".".join(platform.python_version_tuple()[:2])
 
 
+def processor() -> str:
+    """Model name of the processor, as reported by the operating system."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
 def code() -> str:
     """Hash of the package's source."""
     return _hash(Path(__file__).parents[1], "*.py")

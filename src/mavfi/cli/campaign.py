@@ -2,14 +2,19 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.cli import options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import check_name, check_seed, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import MavfiError
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.plugins import known, load_object
+
+if TYPE_CHECKING:
+    from mavfi.campaign.executors.executor import Executor
 
 app = typer.Typer(
     help="Fly a campaign, see how far it is, prove what came out.\n\n"
@@ -30,9 +35,18 @@ def run(  # noqa: PLR0913 - options
         ),
     ] = None,
     workers: options.Workers = 2,
-    executor: options.Executor = "local",
-    scheduler: options.Scheduler = "",
-    shard: options.Shard = "1/1",
+    executor: Annotated[
+        str, typer.Option(help="local: processes of this machine, or dask: the workers of a Dask scheduler.")
+    ] = "local",
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Of the Dask scheduler, e.g. tcp://10.0.0.1:8786; otherwise a cluster here."
+        ),
+    ] = "",
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Only every N-th mission, from the I-th on; `merge` joins the ledgers.")
+    ] = "1/1",
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
     models: options.Models = None,
     fast_forward: Annotated[
@@ -59,11 +73,12 @@ def run(  # noqa: PLR0913 - options
     campaign = load_campaign(config).at_scale(scale)
     check_names(campaign, config)
     ledger = out or Path("out") / campaign.name
-    flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")
+    chosen_executor = _executor(executor, scheduler, workers)
+    part = Shard.parse(shard, "--shard")
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
         status = run_campaign(
-            campaign, ledger, executor=flown_by, models_dir=models, fast_forward=fast_forward, shard=part,
+            campaign, ledger, executor=chosen_executor, models_dir=models, fast_forward=fast_forward, shard=part,
             progress=bar.show_campaign,
         )  # fmt: skip
     if status.unknown and not allow_unknown:
@@ -77,6 +92,18 @@ def run(  # noqa: PLR0913 - options
         return
     console().print(success_counts(status.settings))
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
+
+
+def _executor(name: str, scheduler: str, workers: int) -> "Executor":
+    """Who flies: processes of this machine, or what an extra adds by an entry point."""
+    extras = sorted(known("mavfi.executors", {}))
+    check_name("--executor", name, ("local", *extras))
+    if name != "local":
+        made: Executor = load_object("executor", name, "mavfi.executors", {})(scheduler, workers)
+        return made
+    if scheduler:
+        raise BadInputError(f"--scheduler: {scheduler}: allowed with --executor {', '.join(extras)}")
+    return LocalExecutor(workers)
 
 
 def _most_frequent_reason(ledger: Path) -> str:
@@ -127,7 +154,6 @@ def verify(
     Example: [bold]mavfi campaign verify out/states --share 0.05[/bold]
     """
     from mavfi.campaign.replay import verify as verify_runs
-    from mavfi.cli.console import check_seed
     from mavfi.cli.progress import Bar
 
     check_seed("--seed", seed)

@@ -1,41 +1,120 @@
 """The application with all commands, and its error handling; commands import heavy modules on demand."""
 
+import ast
 import functools
 import inspect
 import os
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydantic import ValidationError
+from typer.core import TyperCommand, TyperGroup
 
-from mavfi.cli import campaign, explain, export, fly, replay, report, runs, shrink, states, train
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.dropped import COMMANDS, OPTIONS
 from mavfi.errors import BadInputError, MavfiError, machine_failure
-from mavfi.extras.airsim import cli as airsim
-from mavfi.extras.bench import cli as bench
-from mavfi.extras.firmware import cli as firmware
-from mavfi.extras.hardening import cli as harden
-from mavfi.extras.hardening.vulnerability import cli as vulnerability
-from mavfi.extras.logs import cli as watch_logs
-from mavfi.extras.mavlink import cli as mavlink
-from mavfi.extras.paper import cli as reproduce
-from mavfi.extras.paper import cli_failures as failures
-from mavfi.extras.paper import cli_redundancy as redundancy
-from mavfi.extras.registers import cli as inject
-from mavfi.extras.ros import cli as ros
-from mavfi.plugins import allow_plugins, allow_typed, plugin_failure
-from mavfi.wording import allowed_by, shown
+from mavfi.plugins import allow_plugins, allow_typed, known, plugin_failure
 
 _ALLOW_PLUGINS = "--allow-plugins"
 _TRACEBACK = "MAVFI_TRACEBACK"
 """Environment variable: if set, a refusal is preceded by its traceback."""
 EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
+VERBS = {
+    "fly": "mavfi.cli.fly:fly",
+    "campaign": "mavfi.cli.campaign:app",
+    "report": "mavfi.cli.report:report",
+    "runs": "mavfi.cli.runs:runs",
+    "replay": "mavfi.cli.runs:replay",
+    "explain": "mavfi.cli.runs:explain",
+    "shrink": "mavfi.cli.runs:shrink",
+    "export": "mavfi.cli.export:export",
+    "train": "mavfi.cli.train:train",
+    "states": "mavfi.cli.states:states",
+}
+"""Commands of the core: a function, or a Typer application with commands of its own."""
+
+
+class _Commands(Mapping[str, Any]):
+    """Commands by name, each imported and built at first use: all of them would take a second."""
+
+    def __init__(self) -> None:
+        extras = known("mavfi.commands", {})
+        self.addresses = VERBS | {name: extras[name] for name in sorted(extras)}
+        self._built: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._built:
+            module, _, attribute = self.addresses[name].partition(":")
+            command, parent = getattr(import_module(module), attribute), typer.Typer()
+            if isinstance(command, typer.Typer):
+                parent.add_typer(command, name=name)
+            else:
+                parent.command(name)(command)
+            self._built[name] = typer.main.get_group(parent).commands[name]
+            _unwrap(self._built[name])
+        return self._built[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.addresses
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.addresses)
+
+    def __len__(self) -> int:
+        return len(self.addresses)
+
+
+class _Application(TyperGroup):
+    """`mavfi`, whose help lists commands without importing them."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.commands: Any = _Commands()
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(self.commands)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in self.commands:
+            return None
+        return TyperCommand(cmd_name, help=_paragraphs(_help_in_source(self.commands.addresses[cmd_name])))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        name, _, rest = super().resolve_command(ctx, args)
+        return name, None if name is None else self.commands[name], rest
+
+
+def _help_in_source(address: str) -> str:
+    """Help of a command, read from the source of its module; empty if there is none.
+
+    It is that of the function, or of a Typer application: the docstring of its callback or the option `help`.
+    """
+    module, _, name = address.partition(":")
+    package, *path = module.split(".")
+    try:
+        root = Path(find_spec(package).origin).parent  # type: ignore[union-attr, arg-type]
+        tree = ast.parse(root.joinpath(*path).with_suffix(".py").read_text("utf-8"))
+    except (ImportError, AttributeError, OSError, SyntaxError):  # a broken plug-in is reported when it is called
+        return ""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef):
+            decorators = map(ast.unparse, node.decorator_list)
+            if node.name == name or f"{name}.callback()" in decorators:
+                return ast.get_docstring(node) or ""
+        elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and ast.unparse(node.targets[0]) == name:
+            for option in node.value.keywords:
+                if option.arg == "help" and isinstance(option.value, ast.Constant):
+                    return str(option.value.value)
+    return ""
+
 
 app = typer.Typer(
+    cls=_Application,
     help="Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.\n\n"
     "Exit codes: 0 done (also if the mission failed), 2 bad input, 3 a refuted plan, 1 a failure of mavfi, "
     "130 stopped by Ctrl-C.",
@@ -43,18 +122,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (
-    fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
-    explain.explain, shrink.shrink, failures.failures, vulnerability.vulnerability, redundancy.redundancy,
-    reproduce.reproduce, harden.harden, watch_logs.watch,
-):  # fmt: skip
-    app.command(verb.__name__)(verb)
-app.add_typer(campaign.app, name="campaign")
-app.add_typer(bench.app, name="bench")
-app.add_typer(mavlink.app, name="mavlink")
-app.add_typer(ros.app, name="ros")
-app.add_typer(airsim.app, name="airsim")
-app.add_typer(firmware.app, name="firmware")
 
 
 def _tell_version(wanted: bool) -> None:
@@ -121,6 +188,10 @@ def _dropped(arguments: Sequence[str]) -> str:
 
 def _refused_value(error: typer.TyperException) -> str:
     """Option, value and what is allowed, if an error is that of a value of the wrong kind; "" for others."""
+    from pydantic import ValidationError
+
+    from mavfi.wording import allowed_by, shown
+
     cause, parameter = error.__cause__, getattr(error, "param", None)
     if parameter is None or not isinstance(cause, ValidationError):
         return ""
@@ -137,26 +208,27 @@ def _refused(text: str, code: int) -> int:
 
 @functools.cache
 def _command() -> Any:
-    """The application with all commands; building it takes as long as a short command."""
-    found = typer.main.get_command(app)
-    _unwrap(found)
-    return found
+    """The application with all commands."""
+    return typer.main.get_command(app)
 
 
 def _unwrap(command: Any) -> None:
     """Make each paragraph of the help of a command, and of those in its group, one line, which fills any width."""
-    paragraphs = inspect.cleandoc(command.help or "").split("\n\n")
-    command.help = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
-    for one in getattr(command, "commands", {}).values():
-        _unwrap(one)
+    command.help = _paragraphs(command.help or "")
+    for member in getattr(command, "commands", {}).values():
+        _unwrap(member)
+
+
+def _paragraphs(text: str) -> str:
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in inspect.cleandoc(text).split("\n\n"))
 
 
 def _verb(arguments: Sequence[str]) -> str:
     """The given command, with a group's own, followed by a space, for a hint; empty if there is no such command."""
-    found, words = _command(), []
+    command, words = _command(), []
     for word in arguments:
-        if word not in getattr(found, "commands", {}):
+        if word not in getattr(command, "commands", {}):
             break
-        found = found.commands[word]
+        command = command.commands[word]
         words.append(f"{word} ")
     return "".join(words)

@@ -15,7 +15,6 @@ from rich.text import Text
 
 from mavfi.errors import BadInputError, writing
 from mavfi.files import exists
-from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
@@ -79,6 +78,8 @@ def check_number(option: str, value: float | None, low: float, high: float) -> N
 
 def check_seed(option: str, value: int) -> None:
     """Refuse a seed outside the range of random streams."""
+    from mavfi.mission import LARGEST_SEED
+
     if not 0 <= value <= LARGEST_SEED:
         raise BadInputError(f"{option}: {value}: allowed: 0 to {LARGEST_SEED}")
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 from pydantic import ValidationError
@@ -17,9 +17,6 @@ from mavfi.dropped import VALUES
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 from mavfi.plugins import extensions, known
-
-if TYPE_CHECKING:
-    from mavfi.campaign.executors.executor import Executor as AnyExecutor
 
 FORMS = "with bits, instants and more: see fault-specs.md in the documentation."
 Fault = Annotated[
@@ -52,17 +49,6 @@ RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an una
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
 Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
 
-Executor = Annotated[
-    str, typer.Option(help="local: processes of this machine, or dask: the workers of a Dask scheduler.")
-]
-Scheduler = Annotated[
-    str,
-    typer.Option(metavar="ADDRESS", help="Of the Dask scheduler, e.g. tcp://10.0.0.1:8786; otherwise a cluster here."),
-]
-Shard = Annotated[
-    str, typer.Option(metavar="I/N", help="Only every N-th mission, from the I-th on; `merge` joins the ledgers.")
-]
-
 
 def with_mission_options(verb: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
     """Replace a command's first parameter, a `MissionSpec`, by one option for each field except `without`.
@@ -91,19 +77,24 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     return wrapped
 
 
-def with_extra_options(verb: Callable[..., None], group: str) -> Callable[..., None]:
-    """Replace a command's last parameter, `**values`, by the options of a group of entry points.
+def with_extra_options(*groups: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Replace a command's last parameter, `**values`, by the options of groups of entry points.
 
-    Each object of the group has `options`: the annotated types of its options by the names of their parameters.  An
+    Each object of a group has `options`: the annotated types of its options by the names of their parameters.  An
     option that the user has not set is None.
     """
-    own = list(inspect.signature(verb, eval_str=True).parameters.values())[:-1]
-    added = {name: option for extra in extensions(group).values() for name, option in extra.options.items()}
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    own += [inspect.Parameter(name, keyword, default=None, annotation=option) for name, option in added.items()]
-    verb.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
-    verb.__annotations__ = {parameter.name: parameter.annotation for parameter in own}
-    return verb
+
+    def decorate(verb: Callable[..., None]) -> Callable[..., None]:
+        parameters = list(inspect.signature(verb, eval_str=True).parameters.values())[:-1]
+        for extra in (extra for group in groups for extra in extensions(group).values()):
+            for name, option in extra.options.items():
+                keyword = inspect.Parameter.KEYWORD_ONLY
+                parameters.append(inspect.Parameter(name, keyword, default=None, annotation=option))
+        verb.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        verb.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return verb
+
+    return decorate
 
 
 def _is_users(source: Enum | None) -> bool:
@@ -164,16 +155,3 @@ def _allowed(name: str) -> str:
         return ", ".join(words)
     bounds = [getattr(bound, side) for bound in field.metadata for side in ("ge", "le") if hasattr(bound, side)]
     return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
-
-
-def executor_of(name: str, scheduler: str, workers: int) -> "AnyExecutor":
-    """The executor of a campaign; raises `BadInputError` for an unknown name or incompatible options."""
-    from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.extras.dask.executor import DaskExecutor
-
-    if name not in ("local", "dask"):
-        raise BadInputError(f"--executor: {name!r}: allowed: local, dask")
-    if scheduler and name == "local":
-        raise BadInputError(f"--scheduler: {scheduler}: allowed with --executor dask")
-    local = LocalExecutor(workers)
-    return local if name == "local" else DaskExecutor(scheduler, workers)

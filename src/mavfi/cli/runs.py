@@ -1,11 +1,17 @@
-"""`mavfi runs`: the runs of a campaign, one line each."""
+"""`mavfi runs | replay | explain | shrink`: the runs of a campaign, and one of them flown again."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import PAGES, PICTURES, check_file, console, write_json
+from mavfi.errors import MavfiError
+
+if TYPE_CHECKING:
+    from mavfi.campaign.shrink import Shrunk
 
 
 def runs(
@@ -20,7 +26,7 @@ def runs(
     """
     from mavfi.analysis.listing import listing
     from mavfi.analysis.runs import Runs
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     table = listing(Runs.read(directory), failed=failed)
     if as_csv:
@@ -29,3 +35,118 @@ def runs(
         write_json(table.to_json())
     else:
         show_table(table, console())
+
+
+def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
+    """Replay a run from its specification, and report whether the digest is the same.
+
+    Exit code 1 if it is another run.
+
+    Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
+    """
+    from mavfi.campaign.replay import replay as fly_again
+
+    found = fly_again(directory, run_id)
+    record, stored = found.record, found.run.record
+    injections = () if stored is None else stored.injections
+    replayable = all(injection.details.get("replayable", True) for injection in injections)
+    ended = record.status.replace("_", " ") or record.error
+    if as_json:
+        write_json({
+            "run_id": found.run.spec.run_id, "same": found.same, "digest": record.digest,
+            "stored_digest": None if stored is None else stored.digest, "status": record.status,
+            "stored_status": None if stored is None else stored.status, "replayable": replayable,
+            "flight_time_s": record.flight_time_s,
+        })  # fmt: skip
+    else:
+        console().print(Text.assemble((found.run.spec.run_id, "bold"), f": {ended}"), soft_wrap=True)
+    if not found.same:
+        held = "none" if stored is None else stored.digest or stored.error
+        why = "bits are the same only with the same lock file, on x86-64 Linux"
+        if not replayable:
+            why = "not replayable: the fault was in a live process, or in a kernel whose memory belongs to a library"
+        raise MavfiError(f"{directory}: another run: {record.digest or 'no flight'}; stored: {held}; {why}")
+    if not as_json:
+        console().print(
+            Text.assemble(("✓", "green"), f" the same run, bit for bit: {record.digest or 'no flight, as stored'}")
+        )
+
+
+def explain(
+    directory: options.Ledger,
+    run_id: options.RunId,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw both flights: injection, alarms, where they part.")
+    ] = None,
+    html: options.Html = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Replay a run and its golden run, and explain the effect of the fault on values, path and mission.
+
+    Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
+    """
+    check_file("--picture", picture, PICTURES)
+    check_file("--html", html, PAGES)
+    from mavfi.campaign.replay import explain as fly_both
+    from mavfi.cli.flight_text import story_table
+    from mavfi.report.explain import detector_name, lines, to_json
+    from mavfi.report.picture import draw_flight
+
+    found = fly_both(directory, run_id)
+    if picture is not None:
+        draw_flight(picture, found.flight, found.golden, detector=detector_name(found.spec))
+    if html is not None:
+        from mavfi.analysis.listing import partner
+        from mavfi.analysis.runs import Runs
+        from mavfi.report.html.flight_page import page_of_explanation, write_flight_page
+
+        other = partner(Runs.read(directory).frame, found.spec.run_id)
+        write_flight_page(html, page_of_explanation(directory, found, other, directory))
+    if as_json:
+        write_json(to_json(found))
+        return
+    out = console()
+    out.print(story_table(lines(found)))
+    for path in (picture, html):
+        if path is not None:
+            out.print(f"wrote {path}", style="dim", markup=False)
+
+
+def shrink(
+    directory: options.Ledger,
+    run_id: options.RunId,
+) -> None:
+    """Reduce the fault of a lost mission: shorter, fewer bits, a less significant bit.
+
+    Prints the command that flies the smallest fault found that still loses the mission.
+
+    Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
+    """
+    from mavfi.campaign.shrink import shrink as make_smaller
+    from mavfi.cli.flight_text import story_table
+    from mavfi.report.shrink import lines
+
+    progress = console(error=True)
+    with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
+        found = make_smaller(directory, run_id, lambda count: shown.update(f"{count} candidates flown"))
+    out = console()
+    out.print(story_table(lines(found)))
+    out.print(f"to fly it   {command(found)}", soft_wrap=True, markup=False, highlight=False)  # one line, to be copied
+
+
+def command(found: "Shrunk") -> str:
+    """Command that flies the smallest fault."""
+    from mavfi.campaign.run import stored_campaign
+    from mavfi.campaign.store import Store
+    from mavfi.faults.fault import find_level
+    from mavfi.report.html.flight_page import fly_command
+
+    spec = found.spec
+    with Store.open(found.directory) as store:
+        campaign = stored_campaign(store)
+    overrides = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
+    mission = campaign.spec(spec.environment, spec.seed, overrides)
+    fault = found.smallest.fault
+    profile = spec.detector_profile if spec.model else None
+    level = find_level(fault.level)
+    return fly_command(mission, level.text_of(fault), level.seed_of(fault), spec.detector or "none", profile, None)

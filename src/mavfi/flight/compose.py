@@ -9,8 +9,6 @@ import numpy as np
 from mavfi import config as configs
 from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.of_mission import find_plan
-from mavfi.extras.hardening.plan import Plan
 from mavfi.flight.compute import stage_latency
 from mavfi.flight.loop import CONTROL_PERIOD_US
 from mavfi.kernels.perception.state_estimation import Noise
@@ -19,6 +17,7 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.pipeline.planners import find_search
+from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file, find_generator
@@ -69,7 +68,7 @@ def resolve(spec: MissionSpec) -> Scenario:
     if world.camera_range is not None:
         camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
-    protection = find_plan(spec.protection).bare if spec.protection else None
+    protection = rewriter().load(spec.protection) if spec.protection else None
     planner = find_planner(spec.planner)
     with _read_from(spec.planner, "name"):
         find_search(planner.name)
@@ -98,13 +97,14 @@ def _read_from(source: str, key: str) -> Iterator[None]:
         raise type(error)(f"{source}: key {key!r}: {error}") from None
 
 
-def _platform(spec: MissionSpec, protection: Plan | None) -> configs.PlatformConfig:
+def _platform(spec: MissionSpec, protection: configs.Config | None) -> configs.PlatformConfig:
     """The computer, on which a protected kernel takes as much longer as was measured."""
     platform = shipped("platforms", configs.PlatformConfig, spec.platform)
     if protection is None:
         return platform
     absent = set(PLANNERS) - {find_planner(spec.planner).name}
-    times = {row: protection.time_of(kernel) for kernel, row in INJECTED_KERNEL.items() if kernel not in absent}
+    present = {kernel: row for kernel, row in INJECTED_KERNEL.items() if kernel not in absent}
+    times = {row: rewriter().time_of(protection, kernel) for kernel, row in present.items()}
     charged = {kernel: round(us * times.get(kernel, 1.0)) for kernel, us in platform.latency_us.items()}
     return platform.model_copy(update={"latency_us": charged})
 

@@ -30,8 +30,6 @@ import numpy as np
 from mavfi.detectors.custom import split_noting_calls
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.hardening.of_mission import check_flown
-from mavfi.extras.hardening.protected import alarm_of, is_detection, paired, rewriting_of
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.levels.instruction.arena import arena, own
@@ -53,6 +51,7 @@ from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied, same
 from mavfi.record import FlightLog
+from mavfi.rewriting import check_flown, rewriter, rewriting_of
 from mavfi.sim.controller import is_rewindable
 from mavfi.states import DETECTORS, State
 
@@ -204,7 +203,7 @@ class Forks:
         self.cases = cases
         self.child: Child | None = None
         self._start, self._loop, self._detector = start, start.loop, start.detector
-        self._rewriting = rewriting_of(start.loop.scenario)
+        self._rewriting = rewriting_of(start.loop.scenario.protection)
         self._calls_may_shift = start.detector is not None or self._rewriting is not None
         self._awaited: dict[str, list[Case]] = {}  # cases whose golden output is still to come, by kernel
 
@@ -292,7 +291,7 @@ class Forks:
             if self._rewriting is not None and fault.ir_sha256 != variant.ir_sha256:
                 plain = variant_for(function, args)
                 if fault.ir_sha256 == plain.ir_sha256:
-                    fault = paired(fault, plain, variant, args)
+                    fault = rewriter().pair(fault, plain, variant, args)
             check_fault(fault, variant, function)
         except (MismatchError, IndexError):
             return None
@@ -324,7 +323,7 @@ class Forks:
             return
         child.dead = False
         if child.case.how == DETECTED:
-            self._loop.record.alarms.append(alarm_of(kernel, states, now))
+            self._loop.record.alarms.append(rewriter().alarm(kernel.stage.value, states, now))
             self._start.restarts().recompute(kernel.name, now, states)
         else:
             self._start.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
@@ -347,7 +346,7 @@ class Forks:
         try:
             result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
         except SystemError as error:
-            if not is_detection(error):
+            if self._rewriting is None or not rewriter().is_detection(error):
                 raise
             self._end(ChildReport(None, None, call_same=False, detected=True))
         child.call_same = same((result, args), golden)

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any
 from weakref import proxy
 
 from mavfi.detectors.custom import NotedCalls, is_custom
-from mavfi.detectors.detector import Alarm, Detector, checked_alarm
+from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, checked_alarm
 from mavfi.errors import machine_failure
-from mavfi.extras.bench.sealed import DIFFERENT
 from mavfi.flight.decide import (
     MAX_ALARMS,
     MAX_UNCHANGED,

@@ -21,7 +21,7 @@ from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.report import style
 from mavfi.report.explain import around
-from mavfi.report.text import change, lost
+from mavfi.report.numbers import change, lost
 
 if TYPE_CHECKING:
     from mavfi.flight.host import Flight

@@ -3,8 +3,7 @@
 import pytest
 
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.extras.bench.random_alarms import RandomAlarms
-from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
+from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle, RandomAlarms
 from mavfi.faults.fault import StateFault
 from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.fly import fly

@@ -24,7 +24,7 @@ from mavfi.extras.airsim.table import CALLS
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.spec import parse_sensor
+from mavfi.levels.sensor import parse_sensor
 from mavfi.record import AlarmRecord, Injection
 
 # ---- numbers in arguments and return values --------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
@@ -26,7 +26,7 @@ from mavfi.extras.airsim.server import HOST, Server, Steps, msgpack
 from mavfi.extras.airsim.table import Api
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.host import ArmSetup, Recorded, RunResult, one_by_one
+from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
 from mavfi.flight.piloted import PilotedVehicle
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import Effect
@@ -298,14 +298,14 @@ class ProgramMission:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
-class AirsimProgramHost:
+class AirsimProgramHost(Host):
     """Runs of a client program."""
 
     name = "airsim_program"
     levels = frozenset({"message", "sensor"})
-    deterministic = True
     flies = False
-    in_process = False
+    config = ProgramConfig
+    config_key = "program"
 
     def __init__(self, program: ProgramConfig | None = None) -> None:
         if program is None:
@@ -315,6 +315,12 @@ class AirsimProgramHost:
     def resolve(self, spec: MissionSpec) -> ProgramMission:
         """Program and mission, in place of a scenario."""
         return ProgramMission(self._program, spec)
+
+    def check_stored(self, scenario: Mapping[str, Any]) -> None:
+        """See `Host.check_stored`."""
+        if self._program.to_json()["sha256"] != scenario["program"]["sha256"]:
+            script = self._program.script
+            raise SpecMismatchError(f"{script}: is absent, or another program than that of the campaign")
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "ProgramRuns":
         """The runs of a mission, without fast-forward: a program cannot be rewound."""

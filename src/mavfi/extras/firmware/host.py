@@ -14,12 +14,11 @@ from mavfi.extras.firmware.build import installed
 from mavfi.extras.firmware.controller import BetaflightController
 from mavfi.extras.firmware.injector import NODE, WALK, FirmwareInjector
 from mavfi.extras.firmware.tracking import Tracking
-from mavfi.extras.hardening.of_mission import check_flown
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.compose import resolve
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.flight.loop import Loop
 from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.recording import Record
@@ -27,18 +26,18 @@ from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.outcomes import ControlErrors
 from mavfi.record import CONTROLLER_LOST, KernelEffect
+from mavfi.rewriting import check_flown
 
 CONTROLLERS = ("betaflight",)
 """Flight controllers that are firmware."""
 
 
-class FirmwareHost:
+class FirmwareHost(Host):
     """Flies each mission in this process, in lock-step with the firmware's process."""
 
     name = "firmware"
     levels: frozenset[str] = frozenset({RegisterFault.level, SensorFault.level})
-    deterministic = True
-    flies = True
+    single_levels = frozenset({RegisterFault.level})
     in_process = True
 
     def resolve(self, spec: MissionSpec) -> Scenario:

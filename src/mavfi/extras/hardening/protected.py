@@ -1,72 +1,182 @@
-"""Protected kernels in flights.
+"""Protected kernels in flights: the rewriter of missions with the key `protection`.
+
+A plan is refused if it was made for other code, also where no protected code runs.  Names are checked before the
+flight.  IR is compared after it, when the types are known for which a function was called; the digests are cached, and
+a plan is compared once per process.
 
 Protected code gives the bits of plain code, so kernels run plain in every call but an injected one, which executes the
-instrumented variant of the protected code.  Its time is charged to the platform, see `flight.compose`.  A detected
-difference is handled as by a node that keeps its inputs: arguments and memory are those before the call, the step is
-computed again by plain code, its result is published one latency later, and an alarm is recorded.
+instrumented variant of the protected code.  Its time is charged to the platform, see `mavfi.flight.compose`.  A
+detected difference is handled as by a node that keeps its inputs: arguments and memory are those before the call, the
+step is computed again by plain code, its result is published one latency later, and an alarm is recorded.
 
 A fault drawn in plain code is injected into the same execution of the same instruction of protected code, so that arms
 with and without protection are paired.  Faults in what the protection adds are drawn in missions that are protected
 themselves.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from mavfi.extras.hardening.protection import protection_of
-from mavfi.extras.hardening.wrapper import MESSAGE
+from mavfi.config import parse
+from mavfi.errors import BadInputError
+from mavfi.extras.hardening.duplicate import MESSAGE, protect
+from mavfi.extras.hardening.plan import FunctionPlan, Plan, check_code, load_plan, signature_text
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import budget_for
 from mavfi.faults.levels.instruction.api import apart
 from mavfi.faults.levels.instruction.variant import Variant
-from mavfi.ir.build import Rewriting
-from mavfi.mission import Scenario
-from mavfi.pipeline.kernel import Kernel
+from mavfi.ir.build import name_of
+from mavfi.ir.module import Module
+from mavfi.ir.sources import cached_shape, shape_of
+from mavfi.pipeline.functions import PLAIN
 from mavfi.record import AlarmRecord
-from mavfi.states import State
+from mavfi.rewriting import KEY, Rewriting
+from mavfi.states import INJECTABLE, State
 
-SOURCE = "protection"
+SOURCE = KEY
 """Source of the alarms."""
+_compared: set[tuple[FunctionPlan, Any]] = set()
+"""Plans of functions that fit the code, with the signature."""
 
 
-def rewriting_of(scenario: Scenario) -> Rewriting | None:
-    """Transformation of a mission's kernels; None = none is protected."""
-    return None if scenario.protection is None else partial(protection_of, scenario.protection)
+class ProtectionRewriter:
+    """Rewrites functions by plans of protection; see `mavfi.rewriting.Rewriter`."""
+
+    def load(self, name: str) -> Plan:
+        """Read a plan: a shipped one by name, or a file."""
+        plan = load_plan(name)
+        check_plan(plan, name)
+        return plan.bare
+
+    def read(self, data: Mapping[str, Any], *, stored: bool) -> Plan:
+        """The plan in a scenario's data."""
+        return parse(Plan, dict(data), KEY, stored=stored)
+
+    def check(self, plan: Plan, name: str) -> None:
+        """See `check_plan`."""
+        check_plan(plan, name)
+
+    def check_flown(self, plan: Plan) -> None:
+        """Compare a plan with the code of the functions that this process has called.
+
+        Raises:
+            BadInputError: A function has other IR than planned, or lacks a planned site.
+        """
+        left = [planned for planned in _planned(plan) if (planned[0], planned[2]) not in _compared]
+        if not left:
+            return
+        with ThreadPoolExecutor(2) as pool:  # without an entry in the cache each waits for a process of its own
+            shapes = list(pool.map(lambda planned: cached_shape(*planned[1:]), left))
+        for (function_plan, _, signature), shape in zip(left, shapes, strict=True):
+            check_code(function_plan, *shape)
+            _compared.add((function_plan, signature))
+
+    def time_of(self, plan: Plan, kernel: str) -> float:
+        """See `Plan.time_of`."""
+        return plan.time_of(kernel)
+
+    def rewriting(self, plan: Plan) -> Rewriting:
+        """See `protection_of`."""
+        return partial(protection_of, plan)
+
+    def pair(
+        self, fault: InstructionFault, plain: Variant, rewritten: Variant, args: tuple[Any, ...]
+    ) -> InstructionFault:
+        """The fault in protected code that corresponds to one in plain code, for a call with these arguments."""
+        # 1. In the plain call, find the execution of a block that contains the fault's dynamic index.
+        trace = _trace(plain, args)
+        starts = _start_indices(plain, trace)
+        step = int(np.searchsorted(starts, fault.index, side="right")) - 1
+        block = int(trace[step])
+        offset = int(fault.index - starts[step])
+        if offset >= plain.sizes[block]:
+            raise IndexError(fault.index)
+
+        # 2. Protected code has all plain instructions in the same order in its text, between those that it adds.
+        number_in_text = int(plain.sizes[:block].sum()) + offset
+        plain_sites = [site for sites in rewritten.table.blocks for site in sites if not site.role]
+        site = plain_sites[number_in_text]
+
+        # 3. In the protected call, find the execution of the instruction's block with the same number.
+        earlier_executions = int(np.count_nonzero(trace[:step] == block))
+        protected_trace = _trace(rewritten, args)
+        protected_step = np.flatnonzero(protected_trace == site.block)[earlier_executions]
+        index = int(_start_indices(rewritten, protected_trace)[protected_step]) + site.offset
+        budget = budget_for(int(rewritten.sizes[protected_trace].sum()))
+        return replace(fault, index=index, ir_sha256=rewritten.ir_sha256, budget=budget)
+
+    def is_detection(self, error: Exception) -> bool:
+        """Whether an exception of a protected call reports a difference between a value and its shadow."""
+        return isinstance(error, SystemError) and MESSAGE in str(error)
+
+    def alarm(self, stage: str, states: Sequence[State], now: int) -> AlarmRecord:
+        """The alarm of a step, with the first of the states that its recomputation gave."""
+        published = states[0].spec.name if states else ""
+        return AlarmRecord(now / 1e6, SOURCE, published, stage, outcome="repaired")
 
 
-def paired(fault: InstructionFault, plain: Variant, protected: Variant, args: tuple[Any, ...]) -> InstructionFault:
-    """The fault in protected code that corresponds to one in plain code, for a call with these arguments.
+REWRITER = ProtectionRewriter()
+
+
+# ---- plans and the code ---------------------------------------------------------------------------------------------
+def check_plan(plan: Plan, name: str) -> None:
+    """Check a plan without its code; messages contain its name.
 
     Raises:
-        IndexError: The call ends before the instruction.
+        BadInputError: It was made by another compiler, or names an unknown kernel or function.
     """
-    # 1. In the plain call, find the execution of a block that contains the fault's dynamic index.
-    trace = _trace(plain, args)
-    starts = _start_indices(plain, trace)
-    step = int(np.searchsorted(starts, fault.index, side="right")) - 1
-    block = int(trace[step])
-    offset = int(fault.index - starts[step])
-    if offset >= plain.sizes[block]:
-        raise IndexError(fault.index)
-
-    # 2. Protected code has all plain instructions in the same order in its text, between those that it adds.
-    number_in_text = int(plain.sizes[:block].sum()) + offset
-    plain_sites = [site for sites in protected.table.blocks for site in sites if not site.role]
-    site = plain_sites[number_in_text]
-
-    # 3. In the protected call, find the execution of the instruction's block with the same number.
-    earlier_executions = int(np.count_nonzero(trace[:step] == block))
-    protected_trace = _trace(protected, args)
-    protected_step = np.flatnonzero(protected_trace == site.block)[earlier_executions]
-    index = int(_start_indices(protected, protected_trace)[protected_step]) + site.offset
-    budget = budget_for(int(protected.sizes[protected_trace].sum()))
-    return replace(fault, index=index, ir_sha256=protected.ir_sha256, budget=budget)
+    plan.check_versions()
+    for one in plan.functions:
+        if one.kernel not in INJECTABLE:
+            allowed = ", ".join(INJECTABLE)
+            raise BadInputError(f"protection {name}: kernel {one.kernel!r}: not known; allowed: {allowed}")
+        functions = [name_of(getattr(PLAIN, entry)) for entry in INJECTABLE[one.kernel]]
+        if one.function not in functions:
+            raise BadInputError(
+                f"protection {name}: function {one.function!r}: not of kernel {one.kernel}; allowed: "
+                + ", ".join(functions)
+            )
 
 
+def _planned(plan: Plan) -> Iterator[tuple[FunctionPlan, Any, tuple[Any, ...]]]:
+    """Planned functions that have been called: plan, function, and signature."""
+    functions = {name_of(getattr(PLAIN, entry)): getattr(PLAIN, entry) for own in INJECTABLE.values() for entry in own}
+    for one in plan.functions:
+        function = functions.get(one.function)  # None in a stored mission of other code, whose digest is compared
+        for signature in list(getattr(function, "overloads", ())):
+            if signature_text(signature) == one.signature:
+                yield one, function, signature
+
+
+def protection_of(plan: Plan, function: str, signature: tuple[Any, ...]) -> "Protection | None":
+    """Protection of a function (module and name) for the Numba types of its arguments; None = its code is plain."""
+    found = plan.find(function, signature)
+    return Protection(found) if found is not None and found.sites else None
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """Rewrites the module of a planned function; see `mavfi.ir.build.Rewrite`."""
+
+    plan: FunctionPlan
+
+    @property
+    def key(self) -> bytes:
+        """What determines the protected code; measured times and coverage do not."""
+        return repr((self.plan.ir_sha256, self.plan.addresses, self.plan.libm, self.plan.sites)).encode()
+
+    def __call__(self, module: Module) -> Module:
+        """The protected module; a BadInputError if the plan was made for other code."""
+        check_code(self.plan, *shape_of(module))
+        return protect(module, self.plan.sites, addresses=self.plan.addresses)
+
+
+# ---- calls of functions ---------------------------------------------------------------------------------------------
 def _trace(variant: Variant, args: tuple[Any, ...]) -> np.ndarray:
     """Executed blocks of a call, in order. Shape (n,)."""
     executions = apart(lambda: variant.tally(*args)[1])
@@ -79,14 +189,3 @@ def _start_indices(variant: Variant, trace: np.ndarray) -> np.ndarray:
     sizes = variant.sizes[trace]
     starts: np.ndarray = np.cumsum(sizes) - sizes
     return starts
-
-
-def is_detection(error: Exception) -> bool:
-    """Whether an exception of a protected call reports a difference between a value and its shadow."""
-    return isinstance(error, SystemError) and MESSAGE in str(error)
-
-
-def alarm_of(kernel: Kernel, states: Sequence[State], now: int) -> AlarmRecord:
-    """The alarm of a step, detected at an instant (us), with the states that its recomputation gave."""
-    published = states[0].spec.name if states else ""
-    return AlarmRecord(now / 1e6, SOURCE, published, kernel.stage.value, outcome="repaired")

@@ -78,7 +78,7 @@ class LiveView:
         BadInputError: The library is not installed, or the port is in use.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int = PORT) -> None:
         try:
             import foxglove
         except ImportError:

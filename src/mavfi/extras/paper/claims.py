@@ -1,11 +1,13 @@
 """Claims: statements of the paper, each tested on the runs of a campaign."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
 from mavfi.errors import BadInputError
+from mavfi.plugins import Catalogue
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +32,8 @@ class Claim:
     test: Callable[[Runs], Evidence]
 
 
-CLAIMS: dict[str, Claim] = {}  # by name
-
-
-def register(*claims: Claim) -> None:
-    """Register claims; a claim replaces an earlier one with the same name."""
-    CLAIMS.update({claim.name: claim for claim in claims})
-
-
+CLAIMS: Mapping[str, Claim] = Catalogue("mavfi.claims")
+"""By name."""
 LEVEL = 0.05
 """Family-wise error rate: probability that any claim of a table is wrongly confirmed or contradicted."""
 CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "undecided"
@@ -100,14 +96,3 @@ def verdict(one: Evidence, corrected: float | None) -> str:
     if corrected is None or corrected >= LEVEL:
         return UNDECIDED
     return CONFIRMED if one.supports else CONTRADICTED
-
-
-def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
-    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
-    adjusted: list[float | None] = [None] * len(p_values)
-    largest = 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        adjusted[place] = largest
-    return adjusted

@@ -15,11 +15,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.extras.paper.cases import RULE, Case, path_cases
 from mavfi.flight.host import Flight
 from mavfi.mission import MissionStatus
-from mavfi.report import style
-from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing, register
+from mavfi.plugins import Chapter
+from mavfi.report import links, style
+from mavfi.report.figures import Drawing
+from mavfi.report.numbers import signed_percent
 from mavfi.report.picture import near_boxes, positions
-from mavfi.report.text import signed_percent
 
 _SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
 _MARGIN = 2.0
@@ -160,4 +160,4 @@ def _caption(runs: Runs) -> str:
     return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {shown}."
 
 
-register(Drawing("trajectories", trajectories, _caption, cases=_ids))
+CHAPTER = Chapter(50, (Drawing("trajectories", trajectories, _caption, cases=_ids),))

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from mavfi.extras.ros.ros1.host import RosFlight
     from mavfi.extras.ros.ros1.plan import Plan
     from mavfi.faults.fault import RegisterFault
-    from mavfi.faults.spec import Request
     from mavfi.flight.host import Flight
+    from mavfi.levels.level import Request
     from mavfi.mission import Scenario
     from mavfi.record import FlightLog, Injection
     from mavfi.report.flight_result import FlightResult
@@ -180,16 +180,16 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
 def request_of(text: str | None, mission: MissionSpec) -> Request | None:
     """The requested fault, of a level that the nodes or their world inject; raises `BadInputError` for another one."""
     from mavfi.extras.ros.ros1.host import Ros1Host
-    from mavfi.faults.spec import parse
+    from mavfi.levels.level import parse
 
     return None if text is None else parse(text, mission.localization, Ros1Host.levels)
 
 
 def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
     """The fault that a request of `request_of` draws in a mission; None without a request."""
-    from mavfi.campaign.samplers.request import draw_request
+    from mavfi.flight.host import ArmSetup
 
-    return None if request is None else draw_request(scenario, request, seed or 0)[0]
+    return None if request is None else request.draw(ArmSetup(scenario), seed or 0)[0]
 
 
 def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:

@@ -5,11 +5,11 @@ import json
 import re
 from collections.abc import Sequence
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from mavfi.record import plain
@@ -34,26 +34,26 @@ def with_code(text: str) -> Markup:
 
 
 @cache
-def _resource(name: str) -> Markup:
-    """A file of this package, inlined verbatim."""
-    text = files(__package__).joinpath(name).read_text(encoding="utf-8")
-    return Markup(text)  # noqa: S704 - own and vendored files; see `vendor`
-
-
-@cache
-def _environment() -> Environment:
+def _environment(*folders: Path) -> Environment:
+    loader = FileSystemLoader([*folders, Path(__file__).parent])
     found = Environment(
-        loader=PackageLoader("mavfi.report", "html"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )  # fmt: skip
-    found.globals |= {"resource": _resource, "version": __version__, "before": f"{BEFORE:g}", "after": f"{AFTER:g}"}
+
+    @cache
+    def resource(name: str) -> Markup:
+        """A file beside the templates, inlined verbatim."""
+        text, _, _ = loader.get_source(found, name)
+        return Markup(text)  # noqa: S704 - own and vendored files; see `vendor`
+
+    found.globals |= {"resource": resource, "version": __version__, "before": f"{BEFORE:g}", "after": f"{AFTER:g}"}
     found.filters |= {"as_json": as_json, "with_code": with_code}
     return found
 
 
-def render(template: str, **values: Any) -> str:
-    """Render a page as text."""
-    return _environment().get_template(template).render(**values)
+def render(template: str, /, *folders: Path, **values: Any) -> str:
+    """Render a page as text; templates and resources of extras are found in their own folders first."""
+    return _environment(*folders).get_template(template).render(**values)
 
 
 def size_of(data: Sequence[Any] | dict[str, Any]) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.sim.environments.clutter import clutter
+from mavfi.sim.environments.generated import clutter
 from mavfi.sim.environments.world import World
 from mavfi.sim.vehicle import sphere_touches_voxels
 

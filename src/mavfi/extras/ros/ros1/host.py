@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.extras.ros.ros1 import finder
@@ -19,7 +20,7 @@ from mavfi.extras.ros.ros1.supervisor import private_network
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import pipeline_config, resolve
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.record import FlightLog, Profile
@@ -31,19 +32,22 @@ PATIENCE_S = 300.0
 changes its flight."""
 
 
-class Ros1Host:
+class Ros1Host(Host):
     """Runs every kernel, the world, injector and detector as separate ROS nodes."""
 
     name = "ros1"
     levels: frozenset[str] = frozenset({StateFault.level, SensorFault.level})
-    deterministic = True
-    flies = True
-    in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`; raises `BadInputError` for options that ROS does not support."""
         check_supported(spec)
         return resolve(spec)
+
+    @classmethod
+    def check_sampling(cls, sampling: Any) -> None:
+        """See `Host.check_sampling`."""
+        if getattr(sampling, "messages", ()) and "length" in sampling.strata:
+            raise BadInputError("sampling.strata: 'length': may lose a message; allowed on ROS: bits of numbers")
 
     def check(self) -> None:
         """See `Host.check`.
