@@ -13,8 +13,7 @@ from mavfi.mission import MissionSpec
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.camera import Camera
 from mavfi.sim.environments import World, build_world
-from mavfi.sim.environments.arena import HALF_WIDTH, LENGTH
-from mavfi.sim.environments.cuboids import HALO
+from mavfi.sim.environments.generated import HALF_WIDTH, HALO, LENGTH
 from mavfi.sim.scene import build_model
 
 BOXES = (50, 200, 1000)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavfi.config import EnvironmentConfig
 from mavfi.sim.environments import World, build_world
-from mavfi.sim.environments.arena import CEILING, HALF_WIDTH, LENGTH, arena_world, draw_ends, world_stream
+from mavfi.sim.environments.generated import CEILING, HALF_WIDTH, LENGTH, arena_world, draw_ends, world_stream
 
 
 def gates(seed: int, count: int = 4, opening: float = 5.0) -> World:

@@ -13,7 +13,7 @@ from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.report import style
-from mavfi.sim.environments.arena import arena_world
+from mavfi.sim.environments.generated import arena_world
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
 from tools import drawing

@@ -16,15 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve, with_keys_of
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
@@ -36,8 +34,9 @@ if TYPE_CHECKING:
 
     from mavfi.analysis.runs import Runs
     from mavfi.analysis.table import Table
+    from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
-    from mavfi.campaign.session import Progress
+    from mavfi.campaign.ledger import Progress
 
 
 def fly(
@@ -94,7 +93,7 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
 
 
 def run(
-    campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
+    campaign: "Campaign | str | Path", directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
     executor: "Executor | None" = None, progress: "Callable[[Progress], None] | None" = None,
 ) -> "Runs":  # fmt: skip
     """Fly a campaign or its remaining runs, and load its ledger.
@@ -110,6 +109,7 @@ def run(
     Raises:
         BadInputError: See `campaign.run.run_campaign`.
     """
+    from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.names import check_names
     from mavfi.campaign.run import run_campaign

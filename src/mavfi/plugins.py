@@ -11,7 +11,8 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from traceback import walk_tb
@@ -77,6 +78,40 @@ def extensions(group: str) -> dict[str, Any]:
     """What extras and other packages add to a group of entry points, imported: objects by name, in order of names."""
     points = sorted(entry_points(group=group), key=lambda point: point.name)
     return {point.name: point.load() for point in points}
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """Views, or drawings, that stand together in reports; an entry point of a `Catalogue`.
+
+    Attributes:
+        rank: Chapters stand in the order of their ranks.
+        members: What it holds, each with a `name`.
+    """
+
+    rank: int
+    members: Sequence[Any]
+
+
+class Catalogue(Mapping[str, Any]):
+    """The members of all chapters in a group of entry points, by name and in order; imported at first use."""
+
+    def __init__(self, group: str) -> None:
+        self._group = group
+
+    @functools.cached_property
+    def _members(self) -> dict[str, Any]:
+        chapters = sorted(extensions(self._group).values(), key=lambda chapter: chapter.rank)
+        return {member.name: member for chapter in chapters for member in chapter.members}
+
+    def __getitem__(self, name: str) -> Any:
+        return self._members[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._members)
+
+    def __len__(self) -> int:
+        return len(self._members)
 
 
 def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - a user's own

@@ -227,21 +227,24 @@ class State:
         """A copy that shares no memory with this one."""
         return State(self.spec, self.header.copy(), self.elements.copy())
 
+    def value(self, name: str) -> Any:
+        """The value of a field of the header."""
+        return self.header[name].item()
+
     def same_bits(self, other: "State") -> bool:
         """Whether both have the same bits (NaNs compare as bit patterns)."""
         return self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
 
 
 def floats(header: np.ndarray, count: int) -> np.ndarray:
-    """The `count` leading float64 fields of records, shape (n,), as a plain array that shares their memory.
-
-    Returns:
-        Shape (count,) for one record, (n, count) for more, float64.
-    """
+    """The `count` leading float64 fields of a header, as a plain array that shares its memory. Shape (count,)."""
     # built on the same buffer: several times as fast as `view`, which inspects the fields of a structured array
-    if len(header) == 1:
-        return np.ndarray(count, np.float64, header)
-    return np.ndarray((len(header), count), np.float64, header, 0, (header.dtype.itemsize, 8))
+    return np.ndarray(count, np.float64, header)
+
+
+def rows(elements: np.ndarray, width: int) -> np.ndarray:
+    """The `width` leading float64 fields of n elements, as a table that shares their memory. Shape (n, width)."""
+    return np.ndarray((len(elements), width), np.float64, elements, 0, (elements.dtype.itemsize, 8))
 
 
 def bytes_of(header: np.ndarray) -> np.ndarray:

@@ -37,12 +37,12 @@ from mavfi.campaign.integrity import (
     mission_checksum,
     salt_of,
 )
+from mavfi.campaign.ledger import repair, status
 from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
 from mavfi.campaign.names import check_names
 from mavfi.campaign.plan import arms_of
-from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.training import KeptRecordings
@@ -50,13 +50,12 @@ from mavfi.cli.export import _write
 from mavfi.config import AutopilotConfig, PlatformConfig, load
 from mavfi.config import shipped as find_shipped
 from mavfi.detectors.model import Model
-from mavfi.detectors.recorder import WATCHED, Recorder
 from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
+from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import find_environment, find_planner, resolve
+from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
 from mavfi.levels.level import parse
 from mavfi.levels.state import StateRequest
 from mavfi.mission import MissionSpec, MissionStatus
@@ -298,7 +297,7 @@ def recordings():
     for name in ("sensor.odometry", "planning.waypoint", "control.command"):
         recorder.accept(new_state(name), 1000)
     found = recorder.recording()
-    return [{"kinds": found.kinds, "times_us": found.times_us, "content": found.content}]
+    return [found._asdict()]
 
 
 class Trap:
@@ -396,8 +395,8 @@ def read_flight(path):
 def read_recording(path):
     """As a training that is resumed does; what cannot be read counts as absent."""
     disk = KeptRecordings.__new__(KeptRecordings)
-    disk._folder = path.parent
-    for recording in disk.load([0]).values():
+    disk._folder, disk._trainings = path.parent, (MONITORED_FIELDS,)
+    for (recording,) in disk.load([0]).values():
         for name in WATCHED:
             recording.headers(name)
 

@@ -4,11 +4,11 @@ from typing import Any
 
 from mavfi.analysis.statistics import CONFIDENCE
 from mavfi.campaign.config import ArmConfig, Campaign, label_of
-from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.store import Store
-from mavfi.extras.paper import overheads
 from mavfi.faults.fault import find_level
 from mavfi.mission import MissionSpec
+from mavfi.plugins import extensions
 
 _NAMED = (
     "vehicle", "map", "flight_controller", "grain", "same_twice", "answer_s", "degraded", "dead_node",
@@ -22,7 +22,7 @@ def describe(store: Store) -> dict[str, Any]:
 
     Returns:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
-        the number of faults applies), `kernels` and `which`, `parts`, and measured `overheads`.
+        the number of faults applies), `kernels` and `which`, `parts`, and what extras add, e.g. measured `overheads`.
     """
     campaign, progress = stored_campaign(store), status(store.directory)
     return {
@@ -32,7 +32,8 @@ def describe(store: Store) -> dict[str, Any]:
         "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
-        "overheads": overheads.load(store.directory), "digest": store.digest(), "done": progress.done,
+        **{name: read(store.directory) for name, read in extensions("mavfi.descriptions").items()},
+        "digest": store.digest(), "done": progress.done,
         "total": progress.total, **drawn(campaign),
     }  # fmt: skip
 

@@ -9,7 +9,6 @@ from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.extras.paper.views import leading_faults
 
 MOST = 5
 
@@ -36,7 +35,7 @@ def _with_n(rate: Rate) -> str:
 
 
 def _success(runs: Runs) -> list[str]:
-    golden, faulty = runs.golden.where("judged", setting=GOLDEN), leading_faults(runs).where(setting=FI)
+    golden, faulty = runs.golden.where("judged", setting=GOLDEN), m.leading_faults(runs).where(setting=FI)
     if not runs.has_missions or not len(golden) or not len(faulty):
         return []
     without, with_fault = m.rate_of(golden, "success"), m.rate_of(faulty, "success")
@@ -79,7 +78,7 @@ def _effects(runs: Runs) -> list[str]:
 
 
 def _worst_stage(runs: Runs) -> list[str]:
-    own = leading_faults(runs).where(setting=FI)
+    own = m.leading_faults(runs).where(setting=FI)
     rates = {stage: m.rate_of(part, m.FAILS_OR_SLOWER) for (stage,), part in own.groups("stage").items() if stage}
     if len(rates) < 2:
         return []

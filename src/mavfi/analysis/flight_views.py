@@ -1,5 +1,6 @@
-"""Views of campaigns with flights: success, recovery, success by fault property, effects, endings, golden flights."""
+"""Views of campaigns with flights: success, recovery, success by fault property, effects, endings, alarms, kernels."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -7,14 +8,16 @@ from typing import Any
 import polars as pl
 
 from mavfi.analysis import measures as m
+from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.pairs import Recovery
-from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
+from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
 from mavfi.analysis.runs import ALL, Runs
 from mavfi.analysis.statistics import Rate
-from mavfi.analysis.table import NUMBER, PERCENT, POINTS, RATE
-from mavfi.analysis.views import View, has, register
-from mavfi.extras.paper import published as paper
+from mavfi.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, TEXT
+from mavfi.analysis.views import View, has
+from mavfi.campaign.plan import FI
+from mavfi.plugins import Chapter
 
 ONE_FAULT = "rates are conditional on one fault per mission"
 _WILSON = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds"
@@ -101,7 +104,7 @@ def faulty_and_bare(runs: Runs) -> Runs:
     return own.adding(row=pl.col("setting").replace(names))
 
 
-register(
+_SUCCESS = (
     View(
         "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
         (
@@ -157,13 +160,13 @@ def _papers_recovery(own: Runs) -> float | None:
 
 def named_populations(runs: Runs) -> Runs:
     """Sort runs by population, and add the column `bits` with its display name."""
-    order = {name: place for place, name in enumerate(m.POPULATIONS)}
+    order = {name: place for place, name in enumerate(POPULATIONS)}
     place = pl.col("population").replace_strict(order, default=len(order), return_dtype=pl.Int64)
-    named = runs.frame.with_columns(bits=pl.col("population").replace(m.POPULATIONS))
+    named = runs.frame.with_columns(bits=pl.col("population").replace(POPULATIONS))
     return replace(runs, frame=named.sort(place, maintain_order=True))
 
 
-register(
+_RECOVERY = (
     View(
         "recovery", "Recovery", ("environment", "bits", "setting"),
         (
@@ -227,7 +230,7 @@ _OF_FAILURES: dict[str, Any] = {
     ),
 }  # fmt: skip
 _UNIT = "Success by failing sensor or motor"
-register(
+_BY_PROPERTY = (
     _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages),
     _by("by_target", "Success by group of fields", ("target",), applies=_by_groups),
     _by("by_state", "Success by inter-kernel state", ("state",)),
@@ -268,7 +271,7 @@ def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
         yield m.count(status, status.replace("_", " "), status=status)
 
 
-register(
+_ENDS = (
     View(
         "outcomes", "Effects of faults", SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
         applies=of_values,
@@ -289,5 +292,208 @@ def paired(runs: Runs) -> Runs:
     return own.adding(paired=(pl.len().over(pair) == settings) & complete.over(pair))
 
 
-register(
+FLIGHTS = Chapter(10, (*_SUCCESS, *_RECOVERY, *_BY_PROPERTY, *_ENDS))
+
+
+# ---- alarms ------------------------------------------------------------------------------------------------------
+def _golden_watched(runs: Runs) -> Runs:
+    return runs.golden.where(pl.col("detector") != "", end="flown")
+
+
+def _kinds(own: Runs) -> str:
+    kinds: Counter[str] = Counter()
+    for record in own.recorded():
+        kinds.update(record.alarm_counts)
+    # "source/action/outcome"; the name of the setting already contains the source
+    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in kinds.items())
+
+
+def _systematic_note(runs: Runs) -> str:
+    parts = _golden_watched(runs).groups("setting", "environment").values()
+    always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
+    alarms = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
+    return f"systematic: same state and instant in more than 90 % of the flights{alarms}"
+
+
+def _monitored_note(runs: Runs) -> str:
+    name = runs.campaign.get("monitored_set", "")
+    return (
+        f"monitored set {name}: the fields that the paper's detectors see; others watch more (the acceptance test "
+        "every field of the states with a rule), and may catch faults outside it"
+    )
+
+
+def _detected(runs: Runs) -> Runs:
+    own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
+    in_set = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
+    return named_populations(own).adding(in_monitored_set=in_set)
+
+
+ALARMS = Chapter(30, (
+    View(
+        "false_alarms", "False alarms", SETTING,
+        (
+            m.count("flights", "flights"), m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
+            Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
+            Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
+            Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
+            Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
+            Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
+            Measure("kinds", "kinds", TEXT, _kinds),
+        ),
+        where=_golden_watched, total=TOTAL,
+        notes=lambda runs: (
+            "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
+            "which alone is left where there is no alarm; upper bound: one-sided 95 %", _systematic_note(runs),
+        ), applies=watched,
+    ),
+    View(
+        "detections", "Detection of activated faults", ("environment", "setting", "bits", "in_monitored_set"),
+        (
+            m.rate("detected", "detected", "detected_at_site"),
+            m.rate("downstream", "detected downstream", "detected_downstream"),
+        ),
+        where=_detected,
+        notes=lambda runs: (
+            HEALS, _monitored_note(runs),
+            "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the latency is 0 "
+            "by construction",
+            "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
+            "detector has not; false alarms that the fault has shifted are among them",
+        ), applies=lambda runs: of_states(runs) and watched(runs),
+    ),
+))  # fmt: skip
+
+
+_DYING = (
+    "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
+    "starts such nodes again; the share of kernels that die is measured in LLVM IR, not machine code"
+)
+_RATES = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], successes / n; bits of all kinds"
+_LEVEL = "SDC rates may be quoted; crash, hang and exception rates are measured in LLVM IR, not machine code"
+_EFFECT_NOTE = (
+    "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "
+    "Wilson, n reduced by the design effect of worlds"
+)
+
+
+def _of_instructions(runs: Runs) -> bool:
+    return has(runs.injected, level=INSTRUCTION)
+
+
+def _calls_by_stages(runs: Runs) -> bool:
+    # equal numbers of faults per stage, so that rates over all faults are comparable with the paper's table
+    return _of_instructions(runs) and runs.campaign.get("each") == "stage"
+
+
+# ---- success under both policies ---------------------------------------------------------------------------------
+def _success_of(kind: str, column: str) -> Callable[[Runs], Any]:
+    return lambda own: m.rate_of(own.where("judged"), column) if own.first("kind") == kind else None
+
+
+def _estimand(runs: Runs) -> str:
+    planned = {name: place for place, name in enumerate(runs.campaign.get("kernels", ()))}
+    stages = runs.injected.where(level=INSTRUCTION).groups("stage")
+    kernels = {
+        stage: sorted(own.values("kernel"), key=lambda name: planned.get(name, len(planned)))
+        for (stage,), own in stages.items()
+    }
+    shares = "; ".join(f"{stage}: {', '.join(names)}" for stage, names in kernels.items())
+    which = runs.campaign.get("which", "all")
+    drawn = "dynamic instructions" if which == "all" else f"dynamic instructions of class {which}"
+    return (
+        f"equal numbers of faults per stage, shared equally among its kernels ({shares}); within a kernel uniform over "
+        f"its {drawn} in the golden flight, then over the bits of the value"
+    )
+
+
+def _missed_note(runs: Runs) -> str:
+    parts = runs.injected.where("judged").groups("setting")
+    counts = ", ".join(f"{setting} {_missed(own)}" for (setting,), own in parts.items())
+    return f"faults that found no such call or were not activated, kept in every rate: {counts}"
+
+
+def _missed(own: Runs) -> int:
+    return len(own.where(pl.col("site_outcome") != ACTIVATED))
+
+
+_KERNEL_SUCCESS = (
+    View(
+        "instructions_as_in_the_paper", "Instruction level, the paper's Table I: success rates, one fault per mission",
+        ("row",),
+        (
+            Measure("here", "here", RATE, _success_of("golden", "success")),
+            Measure("restart", "here, node restarts", RATE, _success_of("injected", "success")),
+            Measure("end", "here, mission ends", RATE, _success_of("injected", "success_if_ended")),
+            paper.column(paper.success),
+        ),
+        where=faulty_and_bare, across="environment", headings=("",),
+        notes=lambda runs: (
+            paper.INSTRUCTION_LEVEL, ONE_FAULT, _estimand(runs), _RATES, _DYING, _missed_note(runs),
+            *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
+        ), leads=True, applies=_calls_by_stages,
+    ),
 )  # fmt: skip
+
+
+# ---- effects on kernels ------------------------------------------------------------------------------------------
+def kernel_runs(runs: Runs) -> Runs:
+    """Runs in setting `fi` with an instruction fault, of which the effects on kernel and flight are known."""
+    return _all_settings(runs).where(setting=FI)
+
+
+def _all_settings(runs: Runs) -> Runs:
+    """As `kernel_runs`, of all settings."""
+    judged = (pl.col("kernel_effect") != "") & (pl.col("effect") != "unknown")
+    return runs.injected.where(judged, level=INSTRUCTION)
+
+
+def _effect(*effects: str) -> pl.Expr:
+    return pl.col("kernel_effect").is_in(effects)
+
+
+_THREE = (
+    m.rate("masked", "masked", _effect("masked")),
+    m.rate("sdc", "sdc", _effect("sdc")),
+    m.rate("due", "due", _effect(*KERNEL_DUE)),
+)
+_FOUND = _effect("detected")
+
+
+def _replayable_note(runs: Runs) -> str:
+    own = kernel_runs(runs)
+    again = len(own.where("replayable"))
+    note = f"{again} of {len(own)} flights can be replayed bit for bit"
+    return note if again == len(own) else (
+        f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library"
+    )  # fmt: skip
+
+
+_KERNEL_EFFECTS = (
+    View(
+        "kernel_effects", "One fault in one instruction: what the kernel did", ("environment", "kernel"),
+        (
+            m.count("n", "n"), *_THREE,
+            Measure("due_kinds", "crash / hang / exc.", TEXT,
+                    lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)),
+        ),
+        where=kernel_runs, notes=lambda runs: (_EFFECT_NOTE, _LEVEL, _replayable_note(runs)),
+        applies=_of_instructions,
+    ),
+    View(
+        "kernel_effects_by_setting", "One fault in one instruction of a kernel, plain and protected",
+        ("environment", "kernel", "setting"),
+        (
+            m.count("n", "n"), *_THREE, m.rate("found", "detected", _FOUND),
+            m.rate("success", "success", "success"),
+            m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE)),
+        ),
+        where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
+        notes=lambda _: (
+            _EFFECT_NOTE, "detected: by protected code, whose call is computed again; due: crash, hang or exception",
+            "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
+            "values, or none: settings are compared as samples, not in pairs", _LEVEL,
+        ), applies=lambda runs: _of_instructions(runs) and len(_all_settings(runs).where(_FOUND)) > 0,
+    ),
+)  # fmt: skip
+KERNELS = Chapter(70, (*_KERNEL_SUCCESS, *_KERNEL_EFFECTS))

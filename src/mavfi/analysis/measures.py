@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from mavfi.analysis import pairs
-from mavfi.analysis.rows import ALL_BITS
+from mavfi.analysis.rows import ALL_BITS, POPULATIONS, WHOLE_WORD
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import (
     EventRate,
@@ -25,16 +25,10 @@ from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE, SIGN_EXPONENT
 from mavfi.record import FlightRecord
 
-WHOLE_WORD = "whole_word"
 _WORDS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
 PARTITIONS = (*_WORDS, *({*strata, "length"} for strata in _WORDS))
 """Sets of strata that partition a word; with `length`, a message."""
 LEADING = (HEADLINE, ALL_BITS)  # leading populations of tables, which are compared with the paper
-POPULATIONS = {
-    "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
-    "mantissa": "mantissa", "length": "lengths of lists", ALL_BITS: "all bits",
-}  # fmt: skip
-"""Display names of populations."""
 PAIRED_TEST = "McNemar's exact test, all pairs of a world with the same random sign"
 """Name of the test of success in pairs, see `pairs.mcnemar`."""
 SLOWER = 0.05  # relative increase in flight time above which a success counts as slower
@@ -150,6 +144,12 @@ def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
 def leads(names: Sequence[str]) -> list[str]:
     """Of populations in table order, those of sign and exponent bits, together or apart; without any, the first one."""
     return [name for name in names if name in SIGN_EXPONENT] or list(names[:1])
+
+
+def leading_faults(runs: Runs) -> Runs:
+    """Judged runs with a fault in the leading bits: sign and exponent, or all bits where these were not drawn apart."""
+    judged = runs.injected.where("judged")
+    return judged.where(pl.col("population").is_in(leads(population_names(judged, ()))))
 
 
 def population_text(names: Collection[str]) -> str:

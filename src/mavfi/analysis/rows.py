@@ -14,7 +14,13 @@ from mavfi.outcomes import DUE, ControlErrors, control_of, effect_of, energy
 from mavfi.record import AFTERMATH, INSTANT, AlarmRecord, End, FlightRecord, Injection
 from mavfi.states import DETECTORS
 
+WHOLE_WORD = "whole_word"
 ALL_BITS = "all_bits"  # population of faults with uniformly drawn bits, i.e. without strata
+POPULATIONS = {
+    "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
+    "mantissa": "mantissa", "length": "lengths of lists", ALL_BITS: "all bits",
+}  # fmt: skip
+"""Display names of populations."""
 GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
 ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
 """Outcome of a planned site; `NO_SITE` = missing in the golden run, `NOT_ACTIVATED` = not reached when injected."""

@@ -3,16 +3,19 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from mavfi.analysis.about import describe
 from mavfi.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.flight.host import Flight
 from mavfi.record import FlightRecord
 from mavfi.states import MONITORED_SETS
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Flight
 
 DEFAULT_MONITORED = "paper-13"
 ALL = "all"  # label of total rows, e.g. over all environments
@@ -33,7 +36,7 @@ class Runs:
     frame: pl.DataFrame
     records: Mapping[str, FlightRecord] = field(default_factory=dict)
     campaign: Mapping[str, Any] = field(default_factory=dict)
-    flights: Mapping[str, Flight] = field(default_factory=dict)
+    flights: Mapping[str, "Flight"] = field(default_factory=dict)
     memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @staticmethod
@@ -43,8 +46,6 @@ class Runs:
         Raises:
             BadInputError: The folder has no ledger.
         """
-        from mavfi.analysis.about import describe
-
         with Store.open(directory) as store:
             return Runs.of(store.runs(done=True), describe(store))
 

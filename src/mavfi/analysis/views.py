@@ -1,6 +1,6 @@
-"""`View`: selection of rows, grouping and measures -> `Table`.  Every table is a view, registered by name."""
+"""`View`: selection of rows, grouping and measures -> `Table`.  Every table is a view."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -9,6 +9,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, allowed
+from mavfi.plugins import Catalogue
 
 DEVIATIONS = (
     "deviates from the published code: grace 1 s not 0, slow-down of the clock capped at 10, flight-controller limits, "
@@ -126,12 +127,8 @@ def _flown_with(runs: Runs) -> tuple[str, ...]:
     return (f"autopilot profile {profile}{more}",) if profile else ()
 
 
-VIEWS: dict[str, View] = {}  # by name, in the order of reports
-
-
-def register(*views: View) -> None:
-    """Register views; a view replaces an earlier one with the same name."""
-    VIEWS.update({view.name: view for view in views})
+VIEWS: Mapping[str, View] = Catalogue("mavfi.views")
+"""By name, in the order of reports."""
 
 
 def table(runs: Runs, name: str) -> Table:

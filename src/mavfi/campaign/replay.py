@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # loads its modules at first use
 
-from mavfi.analysis.statistics import CONFIDENCE, exact_bounds
 from mavfi.campaign.divergence import (
     Departure,
     Difference,
@@ -17,9 +17,9 @@ from mavfi.campaign.divergence import (
     first_difference,
     spread,
 )
+from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of, reason_of
-from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError
@@ -31,6 +31,9 @@ from mavfi.mission import Scenario
 from mavfi.outcomes import Effect, effect_of
 from mavfi.record import End, FlightRecord, record_of
 from mavfi.rewriting import rewriter
+
+CONFIDENCE = 0.95
+"""Of the bound on the share of wrong records."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +226,8 @@ class Verification:
     def upper_bound(self) -> float:
         """One-sided upper confidence bound on the share of wrong records (Clopper and Pearson 1934)."""
         wrong = len(self.differing)
-        return exact_bounds(wrong, self.flown - wrong, 1.0 - CONFIDENCE)[1]
+        equal = self.flown - wrong
+        return float(scipy.stats.beta.ppf(CONFIDENCE, wrong + 1, equal)) if equal else 1.0
 
 
 def verify(

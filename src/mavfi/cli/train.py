@@ -61,7 +61,7 @@ def train(  # noqa: PLR0913 - one for each option
     # slow imports come before the stoppable part, so that Ctrl-C never interrupts an import
     import sklearn.neural_network  # noqa: F401
 
-    from mavfi.campaign.training import FAMILIES, count_false_alarms, training_mission
+    from mavfi.campaign.training import count_false_alarms, environments_of, training_mission, trainings_of
     from mavfi.campaign.training import train as train_models
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
@@ -69,24 +69,32 @@ def train(  # noqa: PLR0913 - one for each option
     where, where_checked = (
         [name.strip() for name in text.split(",")] if text else [] for text in (environments, check_environments)
     )
-    where_checked = where_checked or where or list(FAMILIES)
+    extras = ("bench",) * baselines
+    where_checked = where_checked or where or environments_of(trainings_of(extras))
     for name in where_checked:
         training_mission(mission, environment=name)
     kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
     with stoppable(kept), Bar("training flights") as bar:
         files = train_models(
             out, flights, mission, workers=workers, progress=bar.show, environments=where,
-            extras=("bench",) * baselines,
+            extras=extras,
         )  # fmt: skip
     models = [Model.load(path) for path in files]
     kept = f"Stopped. The models are in {out}; their false alarms are not counted."
     with stoppable(kept), Bar("checking flights") as bar:
-        alarms = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
+        counts = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
+    alarms = [{name: _rate(flights) for name, flights in by_environment.items()} for by_environment in counts]
     if as_json:
         rows = zip(files, models, alarms, strict=True)
         write_json({"models": [{"file": str(f), **_entry(m), "false_alarms": _rates(a)} for f, m, a in rows]})
         return
     console().print(_table(models, alarms, out))
+
+
+def _rate(flights: list[tuple[int, float]]) -> EventRate:
+    from mavfi.analysis.statistics import event_rate_by_flight
+
+    return event_rate_by_flight([alarms for alarms, _ in flights], [hours for _, hours in flights])
 
 
 def _rates(alarms: dict[str, EventRate]) -> dict[str, Any]:

@@ -3,9 +3,9 @@
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import Model, check_fits
-from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.detectors.registry import detector_names, load_detector
 from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold, Verdict
+from mavfi.detectors.training import Recorder, Recording
 
 __all__ = [
     "Alarm", "Detector", "MissionLimits", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",

@@ -2,6 +2,13 @@
 
 Clouds and map updates have no rules: no mission depends on a single value of theirs, since neighbouring values and the
 next scan repair it.
+
+Its memory is one record of earlier publications, updated by compiled functions.  The record starts with the numbers of
+`MissionLimits`, so that rules receive limits and memory in one argument: each argument costs some 60 ns per call from
+Python.  A checked header is stored as the candidate; after acceptance the next call commits it as the last publication,
+so that each publication costs one call.
+
+Trajectory points are stored in blocks, shape (KEPT, capacity, 11); the record holds their numbers and lengths.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -9,21 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors import estimates, rule_memory, rules
+from mavfi.detectors import estimates, rules
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.gate import IMPLAUSIBLE
-from mavfi.detectors.limits import MissionLimits
+from mavfi.detectors.limits import NUMBERS, MissionLimits
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, kernel_jit
-from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state
+from mavfi.states import ODOMETRY, STATES, State, bytes_of, floats, new_state, rows
 
 SOURCE = "acceptance"
 Compiled = Callable[..., Any]
 _VEHICLE_FLOATS = 6
 _STATUS, _PATH, _TRAJECTORY = "perception.collision_status", "planning.path", "planning.trajectory"
 _WAYPOINT, _COMMAND, _TRACKING = "planning.waypoint", "control.command", "control.tracking"
-_ESTIMATE = ODOMETRY["estimator"]
-_POSITIONS = tuple(ODOMETRY.values())
+_TRUTH, _ESTIMATE = ODOMETRY["truth"], ODOMETRY["estimator"]
 _CANDIDATES = (_WAYPOINT, _COMMAND, _TRACKING)
 """States whose check stores the header, which the next call commits if it was accepted."""
 CHECKED = frozenset((_ESTIMATE, _STATUS, _PATH, _TRAJECTORY, *_CANDIDATES))
@@ -53,12 +59,211 @@ def rule_of(field: str) -> int:
     return _RULE_OF_FIELD.get(field, _RULE_OF_STATE.get(state, DYNAMICS))
 
 
+# ---- memory ----------------------------------------------------------------------------------------------------------
+KEPT = 3
+"""Trajectories that a way-point may refer to: the one in force, the pending one, and one spare."""
+KEPT_COUNTERS = 4
+CAPACITY = 2048
+"""Initial capacity of a block, in trajectory points; grows if needed."""
+STATUS_TYPE, PATH_TYPE, TRAJECTORY_TYPE, WAYPOINT_TYPE, COMMAND_TYPE, TRACKING_TYPE = (
+    STATES[name].header_dtype for name in (_STATUS, _PATH, _TRAJECTORY, *_CANDIDATES)
+)
+OF_WAYPOINT, OF_COMMAND, OF_TRACKING = range(1, 4)
+_WAYPOINT_SIZE, _COMMAND_SIZE, _TRACKING_SIZE = WAYPOINT_TYPE.itemsize, COMMAND_TYPE.itemsize, TRACKING_TYPE.itemsize
+_SHARE_OF_LATENCY = 0.7
+"""Least planning time before a path is published / the planner's latency."""
+_JITTER_US = 300_000
+"""Largest planning time in excess of that."""
+_LONG_AGO = -(1 << 62)
+
+_LIMITS = [(name, NUMBERS[name]) for name in NUMBERS.names or ()]
+_HEADERS = {
+    "last_status": STATUS_TYPE, "last_path": PATH_TYPE, "last_trajectory": TRAJECTORY_TYPE,
+    "last_waypoint": WAYPOINT_TYPE, "last_command": COMMAND_TYPE, "last_tracking": TRACKING_TYPE,
+}  # fmt: skip
+_REMEMBERED = [
+    *((name, "u1", (dtype.itemsize,)) for name, dtype in _HEADERS.items()),
+    ("end", "f8", (3,)), ("ended", "?"),
+    ("changes", "i8"), ("times", "i8", (KEPT_COUNTERS,)), ("counters", "i8", (KEPT_COUNTERS,)),
+    ("stored", "i8"), ("numbers", "i8", (KEPT,)), ("counts", "i8", (KEPT,)),
+    ("switched", "?"), ("fresh", "?"),
+]  # fmt: skip
+_WORK = [
+    ("planning_us", "i8"), ("blocks", "i8", (KEPT,)), ("candidate", "u1", (_WAYPOINT_SIZE,)), ("candidate_of", "i8"),
+    ("accepted", "?"),
+]  # fmt: skip
+RECORD = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
+"""The record.
+
+- Limits: see `MissionLimits.numbers`.
+- Last published headers, as bytes: `last_status` and so on; 0 before the first.
+- `end`: last vertex of the path (m), if it has one (`ended`).
+- `counters`, `times`: the latest values of the collision counter, oldest first, and the times of the changes (us);
+  `changes` is their number.
+- `numbers`, `counts`: number and length of the latest trajectories with points, oldest first; `stored` is how many.
+- `switched`, `fresh`: whether a way-point has been published since the last command, and since the last tracking
+  report.
+- Work: `planning_us`, the least time from the planner's start to its path (us); block index of each stored trajectory;
+  the candidate, its state, and whether it was accepted.
+"""
+_FIRST, _END = len(_LIMITS), len(_LIMITS) + len(_REMEMBERED)
+MEMORY = slice(RECORD.fields[RECORD.names[_FIRST]][1], RECORD.fields[RECORD.names[_END]][1])  # type: ignore[index]
+"""Bytes of the record that form the memory."""
+
+
+def new_record(limits: MissionLimits) -> np.ndarray:
+    """The record at the start of a flight. Shape (1,)."""
+    known = np.zeros(1, RECORD)
+    for name in NUMBERS.names or ():
+        known[name] = limits.numbers()[name]
+    known["planning_us"] = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
+    forget(known)
+    return known
+
+
+def named(known: np.ndarray) -> dict[str, np.ndarray]:
+    """The memory by name, headers by field: the arrays themselves, not copies."""
+    found: dict[str, np.ndarray] = {}
+    for name in RECORD.names[_FIRST:_END] if RECORD.names else ():
+        array = known[name].reshape(-1)
+        if name in _HEADERS:
+            header = array.view(_HEADERS[name])
+            found |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
+        else:
+            found[name] = array
+    return found
+
+
+def forget(known: np.ndarray) -> None:
+    """Reset the memory at the start of a flight."""
+    known.view(np.uint8)[MEMORY] = 0
+    known["switched"] = known["fresh"] = True
+    known["changes"], known["times"][0, 0] = 1, _LONG_AGO
+    known["blocks"], known["accepted"] = range(KEPT), False
+
+
+@kernel_jit
+def settle(known: np.ndarray) -> None:
+    """Commit the candidate, if accepted, as the last publication of its state."""
+    own = known[0]
+    if not own["accepted"]:
+        return
+    own["accepted"] = False
+    if own["candidate_of"] == OF_WAYPOINT:
+        own["last_waypoint"][:] = own["candidate"][:_WAYPOINT_SIZE]
+        own["switched"] = own["fresh"] = True
+    elif own["candidate_of"] == OF_COMMAND:
+        own["last_command"][:] = own["candidate"][:_COMMAND_SIZE]
+        own["switched"] = False
+    else:
+        own["last_tracking"][:] = own["candidate"][:_TRACKING_SIZE]
+        own["fresh"] = False
+
+
+@kernel_jit
+def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
+    """Store a header as the candidate; `of` identifies its state."""
+    own = known[0]
+    content = header.view(np.uint8)
+    own["candidate"][: len(content)] = content
+    own["candidate_of"] = of
+
+
+@kernel_jit
+def used(count: int, least: int, most: int) -> int:
+    """A number of entries within its bounds: a corrupted one must not become an index."""
+    return min(max(count, least), most)
+
+
+@kernel_jit
+def note_status(header: np.ndarray, now: int, known: np.ndarray) -> None:
+    """Record a collision status published at `now` (us)."""
+    own = known[0]
+    counter, count = int(header[0]["future_collision_seq"]), used(own["changes"], 1, KEPT_COUNTERS)
+    times, counters = own["times"], own["counters"]
+    if counter != counters[count - 1]:
+        if count == KEPT_COUNTERS:
+            times[:-1], counters[:-1] = times[1:].copy(), counters[1:].copy()
+            count -= 1
+        times[count], counters[count] = now, counter
+        own["changes"] = count + 1
+    own["last_status"][:] = header.view(np.uint8)
+
+
+@kernel_jit
+def answerable(now: int, known: np.ndarray) -> np.ndarray:
+    """Collision counters that a path at `now` (us) can answer: the one known when the planner started, and later."""
+    own = known[0]
+    began = now - own["planning_us"]
+    found, count = np.zeros(KEPT_COUNTERS + 1, np.int64), 0
+    changes = used(own["changes"], 1, KEPT_COUNTERS)
+    for index in range(changes):
+        if own["times"][index] <= began:
+            found[0], count = own["counters"][index], 1
+    for index in range(changes):
+        if own["times"][index] > began - _JITTER_US:
+            found[count] = own["counters"][index]
+            count += 1
+    return found[:count]
+
+
+@kernel_jit
+def note_path(header: np.ndarray, vertices: np.ndarray, known: np.ndarray) -> None:
+    """Record a published path; vertices (m) have shape (n, 3)."""
+    own = known[0]
+    own["ended"], own["end"][:] = len(vertices) > 0, 0.0
+    if len(vertices) > 0:
+        own["end"][:] = vertices[len(vertices) - 1]
+    own["last_path"][:] = header.view(np.uint8)
+
+
+@kernel_jit
+def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, blocks: np.ndarray) -> None:
+    """Record a published trajectory; points have shape (n, 11) and fit into a block."""
+    own = known[0]
+    own["last_trajectory"][:] = header.view(np.uint8)
+    if len(points) == 0:
+        return
+    number, stored, places = int(header[0]["trajectory_seq"]), used(own["stored"], 0, KEPT), own["blocks"]
+    drop = 0 if stored == KEPT else stored
+    for index in range(stored):
+        if own["numbers"][index] == number:
+            drop = index
+    place, last = places[drop], stored - 1 if drop < stored else stored
+    for index in range(drop, last):
+        own["numbers"][index], own["counts"][index] = own["numbers"][index + 1], own["counts"][index + 1]
+        places[index] = places[index + 1]
+    own["numbers"][last], own["counts"][last], places[last] = number, len(points), place
+    own["stored"] = last + 1
+    for row in range(len(points)):  # an assigned slice would call functions with memory of their own
+        for column in range(points.shape[1]):
+            blocks[place, row, column] = points[row, column]
+
+
+@kernel_jit
+def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Points of a stored trajectory. Shape (n, 11); (0, 11) if unknown."""
+    own = known[0]
+    for index in range(used(own["stored"], 0, KEPT)):
+        if own["numbers"][index] == number:
+            return blocks[own["blocks"][index], : own["counts"][index]]
+    return blocks[0, :0]
+
+
+@kernel_jit
+def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Points of the latest stored trajectory. Shape (n, 11); (0, 11) if there is none."""
+    last = used(known[0]["stored"], 0, KEPT) - 1
+    return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]
+
+
+# ---- rules -----------------------------------------------------------------------------------------------------------
 @kernel_jit
 def judge_status(header: np.ndarray, record: np.ndarray) -> int:
     """See `rules.status`."""
     before, trajectory = (
-        record[0]["last_status"].view(rule_memory.STATUS),
-        record[0]["last_trajectory"].view(rule_memory.TRAJECTORY),
+        record[0]["last_status"].view(STATUS_TYPE),
+        record[0]["last_trajectory"].view(TRAJECTORY_TYPE),
     )
     return rules.status(header, before, trajectory, record)
 
@@ -68,16 +273,16 @@ def judge_path(
     header: np.ndarray, vertices: np.ndarray, now: int, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray
 ) -> int:
     """See `rules.path`; `now` in us, `odometry` starts with position and velocity."""
-    epochs, vehicle = rule_memory.answerable(now, record), odometry.view(np.float64)
-    return rules.path(header, vertices, epochs, vehicle, rule_memory.newest(record, blocks), record)
+    epochs, vehicle = answerable(now, record), odometry.view(np.float64)
+    return rules.path(header, vertices, epochs, vehicle, newest(record, blocks), record)
 
 
 @kernel_jit
 def judge_trajectory(header: np.ndarray, points: np.ndarray, odometry: np.ndarray, record: np.ndarray) -> int:
     """See `rules.trajectory`."""
     before, path = (
-        record[0]["last_trajectory"].view(rule_memory.TRAJECTORY),
-        record[0]["last_path"].view(rule_memory.PATH),
+        record[0]["last_trajectory"].view(TRAJECTORY_TYPE),
+        record[0]["last_path"].view(PATH_TYPE),
     )
     end = record[0]["end"][: 3 if record[0]["ended"] else 0]
     return rules.trajectory(header, points, before, path, end, odometry.view(np.float64), record)
@@ -86,13 +291,13 @@ def judge_trajectory(header: np.ndarray, points: np.ndarray, odometry: np.ndarra
 @kernel_jit
 def judge_waypoint(header: np.ndarray, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray) -> int:
     """See `rules.waypoint`; makes the way-point the candidate."""
-    rule_memory.settle(record)
-    rule_memory.propose(header, rule_memory.OF_WAYPOINT, record)
+    settle(record)
+    propose(header, OF_WAYPOINT, record)
     before, newest = (
-        record[0]["last_waypoint"].view(rule_memory.WAYPOINT),
-        record[0]["last_trajectory"].view(rule_memory.TRAJECTORY),
+        record[0]["last_waypoint"].view(WAYPOINT_TYPE),
+        record[0]["last_trajectory"].view(TRAJECTORY_TYPE),
     )
-    points = rule_memory.points_of(int(header[0]["trajectory_seq"]), record, blocks)
+    points = points_of(int(header[0]["trajectory_seq"]), record, blocks)
     values = record[0]["candidate"][: 8 * rules.POINT_WIDTH].view(np.float64)
     return rules.waypoint(values, header, before, newest, points, odometry.view(np.float64), record)
 
@@ -100,18 +305,18 @@ def judge_waypoint(header: np.ndarray, odometry: np.ndarray, record: np.ndarray,
 @kernel_jit
 def judge_command(header: np.ndarray, record: np.ndarray) -> int:
     """See `rules.command`; makes the command the candidate."""
-    rule_memory.settle(record)
-    rule_memory.propose(header, rule_memory.OF_COMMAND, record)
-    return rules.command(header, record[0]["last_command"].view(rule_memory.COMMAND), record[0]["switched"], record)
+    settle(record)
+    propose(header, OF_COMMAND, record)
+    return rules.command(header, record[0]["last_command"].view(COMMAND_TYPE), record[0]["switched"], record)
 
 
 @kernel_jit
 def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
     """See `rules.tracking`; makes the report the candidate."""
-    rule_memory.settle(record)
-    rule_memory.propose(header, rule_memory.OF_TRACKING, record)
-    duration = record[0]["last_waypoint"].view(rule_memory.WAYPOINT)[0]["duration"] if record[0]["fresh"] else 0.0
-    return rules.tracking(header, record[0]["last_tracking"].view(rule_memory.TRACKING), duration, record)
+    settle(record)
+    propose(header, OF_TRACKING, record)
+    duration = record[0]["last_waypoint"].view(WAYPOINT_TYPE)[0]["duration"] if record[0]["fresh"] else 0.0
+    return rules.tracking(header, record[0]["last_tracking"].view(TRACKING_TYPE), duration, record)
 
 
 COMPILED: Mapping[str, Compiled] = {
@@ -121,9 +326,9 @@ COMPILED: Mapping[str, Compiled] = {
     "judge_waypoint": judge_waypoint,
     "judge_command": judge_command,
     "judge_tracking": judge_tracking,
-    "note_status": rule_memory.note_status,
-    "note_path": rule_memory.note_path,
-    "note_trajectory": rule_memory.note_trajectory,
+    "note_status": note_status,
+    "note_path": note_path,
+    "note_trajectory": note_trajectory,
     "judge_estimate": estimates.judge_estimate,
     "note_estimate": estimates.note_estimate,
     "note_fix": estimates.note_fix,
@@ -141,10 +346,10 @@ class AcceptanceTest(Detector):
 
     Attributes:
         limits: Limits of the mission.
-        record: Limits and memory, see `rule_memory.RECORD`. Shape (1,).
-        blocks: Points of trajectories, see `rule_memory`. Shape (KEPT, capacity, 11).
+        record: Limits and memory, see `RECORD`. Shape (1,).
+        blocks: Points of trajectories, see the module. Shape (KEPT, capacity, 11).
         odometry: Header of the latest odometry; zeros before the first.
-        estimates: Rule of the estimated odometry and what it remembers.
+        estimate: Limits and memory of the rule of the estimated odometry, see `estimates.RECORD`. Shape (1,).
 
     Raises:
         BadInputError: There is no such rule.
@@ -156,14 +361,12 @@ class AcceptanceTest(Detector):
         if not isinstance(rules, (list, tuple)) or not all(rule in RULES for rule in rules):
             raise BadInputError(f"rules: {rules!r}: allowed: a list of numbers from {COUNTERS} to {NODES}")
         self.limits, self.rules = limits, tuple(rules)
-        self.record = rule_memory.new_record(limits)
-        self.estimates = estimates.Estimates(limits)
-        unread = () if limits.held else (_TRACKING,)
-        self.states = frozenset((*CHECKED, *_POSITIONS, *self.estimates.states)).difference(unread)
-        self._only_noted = frozenset(_POSITIONS).difference(self.estimates.states)
+        self.record, self.estimate = new_record(limits), estimates.new_record(limits)
         self._accepted = self.record["accepted"]
         self.start()
         self.instrument({})
+        unread = () if limits.held else (_TRACKING,)
+        self.states = CHECKED.union(self._notes).difference(unread)
 
     @property
     def compiled(self) -> Mapping[str, Compiled]:
@@ -172,65 +375,68 @@ class AcceptanceTest(Detector):
 
     def instrument(self, made: Mapping[str, Compiled]) -> None:
         """See `Detector`."""
-        functions = {**COMPILED, **made}
-        header = {name: new_state(name).header for name in (_STATUS, *_CANDIDATES)}
-        self._functions = functions
-        self._judge_status = entry(functions["judge_status"], header[_STATUS], self.record)
-        self._note_status = entry(functions["note_status"], header[_STATUS], 0, self.record)
-        self._judge_waypoint = entry(
-            functions["judge_waypoint"], header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
-        )  # fmt: skip
-        # the most frequent publications: `check` calls these itself
-        self._judges_at_ticks = {_COMMAND: entry(functions["judge_command"], header[_COMMAND], self.record)}
+        functions, record, estimate = {**COMPILED, **made}, self.record, self.estimate
+        header = {name: new_state(name).header for name in (_TRUTH, _STATUS, *_CANDIDATES)}
+        judge_status = entry(functions["judge_status"], header[_STATUS], record)
+        judge_waypoint = entry(
+            functions["judge_waypoint"], header[_WAYPOINT], bytes_of(header[_TRUTH]), record, self.blocks
+        )
+        judge_command = entry(functions["judge_command"], header[_COMMAND], record)
+        note_status = entry(functions["note_status"], header[_STATUS], 0, record)
+        self._judges: dict[str, Callable[[State, int], int]] = {
+            _STATUS: lambda state, now: judge_status(state.header, record),
+            _PATH: lambda state, now: functions["judge_path"](
+                state.header, rows(state.elements, 3), now, bytes_of(self.odometry), record, self.blocks
+            ),
+            _TRAJECTORY: lambda state, now: functions["judge_trajectory"](
+                state.header, rows(state.elements, rules.POINT_WIDTH), bytes_of(self.odometry), record
+            ),
+            _WAYPOINT: lambda state, now: judge_waypoint(state.header, bytes_of(self.odometry), record, self.blocks),
+            _COMMAND: lambda state, now: judge_command(state.header, record),
+        }
+        self._notes: dict[str, Callable[[State, int], None]] = {
+            _STATUS: lambda state, now: note_status(state.header, now, record),
+            _PATH: lambda state, now: functions["note_path"](state.header, rows(state.elements, 3), record),
+            _TRAJECTORY: self._note_trajectory,
+            **dict.fromkeys(ODOMETRY.values(), self._note_odometry),
+        }
+        self._function_of_trajectory = functions["note_trajectory"]
         if self.limits.held:
-            self._judges_at_ticks[_TRACKING] = entry(functions["judge_tracking"], header[_TRACKING], self.record)
-        self.estimates.use(functions["judge_estimate"], functions["note_estimate"], functions["note_fix"])
+            judge_tracking = entry(functions["judge_tracking"], header[_TRACKING], record)
+            self._judges[_TRACKING] = lambda state, now: judge_tracking(state.header, record)
+        if self.limits.fix_noise is None:
+            return
+        odometry, fix = (bytes_of(new_state(name).header) for name in (_ESTIMATE, estimates.FIX))
+        judge_estimate = entry(functions["judge_estimate"], odometry, 0, estimate)
+        self._function_of_estimate = entry(functions["note_estimate"], odometry, 0, estimate)
+        note_fix = entry(functions["note_fix"], fix, estimate)
+        self._judges[_ESTIMATE] = lambda state, now: judge_estimate(bytes_of(state.header), now, estimate)
+        self._notes[_ESTIMATE] = self._note_estimate
+        self._notes[estimates.FIX] = lambda state, now: note_fix(bytes_of(state.header), estimate)
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
-        rule_memory.forget(self.record)
-        self.estimates.start()
-        self.blocks = np.zeros((rule_memory.KEPT, rule_memory.CAPACITY, rules.POINT_WIDTH))
-        self.odometry = new_state(ODOMETRY["truth"]).header
+        forget(self.record)
+        estimates.forget(self.estimate)
+        self.blocks = np.zeros((KEPT, CAPACITY, rules.POINT_WIDTH))
+        self.odometry = new_state(_TRUTH).header
         self._candidate: State | None = None
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Check a publication; the alarm names the field that violates its rule."""
-        name = state.spec.name
-        judge = self._judges_at_ticks.get(name)
-        if judge is not None:
-            self._candidate = state
-            place = judge(state.header, self.record)
-        elif name in CHECKED:
-            place = self._judge(state, time_us)
-        else:
+        spec = state.spec
+        judge = self._judges.get(spec.name)
+        if judge is None:
             return None
+        if spec.name in _CANDIDATES:
+            self._candidate = state
+        place = judge(state, time_us)
         if place < 0:
             return None
-        field = _field_at(state, place)
+        field = f"{spec.name}.{(*spec.header, *spec.elements)[place].name}"
         if rule_of(field) not in self.rules:
             return None
-        return Alarm(SOURCE, state.spec.stage.value, score=IMPLAUSIBLE, fields=(field,), hard=True)
-
-    def _judge(self, state: State, now: int) -> int:
-        """Index of the field of a publication that violates a rule, among those of header and element, or -1."""
-        name = state.spec.name
-        if name == _WAYPOINT:
-            self._candidate = state
-            return int(self._judge_waypoint(state.header, bytes_of(self.odometry), self.record, self.blocks))
-        if name == _STATUS:
-            return int(self._judge_status(state.header, self.record))
-        if name == _PATH:
-            vertices, odometry = _rows(state.elements, 3), bytes_of(self.odometry)
-            return int(
-                self._functions["judge_path"](state.header, vertices, now, odometry, self.record, self.blocks)
-            )  # fmt: skip
-        if name == _TRAJECTORY:
-            points = _rows(state.elements, rules.POINT_WIDTH)
-            return int(self._functions["judge_trajectory"](state.header, points, bytes_of(self.odometry), self.record))
-        if name == _ESTIMATE:
-            return self.estimates.check(state, now)
-        return rules.FINE
+        return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(field,), hard=True)
 
     def score(self, state: State, time_us: int) -> float | None:
         """2 for a violation, else 0; None for states without a rule."""
@@ -240,40 +446,31 @@ class AcceptanceTest(Detector):
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
+        name = state.spec.name
+        if state is not self._candidate and name in _CANDIDATES:
+            self.check(state, time_us)  # makes it the candidate, unless it is not read
         if state is self._candidate:
             self._accepted[0] = True
-            return
-        name = state.spec.name
-        if name in self._only_noted:
-            self.odometry = state.header
-        elif name in _CANDIDATES:
-            self.check(state, time_us)  # makes it the candidate, unless it is not read
-            if state is self._candidate:
-                self._accepted[0] = True
-        else:
-            self._note(state, time_us)
+        elif name in self._notes:
+            self._notes[name](state, time_us)
 
-    def _note(self, state: State, now: int) -> None:
-        """Record a published value of a state without a candidate."""
-        name = state.spec.name
-        if name in self.estimates.states:
-            if name == _ESTIMATE:
-                self.odometry = state.header
-            self.estimates.accept(state, now)
-        elif name == _STATUS:
-            self._note_status(state.header, now, self.record)
-        elif name == _PATH:
-            self._functions["note_path"](state.header, _rows(state.elements, 3), self.record)
-        elif name == _TRAJECTORY:
-            self._make_room(len(state.elements))
-            points = _rows(state.elements, rules.POINT_WIDTH)
-            self._functions["note_trajectory"](state.header, points, self.record, self.blocks)
+    def _note_odometry(self, state: State, now: int) -> None:
+        self.odometry = state.header
+
+    def _note_estimate(self, state: State, now: int) -> None:
+        self.odometry = state.header
+        self._function_of_estimate(bytes_of(state.header), now, self.estimate)
+
+    def _note_trajectory(self, state: State, now: int) -> None:
+        self._make_room(len(state.elements))
+        points = rows(state.elements, rules.POINT_WIDTH)
+        self._function_of_trajectory(state.header, points, self.record, self.blocks)
 
     def _make_room(self, count: int) -> None:
         """Grow the blocks to hold trajectories of `count` points."""
         capacity = self.blocks.shape[1]
         if count > capacity:
-            blocks = np.zeros((rule_memory.KEPT, max(count, 2 * capacity), rules.POINT_WIDTH))
+            blocks = np.zeros((KEPT, max(count, 2 * capacity), rules.POINT_WIDTH))
             blocks[:, :capacity] = self.blocks
             self.blocks = blocks
 
@@ -282,14 +479,14 @@ class AcceptanceTest(Detector):
         record = self._settled_record()
         vehicle = floats(self.odometry, _VEHICLE_FLOATS).tobytes()
         trajectories = tuple(points.tobytes() for points in self._trajectories())
-        return record.view(np.uint8)[rule_memory.MEMORY].tobytes(), vehicle, trajectories, self.estimates.memory()
+        return record.view(np.uint8)[MEMORY].tobytes(), vehicle, trajectories, self.estimate.tobytes()
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
         self.start()
         content, vehicle, trajectories, estimate = memory
-        self.estimates.restore(estimate)
-        self.record.view(np.uint8)[rule_memory.MEMORY] = np.frombuffer(content, np.uint8)
+        self.estimate[:] = np.frombuffer(estimate, self.estimate.dtype)
+        self.record.view(np.uint8)[MEMORY] = np.frombuffer(content, np.uint8)
         floats(self.odometry, _VEHICLE_FLOATS)[:] = np.frombuffer(vehicle)
         for place, points in enumerate(trajectories):
             rows = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
@@ -302,17 +499,18 @@ class AcceptanceTest(Detector):
         self.odometry = self.odometry.copy()  # it belongs to the publication
         points = {f"trajectories[{index}]": points for index, points in enumerate(self._trajectories())}
         vehicle = {"vehicle": floats(self.odometry, _VEHICLE_FLOATS)}
-        return {**rule_memory.named(record), **vehicle, **points, **self.estimates.arrays()}
+        estimated = {} if self.limits.fix_noise is None else estimates.named(self.estimate)
+        return {**named(record), **vehicle, **points, **estimated}
 
     def _settled_record(self) -> np.ndarray:
         """The record after the candidate, if accepted, is committed."""
-        rule_memory.settle(self.record)
+        settle(self.record)
         return self.record
 
     def _trajectories(self) -> list[np.ndarray]:
         """Points of the stored trajectories, oldest first."""
         record = self.record[0]
-        stored = rule_memory.used(int(record["stored"]), 0, rule_memory.KEPT)
+        stored = used(int(record["stored"]), 0, KEPT)
         places = zip(record["blocks"][:stored], record["counts"][:stored], strict=True)
         return [self.blocks[place, :count] for place, count in places]
 
@@ -321,13 +519,3 @@ class AcceptanceTest(Detector):
         return AcceptanceTest, (self.limits, self.rules), self.memory()
 
     __setstate__ = restore
-
-
-def _rows(elements: np.ndarray, width: int) -> np.ndarray:
-    return floats(elements, width).reshape(-1, width)
-
-
-def _field_at(state: State, place: int) -> str:
-    """Name of a field by its index among those of header and element."""
-    spec = state.spec
-    return f"{spec.name}.{(*spec.header, *spec.elements)[place].name}"

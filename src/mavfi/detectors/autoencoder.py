@@ -8,10 +8,10 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.features import Scratch, Watch
-from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
-from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.detectors.scoring import ScoringDetector, Threshold, find_policy
+from mavfi.detectors.training import Sample, TrainedDetector, regime_limits
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
 from mavfi.numerics.jit import kernel_jit

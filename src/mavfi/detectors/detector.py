@@ -11,6 +11,9 @@ import numpy as np
 from mavfi.errors import BadInputError, hint
 from mavfi.states import STAGE_KERNELS, STATES, State
 
+DIFFERENT = 2.0
+"""Score of a value that differs from the one sent."""
+
 
 @dataclass(frozen=True, slots=True)
 class Alarm:

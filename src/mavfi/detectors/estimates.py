@@ -6,7 +6,6 @@ this rule and its memory.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from mavfi.detectors.gate import first_not_finite, too_fast
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.rules import EXACT, FINE, outside
 from mavfi.kernels.perception.state_estimation import GATE, GRAVITY, LARGEST_FORCE, LARGEST_RATE
-from mavfi.numerics.jit import entry, kernel_jit
-from mavfi.states import ODOMETRY, State, bytes_of, new_state
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import ODOMETRY
 
 ESTIMATE, FIX = ODOMETRY["estimator"], "sensor.position"
 VELOCITY, ATTITUDE, WIDTH = 3, 6, 10
@@ -39,7 +38,6 @@ RECORD = np.dtype([
 ])  # fmt: skip
 """Limits: the largest correction of position (m) and attitude (rad) by a fix, flight box (m), speed (m/s).  Memory: the
 last published estimate, its time, time of the last re-initialization in flight (us), the last fix (m, rad)."""
-_REMEMBERED = ("last", "time_us", "aligned_us", "fix")
 
 
 @kernel_jit
@@ -152,64 +150,23 @@ def note_fix(content: np.ndarray, record: np.ndarray) -> None:
         record[0]["fix"][column] = fix[column]
 
 
-class Estimates:
-    """The rule and what it remembers; nothing in flights without an estimator.
+def new_record(limits: MissionLimits) -> np.ndarray:
+    """The record at the start of a flight.  Shape (1,)."""
+    position, heading = limits.fix_noise or (0.0, 0.0)
+    record, numbers = np.zeros(1, RECORD), limits.numbers()
+    record["jump"], record["turn"] = math.sqrt(GATE) * position, math.sqrt(GATE) * heading + _TILT_JUMP
+    for name in ("lower", "upper", "speed"):
+        record[name] = numbers[name]
+    forget(record)
+    return record
 
-    Args:
-        limits: Limits of the mission.
 
-    Attributes:
-        states: Names of the states that it reads.
-        record: See `RECORD`.  Shape (1,).
-    """
+def forget(record: np.ndarray) -> None:
+    """Reset the memory at the start of a flight."""
+    record["last"], record["fix"] = 0.0, np.nan
+    record["time_us"] = record["aligned_us"] = _NEVER
 
-    def __init__(self, limits: MissionLimits) -> None:
-        self.states: tuple[str, ...] = () if limits.fix_noise is None else (ESTIMATE, FIX)
-        position, heading = limits.fix_noise or (0.0, 0.0)
-        self.record, numbers = np.zeros(1, RECORD), limits.numbers()
-        self.record["jump"], self.record["turn"] = math.sqrt(GATE) * position, math.sqrt(GATE) * heading + _TILT_JUMP
-        self.record["lower"], self.record["upper"] = numbers["lower"], numbers["upper"]
-        self.record["speed"] = numbers["speed"]
-        self.start()
 
-    def use(self, judge: Any, note: Any, note_fix: Any) -> None:  # noqa: ANN401 - compiled or instrumented functions
-        """Use these functions, of the signatures of `judge_estimate`, `note_estimate`, `note_fix`."""
-        if not self.states:
-            return
-        estimate, fix = (bytes_of(new_state(name).header) for name in self.states)
-        self._judge = entry(judge, estimate, 0, self.record)
-        self._note = entry(note, estimate, 0, self.record)
-        self._note_fix = entry(note_fix, fix, self.record)
-
-    def start(self) -> None:
-        """Reset the memory at the start of a flight."""
-        self.record["last"], self.record["fix"] = 0.0, np.nan
-        self.record["time_us"] = self.record["aligned_us"] = _NEVER
-
-    def check(self, state: State, now: int) -> int:
-        """See `judge_estimate`."""
-        return int(self._judge(bytes_of(state.header), now, self.record)) if self.states else FINE
-
-    def accept(self, state: State, now: int) -> None:
-        """Record a published estimate or fix."""
-        if not self.states:
-            return
-        if state.spec.name == FIX:
-            self._note_fix(bytes_of(state.header), self.record)
-        else:
-            self._note(bytes_of(state.header), now, self.record)
-
-    def memory(self) -> bytes:
-        """Memory between publications."""
-        return b"".join(own.tobytes() for own in self.arrays().values())
-
-    def restore(self, memory: bytes) -> None:
-        """Inverse of `memory`."""
-        start = 0
-        for own in self.arrays().values():
-            own[:] = np.frombuffer(memory, own.dtype, own.size, start)
-            start += own.nbytes
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Memory by name: the arrays themselves, not copies."""
-        return {f"estimate.{name}": self.record[name].reshape(-1) for name in _REMEMBERED if self.states}
+def named(record: np.ndarray) -> dict[str, np.ndarray]:
+    """The memory by name: the arrays themselves, not copies."""
+    return {f"estimate.{name}": record[name].reshape(-1) for name in ("last", "time_us", "aligned_us", "fix")}

@@ -15,7 +15,7 @@ from mavfi.detectors.features import Events
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
 from mavfi.detectors.registry import figures_of, of_monitored_fields
-from mavfi.detectors.samples import join, sample_of
+from mavfi.detectors.training import join, sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
 

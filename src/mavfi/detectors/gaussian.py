@@ -7,10 +7,10 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.features import Scratch, Watch
-from mavfi.detectors.model import SMALLEST_LIMIT, Model, TrainedDetector
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
-from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.detectors.scoring import NOT_FINITE, ScoringDetector, Threshold, find_policy
+from mavfi.detectors.training import Sample, TrainedDetector, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.stored import load

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, SpecMismatchError, writing
 from mavfi.files import LARGEST_TEXT, read_file
 
@@ -123,35 +122,6 @@ class Model:
             BadInputError: The file is absent, not a model, or modified.
         """
         return _parsed(read_file(path, LARGEST_TEXT), str(path))
-
-
-class TrainedDetector(Detector):
-    """Base class of detectors that `mavfi train` fits: constructed with a model of their kind, then their options.
-
-    Attributes:
-        model_kind: Kind of the model, part of the name of its file.
-        watches_all: Whether it is fitted to the codes of all fields, in one profile, instead of a monitored set.
-        extra: Extra whose packages it needs, e.g. "bench".
-    """
-
-    model_kind: ClassVar[str]
-    watches_all: ClassVar[bool] = False
-    extra: ClassVar[str] = ""
-
-    @classmethod
-    def check_installed(cls) -> None:
-        """Raise a `NotInstalledError`, which names the extra to install, unless the packages are there."""
-
-    @classmethod
-    def fit(cls, sample: Any, features: Any, figures: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
-        """Parameters of a model, from error-free flights.
-
-        Args:
-            sample: A `Sample` of the flights.
-            features: What computed it: a `Preprocessor`, or `FieldCodes` for one that watches all fields.
-            figures: Figures of training, of configs/detectors.
-        """
-        raise NotImplementedError
 
 
 @lru_cache(maxsize=32)  # each flight makes its detectors; a model of training rows takes 60 ms to parse and check

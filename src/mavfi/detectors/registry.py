@@ -11,8 +11,9 @@ from mavfi.config import Config, names, shipped
 from mavfi.detectors.detector import Chain, Detector, require_detector
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
-from mavfi.detectors.model import FITTED_TO, Model, TrainedDetector, check_fits, model_name
+from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.preprocess import FEATURES, PROFILES
+from mavfi.detectors.training import MonitoredFields, TrainedDetector
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file
@@ -25,26 +26,12 @@ OF_RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded", "dead_
 """Mission keys that a detector may set (`Detector.recovery`)."""
 OF_OWN: Mapping[str, Any] = {"grain": "kernel", "same_twice": "limit"}
 """Mission keys of a detector that is not part of mavfi, unless it sets them: it may raise alarms without end."""
-ONLY_PROFILE = "tuned"
-"""The profile of models of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
     "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
     "acceptance": "mavfi.detectors.acceptance:AcceptanceTest",
     "recommended": "mavfi.detectors.acceptance:AcceptanceTest",
-    "limits": "mavfi.extras.bench.all_fields:LimitsDetector",
-    "autoencoder_all": "mavfi.extras.bench.all_fields:AutoencoderAllDetector",
-    "isolation_forest": "mavfi.extras.bench.outliers:IsolationForestDetector",
-    "pca": "mavfi.extras.bench.outliers:PcaDetector",
-    "mahalanobis": "mavfi.extras.bench.outliers:MahalanobisDetector",
-    "half_space_trees": "mavfi.extras.bench.half_space_trees:HalfSpaceTreesDetector",
-    "gradient_boosting": "mavfi.extras.bench.gradient_boosting:GradientBoostingDetector",
-    "matrix_profile": "mavfi.extras.bench.matrix_profile:MatrixProfileDetector",
-    "checksum": "mavfi.extras.bench.sealed:Checksum",
-    "duplicate": "mavfi.extras.bench.sealed:Duplicate",
-    "oracle": "mavfi.extras.bench.sealed:Oracle",
-    "random": "mavfi.extras.bench.random_alarms:RandomAlarms",
     "none": "mavfi.detectors.detector:NoDetector",
 }
 _METHODS = {"start": "", "check": "state, time_us", "accept": "state, time_us"}
@@ -95,21 +82,15 @@ def contains(name: str, profile: str, source: str, options: Mapping[str, Any] | 
     return _is_trained(factory) and bool(_options_of(name, profile, factory, options or {}).get("gate", False))
 
 
-def trainable() -> dict[str, type[TrainedDetector]]:
-    """Detectors with training, by name: those of mavfi, then those of other packages."""
+def trainable(extras: Collection[str] = ()) -> dict[str, type[TrainedDetector]]:
+    """Detectors with training, by name, shipped ones first; those that need an extra only for the given `extras`."""
     every = {name: _class_of(name) for name in _SHIPPED | known(GROUP, _SHIPPED)}
-    return {name: factory for name, factory in every.items() if _is_trained(factory)}
+    return {name: kind for name, kind in every.items() if _is_trained(kind) and kind.extra in ("", *extras)}
 
 
 def of_monitored_fields() -> dict[str, type[TrainedDetector]]:
     """Detectors fitted to a monitored set, in two profiles."""
-    return {name: factory for name, factory in trainable().items() if not factory.watches_all}
-
-
-def of_all_fields(extras: Collection[str] = ()) -> dict[str, type[TrainedDetector]]:
-    """Detectors fitted to all fields, in one profile; those that need an extra only for the given `extras`."""
-    every = trainable().items()
-    return {name: factory for name, factory in every if factory.watches_all and factory.extra in ("", *extras)}
+    return {name: factory for name, factory in trainable().items() if _has_presets(factory)}
 
 
 def check_detector(name: str, profile: str) -> None:
@@ -193,10 +174,10 @@ def load_detector(
         return Loaded(_build(name, factory, _of_mission(name, factory, mission), chosen), "")
     factory.check_installed()
     has_gate = chosen.pop("gate", False)
-    features = None if factory.watches_all else chosen.pop("features", None)
+    features = chosen.pop("features", None) if _has_presets(factory) else None
     if features is not None and features not in FEATURES:
         raise BadInputError(f"detector {name!r}: features: {features!r}: allowed: {', '.join(FEATURES)}")
-    model_profile = ONLY_PROFILE if features is None else FEATURES[features]
+    model_profile = factory.training.profiles[0] if features is None else FEATURES[features]
     path, model = _model_of(factory, model_profile, models_dir, mission, trained_for)
     try:
         detector = _build(name, factory, {"model": model}, chosen)
@@ -258,11 +239,15 @@ def _is_trained(factory: Any) -> bool:  # noqa: ANN401
     return isinstance(factory, type) and issubclass(factory, TrainedDetector)
 
 
+def _has_presets(factory: Any) -> bool:  # noqa: ANN401
+    """Whether it is a detector of monitored fields, whose options depend on the profile."""
+    return _is_trained(factory) and isinstance(factory.training, MonitoredFields)
+
+
 def _options_of(name: str, profile: str, factory: Any, options: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
     """Options of a detector: those of its file, over them its preset, over them the given ones."""
     config = _config_of(name)
-    has_presets = _is_trained(factory) and not factory.watches_all
-    preset = config.presets.get(profile, {}) if has_presets else {}
+    preset = config.presets.get(profile, {}) if _has_presets(factory) else {}
     return {**config.options, **preset, **options}
 
 

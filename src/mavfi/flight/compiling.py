@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import new_loop
 from mavfi.flight.loop import Loop
 from mavfi.mission import Scenario
 from mavfi.rewriting import check_flown
-from mavfi.states import floats, new_state
+from mavfi.states import new_state, rows
 
 _LATER_US = 1_000_000
 """Simulated time within which the results of a stage have reached their readers (us)."""
@@ -23,7 +23,7 @@ def follow_path(loop: Loop) -> None:
     corners = np.linspace(loop.world.start, loop.world.goal, 3)
     corners[1, :2] += 1.0
     path = new_state("planning.path", len(corners))
-    floats(path.elements, 3).reshape(-1, 3)[:] = corners
+    rows(path.elements, 3)[:] = corners
     loop.sense(0)
     loop.publish(path, 0)
     _run(loop)

@@ -17,6 +17,7 @@ from mavfi.states import State, StateSpec
 
 GROUP = "mavfi.log_readers"
 """Entry points of this group are readers by file name extension: classes constructed with a path."""
+_OLD_GROUP = "mavfi.flight_logs"
 _MOST_FIELDS = 64
 LONGEST_LIST = 16
 """Longer lists in messages are left out."""
@@ -129,11 +130,11 @@ def open_flight_log(path: Path) -> FlightLogReader:
     Raises:
         BadInputError: Nothing reads files with this extension.
     """
-    extension, formats = path.suffix.removeprefix("."), known(GROUP, {})
+    extension, formats = path.suffix.removeprefix("."), known(GROUP, known(_OLD_GROUP, {}))
     if extension not in formats:
         endings = ", ".join(f".{name}" for name in sorted(formats))
         raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")
-    factory = load_object("reader of flight logs", extension, GROUP, {})
+    factory = load_object("reader of flight logs", extension, GROUP, formats)
     reader: FlightLogReader = build("reader of flight logs", extension, factory, path, needs={"messages": "topics"})
     return reader
 

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+"""w x y z."""
+Numbers = Sequence[float] | np.ndarray
 HOME: Triple = (47.397742, 8.545594, 488.0)
 """Latitude and longitude (degrees) and altitude (m) of the world's origin: those of PX4's simulations."""
 EARTH_RADIUS = 6_378_137.0
@@ -43,6 +46,18 @@ class NedFlight:
     yaw_rate: np.ndarray
 
 
+def flipped(values: Numbers) -> Triple:
+    """A vector in the other frame, NED and the world's or FRD and the body's; its own inverse."""
+    x, y, z = values
+    return float(x), -float(y), -float(z)
+
+
+def turned(quaternion: Numbers) -> Quaternion:
+    """An orientation in the other frames; its own inverse."""
+    w, x, y, z = quaternion
+    return float(w), float(x), -float(y), -float(z)
+
+
 def ned_of(rows: np.ndarray) -> NedFlight:
     """Rows of a flight log in NED and FRD. Shape (n, 21)."""
     time_us = np.rint(1e6 * np.maximum(rows[:, 0], 0)).astype(np.int64)
@@ -53,7 +68,7 @@ def ned_of(rows: np.ndarray) -> NedFlight:
     )  # fmt: skip
 
 
-def euler(wxyz: Sequence[float] | np.ndarray) -> Triple:
+def euler(wxyz: Numbers) -> Triple:
     """Roll, pitch and yaw (rad) of a quaternion, shape (4,): rotations about z, then y, then x."""
     w, x, y, z = map(float, wxyz)
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -61,7 +76,7 @@ def euler(wxyz: Sequence[float] | np.ndarray) -> Triple:
     return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def geodetic(ned: Sequence[float] | np.ndarray, home: Triple = HOME) -> Triple:
+def geodetic(ned: Numbers, home: Triple = HOME) -> Triple:
     """Latitude and longitude (degrees) and altitude (m) of a position (m), on the tangential plane at home."""
     north, east, down = map(float, ned)
     latitude, longitude, altitude = home

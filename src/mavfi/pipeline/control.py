@@ -54,17 +54,14 @@ class Tracker(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """Store an input; steps are due only at the control period."""
-        del time_us
         if state.spec.name == "planning.waypoint":
-            self.memory.waypoint = state
-            self.memory.fresh = True
+            self.memory.waypoint, self.memory.fresh = state, True
         else:
             self.memory.odometry = floats(state.header, 13)
         return False
 
     def step(self, time_us: int) -> list[State]:
         """Compute the command that steers the vehicle to the way-point in force."""
-        del time_us
         command, tracking = new_state("control.command"), new_state("control.tracking")
         values = floats(command.header, 5)
         values[4] = self._dt
@@ -100,5 +97,5 @@ class Tracker(Remembers):
         if tracking is None or waypoint is None:
             return ()
         self.receive(waypoint, time_us)
-        self.memory.remaining, self.memory.fresh = float(tracking.header["remaining"][0]), False
+        self.memory.remaining, self.memory.fresh = tracking.value("remaining"), False
         return ("planning.waypoint",)

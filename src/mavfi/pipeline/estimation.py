@@ -67,7 +67,6 @@ class StateEstimator(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """An IMU sample makes a step due; a fix is stored until the next step."""
-        del time_us
         if state.spec.name == "sensor.imu":
             self.memory.sample = floats(state.header, 6)
             return True
@@ -128,7 +127,7 @@ class StateEstimator(Remembers):
 
     def rollback(self) -> None:
         """Restore the filter of the mark; the last sample and a fix received since then are kept."""
-        waiting = self.memory.filter.fix
-        self.memory.filter = self.memory.marked.copy()
+        memory = self.memory
+        waiting, memory.filter = memory.filter.fix, memory.marked.copy()
         if waiting is not None:
-            self.memory.filter.fix = waiting
+            memory.filter.fix = waiting

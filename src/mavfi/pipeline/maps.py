@@ -1,6 +1,6 @@
 """Occupancy maps of kernel `octomap`: a dense array, OctoMap's octree with equal occupancy, or a user's own class."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -8,12 +8,11 @@ import numpy as np
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.kernels.perception import octree
 from mavfi.kernels.perception.key_sets import KeyFrame
-from mavfi.kernels.perception.octomap import UpdateRule
+from mavfi.kernels.perception.octomap import UpdateRule, insert_scan, undo_scan
 from mavfi.kernels.perception.octree import Octree
-from mavfi.pipeline.changes import Change, Changes
+from mavfi.pipeline.changes import Change, Changes, common_length
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Foreign
-from mavfi.pipeline.scratch import ScanArrays, ScanScratch
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
@@ -57,6 +56,87 @@ class OccupancyMap(Protocol):
         """Numeric memory by name: the arrays themselves, not copies."""
 
 
+Scan = tuple[np.ndarray, np.ndarray] | None
+"""Points and origin of an integrated scan; None = the last scan was undone."""
+
+
+class ScanArrays:
+    """Work arrays of `insert_scan` for a map that is zero at first, and their `Scratch`: the scans so far.
+
+    `insert_scan` writes them before it reads them, so they are no memory.  With a fault it may read what earlier scans
+    left there; to restore that, the scans are integrated again.
+
+    Attributes:
+        log_odds: The map. Shape (nx * ny * nz,), float32.
+        stamp: See `insert_scan`. Same shape, int32.
+        touched: See `insert_scan`. One longer, int32.
+        before: See `insert_scan`. Same shape, float32.
+        number: Number of scans so far, undone ones included.
+    """
+
+    def __init__(self, frame: KeyFrame, rule: UpdateRule, max_range: float) -> None:
+        self._settings = frame, rule, max_range
+        size = frame.nx * frame.ny * frame.nz
+        self.log_odds = np.zeros(size, np.float32)
+        self.stamp = np.zeros(size, np.int32)
+        self.touched = np.zeros(size + 1, np.int32)
+        self.before = np.zeros(size, np.float32)
+        self.number, self._count = 0, 0
+        self._scans: list[Scan] = []
+        self._again: ScanArrays | None = None
+
+    def _all(self) -> tuple[np.ndarray, ...]:
+        return self.log_odds, self.stamp, self.touched, self.before
+
+    def integrate(self, points: np.ndarray, origin: np.ndarray, insert: Callable[..., int]) -> int:
+        """Integrate a scan by a function like `insert_scan`; returns the number of updated voxels."""
+        frame, rule, max_range = self._settings
+        self.number += 1
+        self._count = insert(
+            points, origin, max_range, frame, rule, self.log_odds, self.stamp, self.number, self.touched, self.before
+        )
+        return self._count
+
+    def note(self, scan: Scan) -> None:
+        """Append a scan to those that are integrated again."""
+        self._scans.append(scan)
+
+    def save(self) -> tuple[Scan, ...]:
+        """See `Scratch.save`."""
+        return tuple(self._scans)
+
+    def restore(self, saved: tuple[Scan, ...]) -> None:
+        """See `Scratch.restore`."""
+        self._scans = list(saved)
+
+    def fill(self) -> None:
+        """See `Scratch.fill`.
+
+        Raises:
+            MavfiError: The scans do not lead to the current map.
+        """
+        again = self._again = self._again or ScanArrays(*self._settings)
+        again._repeat(self._scans)
+        if again.log_odds.tobytes() != self.log_odds.tobytes():
+            raise MavfiError("a map differs from its scans")
+        for array, content in zip(self._all(), again._all(), strict=True):
+            array[:] = content
+        self.number = again.number
+
+    def _repeat(self, scans: Sequence[Scan]) -> None:
+        """Integrate scans; those that have been integrated already are not repeated."""
+        if common_length(self._scans, scans) < len(self._scans):
+            for array in self._all():
+                array[:] = 0
+            self.number, self._scans = 0, []
+        for scan in scans[len(self._scans) :]:
+            self._scans.append(scan)
+            if scan is None:
+                undo_scan(self.log_odds, self.touched, self.before, self._count)
+            else:
+                self.integrate(*scan, insert_scan)
+
+
 class DenseMap:
     """Log-odds in a dense array.
 
@@ -72,27 +152,21 @@ class DenseMap:
         self, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
         rewindable: bool = False,
     ) -> None:  # fmt: skip
-        self._frame, self._rule, self._range = frame, rule, max_range
         self._functions, self._rewindable = functions, rewindable
         self._arrays = ScanArrays(frame, rule, max_range)
         self.log_odds = self._arrays.log_odds
         self._changes = Changes(self.log_odds)
         self._takes_back = False
-        self._scratch = ScanScratch(self._arrays)
-        self.scratch = (self._scratch,)
+        self.scratch = (self._arrays,)
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integrate a scan, and store the previous values of its voxels."""
         arrays = self._arrays
-        arrays.scans += 1
-        count = self._functions.insert_scan(
-            points, origin, self._range, self._frame, self._rule, self.log_odds, arrays.stamp, arrays.scans,
-            arrays.touched, arrays.before,
-        )  # fmt: skip
+        count = arrays.integrate(points, origin, self._functions.insert_scan)
         voxels, before = arrays.touched[:count].copy(), arrays.before[:count].copy()
         after = self.log_odds[voxels]  # of a voxel outside of the grid, due to a fault: an IndexError
         if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
-            self._scratch.note((points, origin))
+            arrays.note((points, origin))
             changed = np.flatnonzero(before.view(np.uint32) != after.view(np.uint32))
             self._changes.note(voxels[changed], before[changed], after[changed])
         else:
@@ -113,7 +187,7 @@ class DenseMap:
         if self._takes_back:
             self._changes.take_back(len(self._changes) - 1, self._put)
             if self._rewindable:
-                self._scratch.note(None)
+                self._arrays.note(None)
         self._takes_back = False
 
     def save(self) -> tuple[tuple[Change, ...], bool]:

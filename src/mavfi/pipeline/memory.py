@@ -8,7 +8,7 @@ import copy
 import hashlib
 import pickle
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -96,13 +96,13 @@ class Remembers:
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
         """See `Kernel.resume`; by default no output is read back."""
-        del last, time_us
         return ()
 
     def fingerprint(self) -> bytes:
         """Hash of the memory, equal in all processes."""
         total = hashlib.sha256()
-        _feed(total, self.save())
+        for part in _parts(self.save()):
+            total.update(part if isinstance(part, bytes) else part.encode())
         return total.digest()
 
 
@@ -125,45 +125,32 @@ def copied(value: Any) -> Any:  # noqa: ANN401
     return value.copy() if isinstance(value, Memory) else value
 
 
-def same(value: Any, other: Any) -> bool:  # noqa: ANN401, PLR0911 (one line for each kind)
+def same(value: Any, other: Any) -> bool:  # noqa: ANN401
     """Whether two plain values are bit-identical (NaN equals the same NaN, 0.0 differs from -0.0)."""
-    if value is other:
-        return True
-    if type(value) is not type(other):
-        return False
-    if isinstance(value, np.ndarray):
-        alike = value.shape == other.shape and value.dtype == other.dtype
-        return alike and bool(value.tobytes() == other.tobytes())
-    if isinstance(value, State):
-        return value.spec is other.spec and value.same_bits(other)
-    if isinstance(value, np.generic):
-        return bool(value.dtype == other.dtype and value.tobytes() == other.tobytes())
-    if isinstance(value, float):
-        return struct.pack("d", value) == struct.pack("d", other)
-    if isinstance(value, (list, tuple)):
-        return len(value) == len(other) and all(map(same, value, other))
-    if isinstance(value, dict):
-        return list(value) == list(other) and all(same(item, other[key]) for key, item in value.items())
-    return value.same(other) if isinstance(value, Memory) else bool(value == other)
+    return value is other or list(_parts(value)) == list(_parts(other))
 
 
-def _feed(total: "hashlib._Hash", value: Any) -> None:  # noqa: ANN401
-    total.update(type(value).__name__.encode())
-    if isinstance(value, np.ndarray):
-        total.update(f"{value.dtype.str}{value.shape}".encode() + value.tobytes())
+def _parts(value: Any) -> Iterator[str | bytes]:  # noqa: ANN401
+    """Type and content of a plain value: equal lists of these for equal bits."""
+    yield type(value).__name__
+    if isinstance(value, np.ndarray | np.generic):
+        yield f"{value.dtype.str}{value.shape}"
+        yield value.tobytes()
     elif isinstance(value, State):
-        total.update(value.spec.name.encode() + value.header.tobytes() + b"|" + value.elements.tobytes())
+        yield from (value.spec.name, value.header.tobytes(), value.elements.tobytes())
     elif isinstance(value, Memory):
         for name in value.__slots__:
-            _feed(total, getattr(value, name))
+            yield from _parts(getattr(value, name))
     elif isinstance(value, (tuple, list, dict)):
-        total.update(str(len(value)).encode())
+        yield str(len(value))
         for item in value.items() if isinstance(value, dict) else value:
-            _feed(total, item)
+            yield from _parts(item)
     elif isinstance(value, float):
-        total.update(struct.pack("d", value))
+        yield struct.pack("d", value)
     elif value is None or isinstance(value, (int, str, bytes)):
-        total.update(repr(value).encode())
+        yield repr(value)
+    elif isinstance(value, set):
+        yield repr(sorted(value))
 
 
 Content = TypeVar("Content")

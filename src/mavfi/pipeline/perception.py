@@ -8,13 +8,14 @@ import numpy as np
 
 from mavfi.kernels.perception import collision_check, octomap
 from mavfi.kernels.perception.key_sets import KeyFrame
+from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
 from mavfi.pipeline.maps import make_map
 from mavfi.pipeline.memory import Memory, Remembers
-from mavfi.states import STATES, Stage, State, floats, new_state
+from mavfi.states import Stage, State, floats, new_state, rows
 
 _UNKNOWN_HORIZON = 15.0
 
@@ -39,23 +40,21 @@ class PointCloud(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """A depth image makes a step due."""
-        del time_us
         self.memory.depth = state
         return True
 
     def step(self, time_us: int) -> list[State]:
         """Back-project the stored image; returns the point cloud."""
-        del time_us
-        depth = self.memory.depth
+        config, depth = self._config, self.memory.depth
         pose = floats(depth.header, 7)
         ranges = np.ascontiguousarray(depth.elements["range"])
-        count = min(len(ranges), len(self._config.directions))
+        count = min(len(ranges), len(config.directions))
         cloud = new_state("perception.point_cloud", count)
         points = cloud.elements.view(np.float32).reshape(count, 3)
         rotation = np.zeros((3, 3))
         rotation_matrix(pose[3:7], rotation)
-        self._config.functions.back_project(
-            ranges[:count], self._config.directions, rotation, pose[:3], self._config.camera.range, points
+        config.functions.back_project(
+            ranges[:count], config.directions, rotation, pose[:3], config.camera.range, points
         )
         floats(cloud.header, 3)[:] = pose[:3]
         return [cloud]
@@ -108,20 +107,18 @@ class OctoMap(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """A point cloud makes a step due."""
-        del time_us
         self.memory.cloud = state
         return True
 
     def step(self, time_us: int) -> list[State]:
         """Integrate the stored cloud; returns the map update."""
-        del time_us
-        self.memory.scan += 1
-        points = self.memory.cloud.elements.view(np.float32).reshape(-1, 3)
-        voxels, log_odds = self.map.insert(points, floats(self.memory.cloud.header, 3))
+        memory = self.memory
+        memory.scan += 1
+        points = memory.cloud.elements.view(np.float32).reshape(-1, 3)
+        voxels, log_odds = self.map.insert(points, floats(memory.cloud.header, 3))
         update = new_state("perception.map_update", len(voxels))
-        update.header["scan"] = self.memory.scan
-        update.elements["voxel"] = voxels
-        update.elements["log_odds"] = log_odds
+        update.header["scan"] = memory.scan
+        update.elements["voxel"], update.elements["log_odds"] = voxels, log_odds
         return [update]
 
     def mark(self) -> None:
@@ -198,20 +195,19 @@ class CollisionCheck(Remembers):
 
     def receive(self, state: State, time_us: int) -> bool:
         """A map update makes a step due; with a check of every map, so does a new trajectory."""
-        del time_us
-        name = state.spec.name
+        name, memory = state.spec.name, self.memory
         if name == "perception.map_update":
             self.clearance_map.apply(state)
-            self.memory.again = self.memory.rolled_back
+            memory.again = memory.rolled_back
             return True
         if name == self._config.odometry:
-            self.memory.position = floats(state.header, 3).copy()
+            memory.position = floats(state.header, 3).copy()
         elif name == "planning.waypoint":
-            self.memory.waypoint = state
+            memory.waypoint = state
         elif name == "control.tracking":
-            self.memory.remaining = float(state.header["remaining"][0])
+            memory.remaining = state.value("remaining")
         elif name == "perception.collision_status":
-            self.memory.published = state
+            memory.published = state
         else:
             return self._take_trajectory(state)
         return False
@@ -220,64 +216,60 @@ class CollisionCheck(Remembers):
         if self._every_map and len(state.elements) == 0:
             return False  # planning failed: the current trajectory remains in force
         # a new trajectory takes effect some periods after its publication: its predecessor is still needed
-        self.memory.trajectories[int(state.header["trajectory_seq"][0])] = state
-        while len(self.memory.trajectories) > 2:
-            del self.memory.trajectories[next(iter(self.memory.trajectories))]
+        number, trajectories = state.value("trajectory_seq"), self.memory.trajectories
+        trajectories[number] = state
+        while len(trajectories) > 2:
+            del trajectories[next(iter(trajectories))]
         if len(state.elements) == 0:
             return False
-        points = floats(state.elements, 11).reshape(-1, 11)
-        voxel = voxel_of(self.clearance_map.grid, points[0, 0], points[0, 1], points[0, 2])
-        if voxel >= 0 and self.clearance_map.narrow[voxel] > 0:
-            self.memory.escaping = int(state.header["trajectory_seq"][0])
+        if self._too_close(rows(state.elements, 3)[0]):
+            self.memory.escaping = number
         return self._every_map
+
+    def _too_close(self, point: np.ndarray) -> bool:
+        """Whether a point is within the checker's radius of an obstacle."""
+        voxel = voxel_of(self.clearance_map.grid, point[0], point[1], point[2])
+        return voxel >= 0 and bool(self.clearance_map.narrow[voxel] > 0)
 
     def _in_force(self) -> tuple[State | None, int, int]:
         """Trajectory in force, index of its current point, and its collision sequence number."""
-        if self._every_map and self.memory.trajectories:
-            newest = next(reversed(self.memory.trajectories))
-            if self.memory.waypoint is None or int(self.memory.waypoint.header["trajectory_seq"][0]) != newest:
-                trajectory = self.memory.trajectories[newest]
-                return trajectory, 0, int(trajectory.header["future_collision_seq"][0])
-        if self.memory.waypoint is None:
+        waypoint, trajectories = self.memory.waypoint, self.memory.trajectories
+        if self._every_map and trajectories:
+            newest = next(reversed(trajectories))
+            if waypoint is None or waypoint.value("trajectory_seq") != newest:
+                return trajectories[newest], 0, trajectories[newest].value("future_collision_seq")
+        if waypoint is None:
             return None, -1, 0
-        header = self.memory.waypoint.header[0]
-        return (
-            self.memory.trajectories.get(int(header["trajectory_seq"])), int(header["index"]),
-            int(header["future_collision_seq"]),
-        )  # fmt: skip
+        number, index, alarm_seq = map(waypoint.value, ("trajectory_seq", "index", "future_collision_seq"))
+        return trajectories.get(number), index, alarm_seq
 
     def step(self, time_us: int) -> list[State]:
         """Check the remaining trajectory in force on the current map."""
-        del time_us
-        self.memory.stepped = True
-        seq = int(self.memory.published.header["future_collision_seq"][0])
-        status = State(
-            STATES[self.writes[0]], np.zeros(1, self.memory.published.header.dtype), self.memory.published.elements
-        )
+        memory, config, clearance = self.memory, self._config, self.clearance_map
+        memory.stepped = True
+        seq, status = memory.published.value("future_collision_seq"), new_state("perception.collision_status")
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
-        if self.memory.again:
-            self.memory.again = self.memory.rolled_back = False  # a recomputation uses the inputs of the original step
+        if memory.again:
+            memory.again = memory.rolled_back = False  # a recomputation uses the inputs of the original step
         else:
-            self.memory.used = (*self._in_force(), self.memory.position, self.memory.remaining)
-        assert self.memory.used is not None  # `again` requires an earlier step
-        trajectory, index, alarm_seq, position, remaining = self.memory.used
+            memory.used = (*self._in_force(), memory.position, memory.remaining)
+        assert memory.used is not None  # `again` requires an earlier step
+        trajectory, index, alarm_seq, position, remaining = memory.used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
-        config = self._config
         unanswered = alarm_seq < seq and not self._every_map
         if unanswered and config.autopilot.alarm == "one_shot":
             return [status]
-        points = floats(trajectory.elements, 11).reshape(-1, 11)
+        points = rows(trajectory.elements, POINT_WIDTH)
         time = config.functions.time_to_collision(
-            self.clearance_map.narrow, self.clearance_map.grid, position, points, index, remaining,
-            config.autopilot.geofence,
+            clearance.narrow, clearance.grid, position, points, index, remaining, config.autopilot.geofence
         )  # fmt: skip
         header = status.header[0]
         if self._every_map:
-            number = int(trajectory.header["trajectory_seq"][0])
+            number = trajectory.value("trajectory_seq")
             blocked, unknown = config.functions.known_free_distance(
-                self.clearance_map.narrow, self.clearance_map.cells, self.clearance_map.grid, points, index,
-                _UNKNOWN_HORIZON, self._reach, self._still_escaping(number, points[index]),
+                clearance.narrow, clearance.cells, clearance.grid, points, index, _UNKNOWN_HORIZON, self._reach,
+                self._still_escaping(number, points[index]),
             )  # fmt: skip
             header["trajectory_seq"] = number
             header["distance_to_blocked"], header["distance_to_unknown"] = blocked, unknown
@@ -292,8 +284,7 @@ class CollisionCheck(Remembers):
         """Whether the trajectory starts too close to an obstacle, and the reference has not left that zone yet."""
         if number != self.memory.escaping:
             return False
-        voxel = voxel_of(self.clearance_map.grid, point[0], point[1], point[2])
-        if voxel >= 0 and self.clearance_map.narrow[voxel] > 0:
+        if self._too_close(point):
             return True
         self.memory.escaping = -1
         return False

@@ -1,8 +1,8 @@
 """Path searches by name.  A user's own planner is a class with the interface of `PathSearch` and an entry point."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Protocol, cast
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from mavfi.kernels.planning.trajectory import CURVE_LIMIT
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.pipeline.scratch import SearchScratch, arrays_of
 from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
@@ -26,8 +25,6 @@ _STAR_NODE_LIMIT = 200_001
 
 _Problem = tuple[np.ndarray, Grid, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Arguments of `PathSearch.search`."""
-
-
 MOST_VERTICES = CURVE_LIMIT // 40
 """Vertices of a path up to which it is timed."""
 
@@ -56,6 +53,45 @@ class PathSearch(Protocol):
         Returns:
             Finite vertices from start to goal (m). Shape (n, 3), n at most `MOST_VERTICES`; n = 0: none found.
         """
+
+
+class SearchScratch:
+    """`Scratch` of a path search: a copy of its arrays, shared by all instants between two searches.
+
+    Args:
+        arrays: The arrays.
+    """
+
+    def __init__(self, arrays: Sequence[np.ndarray]) -> None:
+        self._arrays = arrays
+        self._saved: tuple[np.ndarray, ...] | None = None
+
+    def changes(self) -> None:
+        """The arrays are written now."""
+        self._saved = None
+
+    def save(self) -> tuple[np.ndarray, ...]:
+        """See `Scratch.save`."""
+        if self._saved is None:
+            self._saved = tuple(array.copy() for array in self._arrays)
+        return self._saved
+
+    def restore(self, saved: tuple[np.ndarray, ...]) -> None:
+        """See `Scratch.restore`; arrays are written at once."""
+        if saved is not self._saved:
+            for array, content in zip(self._arrays, saved, strict=True):
+                array[:] = content
+        self._saved = saved
+
+    def fill(self) -> None:
+        """See `Scratch.fill`."""
+
+
+def arrays_of(value: Any) -> list[np.ndarray]:  # noqa: ANN401
+    """All arrays in nested tuples, in order."""
+    if isinstance(value, tuple):
+        return [array for part in value for array in arrays_of(part)]
+    return [value] if isinstance(value, np.ndarray) else []
 
 
 class SamplingSearch(ABC):
@@ -116,9 +152,8 @@ class Rrt(SamplingSearch):
 
     def _run(self, problem: _Problem) -> int:
         config = self._config
-        return cast(int, self.functions.plan_rrt(
-            *problem, config.range, config.goal_bias, config.iterations, self.random,
-            self._tree, self._path,
+        return int(self.functions.plan_rrt(
+            *problem, config.range, config.goal_bias, config.iterations, self.random, self._tree, self._path
         ))  # fmt: skip
 
 
@@ -131,9 +166,8 @@ class RrtConnect(SamplingSearch):
         self.scratch = SearchScratch(arrays_of((self._trees, self._path, self._buffer)))
 
     def _run(self, problem: _Problem) -> int:
-        return cast(int, self.functions.plan_rrt_connect(
-            *problem, self._config.range, self._config.iterations, self.random,
-            self._trees, self._path,
+        return int(self.functions.plan_rrt_connect(
+            *problem, self._config.range, self._config.iterations, self.random, self._trees, self._path
         ))  # fmt: skip
 
 
@@ -152,7 +186,7 @@ class RrtStar(SamplingSearch):
 
     def _run(self, problem: _Problem) -> int:
         config = self._config
-        return cast(int, self.functions.plan_rrt_star(
+        return int(self.functions.plan_rrt_star(
             *problem, config.range, config.goal_bias, config.iterations,
             min(self._longest, config.iterations * config.restarts), self.random, self._tree, self._path,
         ))  # fmt: skip
@@ -163,8 +197,6 @@ _SHIPPED = {
     "rrt_connect": "mavfi.pipeline.planners:RrtConnect",
     "rrt_star": "mavfi.pipeline.planners:RrtStar",
 }
-
-
 _METHODS = {"search": "counter, grid, start, goal, lower, upper"}
 """Parameters of a planner's methods."""
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavfi.kernels.planning import path as paths
-from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as setpoint
+from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.vectors import length
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.routes import PLANNING_ACCELERATION, Routes
 from mavfi.pipeline.trajectories import BRAKING
-from mavfi.states import Stage, State, floats, new_state
+from mavfi.states import Stage, State, floats, new_state, rows
 
 _RETRY_US = 500_000
 _ADOPTION_US = 3_000_000
@@ -105,135 +105,136 @@ class MotionPlanner(Remembers):
         return False
 
     def _take_status(self, state: State) -> None:
-        self.memory.status = state
-        seq = int(state.header["future_collision_seq"][0])
-        if bool(state.header["collision"][0]) and seq > self.memory.decisions.acted_seq:
-            self.memory.decisions.acted_seq = seq
-            self.memory.decisions.alarm = float(state.header["time_to_collision"][0])
+        self.memory.status, decisions = state, self.memory.decisions
+        seq = state.value("future_collision_seq")
+        if state.value("collision") and seq > decisions.acted_seq:
+            decisions.acted_seq, decisions.alarm = seq, state.value("time_to_collision")
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
         if self._every_map and len(state.elements) == 0:
             return  # planning failed: the current trajectory remains in force
-        self.memory.trajectory = state
+        memory = self.memory
+        memory.trajectory = state
         if len(state.elements):
-            self.memory.arc = np.zeros(len(state.elements))
-            setpoint.arc_lengths(
-                floats(state.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH), self.memory.arc
-            )
-        self.memory.decisions.progress, self.memory.decisions.progress_us = -np.inf, time_us
+            memory.arc = np.zeros(len(state.elements))
+            setpoint.arc_lengths(rows(state.elements, POINT_WIDTH), memory.arc)
+        memory.decisions.progress, memory.decisions.progress_us = -np.inf, time_us
 
     def _take_odometry(self, state: State, time_us: int) -> bool:
-        self.memory.odometry = floats(state.header, 13)
-        position = self.memory.odometry[:3]
-        if not self.memory.crumbs or paths.distance(self.memory.crumbs[-1], position) > _CRUMB:
-            self.memory.crumbs.append(position.copy())
+        memory = self.memory
+        memory.odometry = floats(state.header, 13)
+        position = memory.odometry[:3]
+        if not memory.crumbs or paths.distance(memory.crumbs[-1], position) > _CRUMB:
+            memory.crumbs.append(position.copy())
         if self._every_map:
             return False
-        if self.memory.decisions.alarm >= 0.0:
+        if memory.decisions.alarm >= 0.0:
             return True
-        return self._idle() and time_us >= self.memory.decisions.retry_us and not self._adoption_pending(time_us)
+        return self._idle() and time_us >= memory.decisions.retry_us and not self._adoption_pending(time_us)
 
     def _idle(self) -> bool:
         """Whether no trajectory is flown although a map is available."""
-        if self.memory.waypoint is None or self.clearance_map.updates == 0:
-            return False
-        return int(self.memory.waypoint.header["index"][0]) < 0
+        waypoint = self.memory.waypoint
+        return waypoint is not None and self.clearance_map.updates != 0 and waypoint.value("index") < 0
 
     def _adoption_pending(self, time_us: int) -> bool:
         """Whether the last trajectory is about to be adopted, e.g. once the vehicle is at rest."""
-        if self.memory.trajectory is None or len(self.memory.trajectory.elements) == 0:
+        if not self._has_points() or self._same_trajectory(self.memory.waypoint):
             return False
-        new = self.memory.waypoint is None or not self._same_trajectory(self.memory.waypoint)
-        return new and time_us - self.memory.decisions.progress_us < _ADOPTION_US
+        return time_us - self.memory.decisions.progress_us < _ADOPTION_US
 
     def _on_trajectory(self) -> tuple[int, float]:
         """Index of the way-point on the last trajectory, and its arc length (m); (-1, 0) if none is flown."""
-        if self.memory.waypoint is None or self.memory.trajectory is None or len(self.memory.trajectory.elements) == 0:
+        waypoint, arc = self.memory.waypoint, self.memory.arc
+        if waypoint is None or waypoint.value("index") < 0:
             return -1, 0.0
-        index = int(self.memory.waypoint.header["index"][0])
-        if index < 0 or not self._same_trajectory(self.memory.waypoint):
+        if not self._has_points() or not self._same_trajectory(waypoint):
             return -1, 0.0
-        index = min(index, len(self.memory.arc) - 1)
-        return index, float(self.memory.arc[index])
+        index = min(waypoint.value("index"), len(arc) - 1)
+        return index, float(arc[index])
 
-    def _same_trajectory(self, state: State) -> bool:
+    def _has_points(self) -> bool:
+        """Whether a trajectory was published, and the last one is not empty."""
+        trajectory = self.memory.trajectory
+        return trajectory is not None and len(trajectory.elements) > 0
+
+    def _same_trajectory(self, state: State | None) -> bool:
         """Whether a state refers to the last published trajectory."""
-        return self.memory.trajectory is not None and int(state.header["trajectory_seq"][0]) == int(
-            self.memory.trajectory.header["trajectory_seq"][0]
-        )
+        trajectory = self.memory.trajectory
+        if trajectory is None or state is None:
+            return False
+        return bool(state.value("trajectory_seq") == trajectory.value("trajectory_seq"))
 
     def _wants_new_plan(self, time_us: int) -> bool:
         """Policy `every_map`: no trajectory, blocked, ended short of the goal, or no progress."""
-        memory, config = self.memory.decisions, self._config
-        if self.memory.status is None:
+        memory, decisions = self.memory, self.memory.decisions
+        if memory.status is None:
             return False
-        if time_us < memory.settled_us:
+        if time_us < decisions.settled_us:
             return False  # the last plan is still in transit
         index, along = self._on_trajectory()
-        position = self.memory.odometry[:3]
-        to_goal = paths.distance(position, config.goal)
-        if to_goal < memory.best_distance - 1.0:
-            memory.best_distance, memory.best_us = to_goal, time_us
-        if index < 0 or along - memory.progress > _MARGIN:
-            memory.progress, memory.progress_us = along, time_us
+        to_goal = paths.distance(memory.odometry[:3], self._config.goal)
+        if to_goal < decisions.best_distance - 1.0:
+            decisions.best_distance, decisions.best_us = to_goal, time_us
+        if index < 0 or along - decisions.progress > _MARGIN:
+            decisions.progress, decisions.progress_us = along, time_us
         if index < 0:
-            return time_us >= memory.retry_us
-        if bool(self.memory.status.header["collision"][0]) and self._same_trajectory(self.memory.status):
+            return time_us >= decisions.retry_us
+        if memory.status.value("collision") and self._same_trajectory(memory.status):
             return True
-        stuck = time_us - memory.progress_us > _STUCK_US
-        patience = config.autopilot.progress_timeout
-        lost = patience > 0.0 and time_us - memory.best_us > 1e6 * patience
+        stuck = time_us - decisions.progress_us > _STUCK_US
+        patience = self._config.autopilot.progress_timeout
+        lost = patience > 0.0 and time_us - decisions.best_us > 1e6 * patience
         if stuck or lost:
-            memory.progress_us = memory.best_us = time_us
-        return stuck or lost or index >= len(self.memory.arc) - 1
+            decisions.progress_us = decisions.best_us = time_us
+        return stuck or lost or index >= len(memory.arc) - 1
 
     # ---- planning ---------------------------------------------------------------------------------------------------
     def step(self, time_us: int) -> list[State]:
         """Plan once; an empty path reports failure."""
-        memory = self.memory.decisions
+        decisions, config = self.memory.decisions, self._config
         if self._every_map:
             path = self._plan_from_junction()
         else:
-            alarm, memory.alarm = memory.alarm, -1.0
+            alarm, decisions.alarm = decisions.alarm, -1.0
             path = self._plan_in_flight(alarm) if alarm >= 0.0 else None
             path = path or self._plan_from_rest()
-        memory.retry_us = time_us + _RETRY_US
-        memory.settled_us = time_us + int(1e6 * self._config.plan_latency) + 2 * self._config.control_period_us
+        decisions.retry_us = time_us + _RETRY_US
+        decisions.settled_us = time_us + int(1e6 * config.plan_latency) + 2 * config.control_period_us
         if path is None:
-            memory.failures += 1
+            decisions.failures += 1
             path = self._backtrack() or new_state("planning.path")
         else:
-            memory.failures = 0
-        path.header["future_collision_seq"] = memory.acted_seq
+            decisions.failures = 0
+        path.header["future_collision_seq"] = decisions.acted_seq
         return [path]
 
     def _path(self, vertices: np.ndarray, entry_speed: float, junction: int = -1) -> State:
         path = new_state("planning.path", len(vertices))
-        floats(path.elements, 3).reshape(-1, 3)[:] = vertices
-        path.header["entry_speed"] = entry_speed
-        path.header["junction"] = junction
+        rows(path.elements, 3)[:] = vertices
+        path.header["entry_speed"], path.header["junction"] = entry_speed, junction
         return path
 
     def _plan_from_rest(self) -> State | None:
         """Plan from the predicted rest position; with the checker's radius if the planner's does not fit."""
-        position, velocity = self.memory.odometry[:3], self.memory.odometry[3:6]
-        speed = length(velocity)
-        stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
+        config, position, velocity = self._config, self.memory.odometry[:3], self.memory.odometry[3:6]
+        is_plausible = length(velocity) < 2.0 * config.v_max
+        stop = position + velocity * config.velocity_lag if is_plausible else position.copy()
         found = self.routes.first_found(stop)
         return None if found is None else self._path(found, 0.0)
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Plan a replacement without stopping, if the predicted collision is late enough."""
-        autopilot = self._config.autopilot
-        velocity = self.memory.odometry[3:6]
+        config, clearance, velocity = self._config, self.clearance_map, self.memory.odometry[3:6]
         speed = length(velocity)
-        if not alarm > autopilot.grace + _EMERGENCY_STOP_TIME or self._idle() or not speed < 2.0 * self._config.v_max:
+        is_late_enough = alarm > config.autopilot.grace + _EMERGENCY_STOP_TIME
+        if not is_late_enough or self._idle() or not speed < 2.0 * config.v_max:
             return None
-        start = self.memory.odometry[:3] + velocity * self._config.plan_latency
+        start = self.memory.odometry[:3] + velocity * config.plan_latency
         lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))
-        if not segment_free(self.clearance_map.narrow, self.clearance_map.grid, start, lead):
+        if not segment_free(clearance.narrow, clearance.grid, start, lead):
             return None
-        found = self.routes.between(lead, self.clearance_map.wide)
+        found = self.routes.between(lead, clearance.wide)
         if found is None:
             return None
         leading = [start] if speed < 0.2 else [start, lead]
@@ -243,32 +244,29 @@ class MotionPlanner(Remembers):
 
     def _plan_from_junction(self) -> State | None:
         """Plan from the point of the current trajectory at which the vehicle can be when the plan arrives."""
-        config = self._config
+        memory, latency = self.memory, self._config.plan_latency
         index, along = self._on_trajectory()
         if index < 0:
             junction, start, speed = -1, self._standing_point(), 0.0
             velocity = np.zeros(3)
         else:
-            waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)  # type: ignore[union-attr]
-            speed = length(waypoint[4:7])
+            speed = length(floats(memory.waypoint.header, 7)[4:])  # type: ignore[union-attr]
             distance = along
             if speed > 0.1:
-                distance += 1.5 * speed * config.plan_latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
-            blocked = float(self.memory.status.header["distance_to_blocked"][0])  # type: ignore[union-attr]
-            soonest = along + speed * config.plan_latency + speed * speed / (2.0 * BRAKING)
+                distance += 1.5 * speed * latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
+            blocked = memory.status.value("distance_to_blocked")  # type: ignore[union-attr]
+            soonest = along + speed * latency + speed * speed / (2.0 * BRAKING)
             distance = max(min(distance, blocked - _MARGIN), soonest)
-            junction = min(int(np.searchsorted(self.memory.arc, distance)), len(self.memory.arc) - 1)
-            points = floats(self.memory.trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]
-            point = points.reshape(-1, timing.POINT_WIDTH)[junction]
+            junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
+            point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]  # type: ignore[union-attr]
             start, velocity = point[:3].copy(), point[4:7].copy()
         found = self.routes.fastest(start, velocity)
         return None if found is None else self._path(found, speed, junction)
 
     def _standing_point(self) -> np.ndarray:
         """Reference position while no trajectory is flown."""
-        if self.memory.waypoint is None:
-            return self.memory.odometry[:3].copy()
-        return floats(self.memory.waypoint.header, timing.POINT_WIDTH)[:3].copy()
+        waypoint = self.memory.waypoint
+        return self.memory.odometry[:3].copy() if waypoint is None else floats(waypoint.header, 3).copy()
 
     def _backtrack(self) -> State | None:
         """After repeated failures: return along the flown path into known free space (policy `every_map`)."""
@@ -302,5 +300,5 @@ class MotionPlanner(Remembers):
         trajectory = last.get("planning.trajectory")
         if trajectory is not None:
             self._take_trajectory(trajectory, time_us)
-            self.memory.decisions.acted_seq = int(trajectory.header["future_collision_seq"][0])
+            self.memory.decisions.acted_seq = trajectory.value("future_collision_seq")
         return ()

@@ -10,6 +10,7 @@ from mavfi.kernels.planning import knots, minimum_snap, time_allocation
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as setpoint
+from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.vectors import length
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.control import MAX_YAW_RATE
@@ -17,7 +18,7 @@ from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.planners import MOST_VERTICES
 from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
-from mavfi.states import Stage, State, floats, new_state
+from mavfi.states import Stage, State, floats, new_state, rows
 
 BRAKING = 4.0
 """Maximum planned deceleration (m/s^2)."""
@@ -74,6 +75,7 @@ class TrajectoryGenerator(Remembers):
 
     def __init__(self, config: PipelineConfig, clearance: ClearanceMap) -> None:
         self._config = config
+        self._step = 1e-6 * config.control_period_us
         self._splices = config.autopilot.replanning == "every_map"
         self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
         self._clearance_map = clearance
@@ -82,47 +84,45 @@ class TrajectoryGenerator(Remembers):
         self._curve = np.zeros((timing.CURVE_LIMIT, 3))
         self._arc = np.zeros(timing.CURVE_LIMIT)
         self._speed = np.zeros(timing.CURVE_LIMIT)
-        self._dense = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
-        self._held = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
+        self._dense = np.zeros((timing.POINT_LIMIT, POINT_WIDTH))
+        self._held = np.zeros((timing.POINT_LIMIT, POINT_WIDTH))
         self._work = knots.new_work()
         self.fallbacks = 0
 
     def receive(self, state: State, time_us: int) -> bool:
         """A path makes a step due."""
-        del time_us
-        name = state.spec.name
+        name, memory = state.spec.name, self.memory
         if name == "planning.path":
-            self.memory.path = state
+            memory.path = state
             return True
         if name == "planning.waypoint":
-            self.memory.waypoint = state
+            memory.waypoint = state
         elif len(state.elements) or not self._splices:
-            self.memory.flown = state
+            memory.flown = state
         return False
 
     def step(self, time_us: int) -> list[State]:
         """Time the path; an empty path yields an empty trajectory, as in the published code."""
-        del time_us
-        self.memory.seq += 1
+        memory = self.memory
+        memory.seq += 1
         points = self._points()
         trajectory = new_state("planning.trajectory", len(points))
-        trajectory.header["trajectory_seq"] = self.memory.seq
-        trajectory.header["future_collision_seq"] = self.memory.path.header["future_collision_seq"]
-        floats(trajectory.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)[:] = points
+        trajectory.header["trajectory_seq"] = memory.seq
+        trajectory.header["future_collision_seq"] = memory.path.header["future_collision_seq"]
+        rows(trajectory.elements, POINT_WIDTH)[:] = points
         return [trajectory]
 
     def _points(self) -> np.ndarray:
-        config = self._config
-        vertices = floats(self.memory.path.elements, 3).reshape(-1, 3)
-        motion = _Motion(float(self.memory.path.header["entry_speed"][0]))
+        config, path = self._config, self.memory.path
+        vertices, motion = rows(path.elements, 3), _Motion(path.value("entry_speed"))
         if len(vertices) and self._splices:
             vertices, motion = self._splice(vertices, motion.speed)
         vertices = _without_repeats(vertices)
         if len(vertices) < 2 or len(vertices) > MOST_VERTICES:
-            return np.zeros((0, timing.POINT_WIDTH))
+            return np.zeros((0, POINT_WIDTH))
         n = self._polynomials(vertices, motion) if config.autopilot.smoothing == "minimum_snap" else 0
         n = n or self._blends(vertices, motion.speed)
-        step = 1e-6 * config.control_period_us
+        step = self._step
         if n == 0 or config.autopilot.sampling == "interpolated":
             return self._dense[:n]
         per_point = max(1, round(config.autopilot.point_period / step))
@@ -149,8 +149,7 @@ class TrajectoryGenerator(Remembers):
         if count < 2:
             return 0
         timing.speed_profile(clearance.wide, clearance.grid, self._curve, count, entry, limits, self._arc, self._speed)
-        step = 1e-6 * self._config.control_period_us
-        return timing.sample(self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense)
+        return timing.sample(self._curve, count, self._arc, self._speed, self._step, limits.look, 0.0, self._dense)
 
     def _polynomials(self, vertices: np.ndarray, motion: _Motion) -> int:
         """Sample a minimum-snap curve; returns the number of dense points, 0 = infeasible."""
@@ -172,23 +171,22 @@ class TrajectoryGenerator(Remembers):
         if n == 0:
             self.fallbacks += 1
             return 0
-        step = 1e-6 * self._config.control_period_us
         return minimum_snap.sample(
-            self._work.ends, self._work.times, n, step, limits.look, motion.yaw, MAX_YAW_RATE, self._dense
+            self._work.ends, self._work.times, n, self._step, limits.look, motion.yaw, MAX_YAW_RATE, self._dense
         )
 
     def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, _Motion]:
         """Remaining trajectory in force up to the junction, then the new path; timed from the current speed."""
-        junction = int(self.memory.path.header["junction"][0])
-        if self.memory.waypoint is None or self.memory.flown is None or junction < 0:
+        memory = self.memory
+        junction = memory.path.value("junction")
+        if memory.waypoint is None or memory.flown is None or junction < 0:
             return vertices, _Motion(0.0)
-        points = floats(self.memory.flown.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)
-        index = int(self.memory.waypoint.header["index"][0])
+        points, index = rows(memory.flown.elements, POINT_WIDTH), memory.waypoint.value("index")
         if not 0 <= index < len(points) or not junction < len(points):
             return vertices, _Motion(entry)
         arc = np.zeros(len(points))
         setpoint.arc_lengths(points, arc)
-        waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)
+        waypoint = floats(memory.waypoint.header, POINT_WIDTH)
         speed = length(waypoint[4:7])
         stand = int(np.searchsorted(arc, arc[index] + speed * speed / (2.0 * BRAKING)))
         tail = vertices
@@ -216,7 +214,7 @@ class TrajectoryGenerator(Remembers):
         """Restore the last trajectory: its sequence number, and its points for splicing."""
         trajectory = last.get("planning.trajectory")
         if trajectory is not None:
-            self.memory.seq = int(trajectory.header["trajectory_seq"][0])
+            self.memory.seq = trajectory.value("trajectory_seq")
             self.receive(trajectory, time_us)
         return ()
 

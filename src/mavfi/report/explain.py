@@ -1,12 +1,12 @@
 """Step-by-step explanation of a fault's effects against the golden run, for faults of every level."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mavfi.campaign.divergence import LEFT, Departure, Difference, Spread
-from mavfi.campaign.plan import RunSpec
-from mavfi.campaign.replay import Explanation
+from mavfi.campaign.divergence import LEFT
 from mavfi.faults.fault import Fault, find_level
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
@@ -22,7 +22,12 @@ from mavfi.record import (
     Injection,
     KernelEffect,
 )
-from mavfi.report.text import change, lost, signed_percent
+from mavfi.report.numbers import change, lost, signed_percent
+
+if TYPE_CHECKING:
+    from mavfi.campaign.divergence import Departure, Difference, Spread
+    from mavfi.campaign.plan import RunSpec
+    from mavfi.campaign.replay import Explanation
 
 MOST_ALARMS = 8
 """Maximum number of alarms listed individually."""

@@ -2,7 +2,7 @@
 
 from mavfi.campaign.shrink import Shrunk, Trial
 from mavfi.levels.level import text_of
-from mavfi.report.text import change
+from mavfi.report.numbers import change
 
 Lines = list[tuple[str, str]]
 _WHAT = {"publications": "fewer wrong publications", "width": "one bit instead of several",

@@ -9,7 +9,7 @@ from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionSpec, MissionStatus, time_limit
-from mavfi.sim.environments.arena import arena_world
+from mavfi.sim.environments.generated import arena_world
 
 AUTOPILOTS = ("published", "hardened")
 GOAL = (45.0, 5.0, 3.0)

@@ -20,7 +20,7 @@ import mavfi
 from pathlib import Path
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.program import run_program
+from mavfi.extras.airsim.host import run_program
 from mavfi.levels.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
 from mavfi.levels.instruction import InstructionRequest

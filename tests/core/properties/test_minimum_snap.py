@@ -8,7 +8,7 @@ from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.pipeline.trajectories import TrajectoryGenerator
-from mavfi.states import floats, new_state
+from mavfi.states import new_state, rows
 from tests.core.unit.pipeline.parts import config
 
 coordinate = st.tuples(st.floats(1.0, 19.0), st.floats(1.0, 9.0), st.floats(1.0, 5.0))
@@ -22,12 +22,12 @@ def generated(vertices, autopilot, entry=0.0):
     settings_ = config(autopilot, smoothing="minimum_snap")
     generator = TrajectoryGenerator(settings_, ClearanceMap(settings_))
     path = new_state("planning.path", len(vertices))
-    floats(path.elements, 3).reshape(-1, 3)[:] = vertices
+    rows(path.elements, 3)[:] = vertices
     path.header["junction"] = -1
     path.header["entry_speed"] = entry
     generator.receive(path, 0)
     (state,) = generator.step(0)
-    return floats(state.elements, 11).reshape(-1, 11), generator
+    return rows(state.elements, 11), generator
 
 
 def apart(vertices, least=0.5):

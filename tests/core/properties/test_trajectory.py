@@ -6,7 +6,7 @@ from mavfi.kernels.planning import trajectory
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.trajectories import TrajectoryGenerator
-from mavfi.states import floats, new_state
+from mavfi.states import new_state, rows
 from tests.core.unit.pipeline.parts import config
 
 V_TOLERANCE = 1.02
@@ -25,11 +25,11 @@ def points_of(vertices, autopilot):
     settings_ = config(autopilot)
     generator = TrajectoryGenerator(settings_, ClearanceMap(settings_))
     path = new_state("planning.path", len(vertices))
-    floats(path.elements, 3).reshape(-1, 3)[:] = vertices
+    rows(path.elements, 3)[:] = vertices
     path.header["junction"] = -1
     generator.receive(path, 0)
     (state,) = generator.step(0)
-    return floats(state.elements, trajectory.POINT_WIDTH).reshape(-1, trajectory.POINT_WIDTH), settings_
+    return rows(state.elements, trajectory.POINT_WIDTH), settings_
 
 
 def mean_acceleration(points, window=10):

@@ -6,12 +6,21 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.sim.environments.arena import CEILING, HALF_WIDTH, LENGTH
-from mavfi.sim.environments.clutter import clutter
-from mavfi.sim.environments.cuboids import HALO, _throw, cuboid_count, cuboids
-from mavfi.sim.environments.factory import factory
-from mavfi.sim.environments.farm import farm
-from mavfi.sim.environments.training import EXCLUDED, draw_law, training
+from mavfi.sim.environments.generated import (
+    CEILING,
+    EXCLUDED,
+    HALF_WIDTH,
+    HALO,
+    LENGTH,
+    _throw,
+    clutter,
+    cuboid_count,
+    cuboids,
+    draw_law,
+    factory,
+    farm,
+    training,
+)
 
 GROUND = LENGTH * 2 * HALF_WIDTH - 2 * (2 * HALO) ** 2
 seeds = st.integers(0, 10**7)
@@ -90,7 +99,7 @@ def test_any_law_is_met_or_refused_at_once(density, side, seed):
         return _throw(darts, ends, halo, pitch, centres)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mavfi.sim.environments.cuboids._throw", throw)
+        patch.setattr("mavfi.sim.environments.generated._throw", throw)
         try:
             world = cuboids(seed, density, side)
         except BadInputError as error:

@@ -13,6 +13,7 @@ from mavfi.states import (
     find_state,
     floats,
     new_state,
+    rows,
     states_with,
 )
 
@@ -22,19 +23,18 @@ WIDTH = {"f8": 8, "f4": 4, "i4": 4, "?": 1}
 @pytest.mark.parametrize("name", STATES)
 def test_the_leading_floats_of_a_state_share_its_memory(name):
     spec = STATES[name]
-    for fields, make in ((spec.header, lambda s: s.header), (spec.elements, lambda s: s.elements)):
+    for fields, records, is_header in ((spec.header, 1, True), (spec.elements, 1, False), (spec.elements, 3, False)):
         count = next((i for i, field in enumerate(fields) if field.dtype != "f8"), len(fields))
-        for records in (1, 3) if fields is spec.elements else (1,):
-            if not count:
-                continue
-            state = new_state(name, records)
-            array = make(state)
-            plain = floats(array, count)
-            assert np.shares_memory(plain, array)
-            assert plain.shape == ((count,) if records == 1 else (records, count))
-            plain.reshape(records, count)[-1] = np.arange(1.0, count + 1.0)
-            assert [array[field.name][-1] for field in fields[:count]] == list(range(1, count + 1))
-            assert all(array[field.name][-1] == 0 for field in fields[count:])
+        if not count:
+            continue
+        state = new_state(name, records)
+        array = state.header if is_header else state.elements
+        plain = floats(array, count) if is_header else rows(array, count)
+        assert np.shares_memory(plain, array)
+        assert plain.shape == ((count,) if is_header else (records, count))
+        plain.reshape(records, count)[-1] = np.arange(1.0, count + 1.0)
+        assert [array[field.name][-1] for field in fields[:count]] == list(range(1, count + 1))
+        assert all(array[field.name][-1] == 0 for field in fields[count:])
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -47,8 +47,8 @@ def test_the_bytes_of_a_header_share_its_memory(name):
         assert np.shares_memory(content, header)
 
 
-def test_no_elements_give_no_floats():
-    assert floats(new_state("planning.trajectory").elements, 11).shape == (0, 11)
+def test_no_elements_give_no_rows():
+    assert rows(new_state("planning.trajectory").elements, 11).shape == (0, 11)
 
 
 @pytest.mark.parametrize("name", STATES)

@@ -4,18 +4,17 @@ import pickle
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector, training
-from mavfi.detectors.recorder import Recording
-from mavfi.detectors.registry import of_all_fields
+from mavfi.campaign.training import fit
+from mavfi.detectors import load_detector
 from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.errors import BadInputError
-from mavfi.extras.bench.field_codes import CodeRecorder, Codes, FieldCodes, codes_are_whole
+from mavfi.extras.bench.field_codes import ALL_FIELDS, CodeRecorder, FieldCodes
 from mavfi.flight.fly import fly as fly_mission
 from mavfi.mission import MissionStatus
 from mavfi.states import AUTOPILOTS, STATES, new_state
 from tests.core.flights.missions import golden, mission
 from tests.core.unit.detectors import streams
-from tests.core.unit.detectors.streams import PROVENANCE, fly, later, odometry, record, strike
+from tests.core.unit.detectors.streams import PROVENANCE, fly, later, odometry, strike
 from tests.core.unit.detectors.test_registry import FITS
 
 NAMES = ("limits", "autoencoder_all")
@@ -45,8 +44,7 @@ def with_codes(events):
     for state, time_us in events:
         assert recorder.check(state, time_us) is None
         recorder.accept(state, time_us)
-    codes, known = recorder.codes(), record(events)
-    return Recording(known.kinds, known.times_us, known.content, codes.slots, codes.regimes, codes.own)
+    return recorder.recording()
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +54,11 @@ def recordings():
 
 @pytest.fixture(scope="module")
 def folder(recordings, tmp_path_factory):
-    found = training.fit_all_fields(recordings, {**PROVENANCE, "versions": {}})
-    assert set(found) == set(NAMES) == set(of_all_fields())
+    models = fit(ALL_FIELDS, recordings, PROVENANCE)
+    assert set(models) == {f"{name}-tuned" for name in NAMES}
     place = tmp_path_factory.mktemp("models")
-    training.save(found, place)
+    for model in models.values():
+        model.save(place)
     return place
 
 
@@ -232,15 +231,14 @@ def test_a_point_out_of_place_moves_a_residual(name, count, field):
 
 
 def test_recordings_that_cannot_serve_are_refused(recordings):
-    assert training.fit_all_fields([record(flight(0))], PROVENANCE) == {}
     wrong = strike(flight(0), 700, flight(0)[700][0].spec.header[0].name, np.inf)
     with pytest.raises(BadInputError, match="not finite"):
-        training.fit_all_fields([with_codes(wrong)], PROVENANCE)
-    good = Codes(recordings[0].slots, recordings[0].regimes, recordings[0].codes)
-    assert codes_are_whole(good)
-    assert not codes_are_whole(good._replace(own=good.own[:-1]))
-    assert not codes_are_whole(good._replace(slots=good.slots + np.int8(6)))
-    assert not codes_are_whole(good._replace(regimes=good.regimes[:-1]))
+        fit(ALL_FIELDS, [with_codes(wrong)], PROVENANCE)
+    good = recordings[0]
+    assert ALL_FIELDS.is_whole(good)
+    assert not ALL_FIELDS.is_whole(good._replace(codes=good.codes[:-1]))
+    assert not ALL_FIELDS.is_whole(good._replace(slots=good.slots + np.int8(6)))
+    assert not ALL_FIELDS.is_whole(good._replace(regimes=good.regimes[:-1]))
 
 
 # ---- shipped models -------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from mavfi.campaign.mission import model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import run_campaign
 from mavfi.config import config_root, names, parse
-from mavfi.detectors.registry import of_all_fields
+from mavfi.detectors.registry import trainable
 from mavfi.errors import BadInputError
 from mavfi.extras.bench import library
 from mavfi.extras.bench.bench import (
@@ -36,7 +36,7 @@ SLOW = BENCH.model_copy(
     update={"parts": {"slow": BENCH.parts["sites"].model_copy(update={"mission": {"platform": "cortex-a57"}})}}
 )
 """A bench on a computer that no detector was trained for."""
-LIBRARIES = set(of_all_fields(["bench"])) - set(of_all_fields())
+LIBRARIES = set(trainable(["bench"])) - set(trainable())
 
 
 def test_every_part_of_a_shipped_bench_can_be_flown():

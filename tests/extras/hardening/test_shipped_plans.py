@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.config import names, parse
-from mavfi.extras.hardening.golden import check_golden
+from mavfi.extras.hardening.observed import check_golden
 from mavfi.extras.hardening.plan import load_plan, save_plan, signature_text
 from mavfi.extras.hardening.protected import SOURCE
 from mavfi.flight.compose import resolve

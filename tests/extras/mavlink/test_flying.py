@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from mavfi.extras.airsim.tasks import HOLD_S, YAW_RATE
 from mavfi.extras.mavlink.flying import Setpoint, offboard, orbit
+from mavfi.flight.piloted import HOLD_S, YAW_RATE
 from mavfi.numerics import elementary
 
 

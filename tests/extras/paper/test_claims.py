@@ -5,8 +5,9 @@ import pytest
 
 from mavfi.analysis.statistics import holm
 from mavfi.errors import BadInputError
-from mavfi.extras.paper.claims import CLAIMS, Claim, Evidence, claims_table, register, verdict
-from mavfi.extras.paper.overheads import ALL
+from mavfi.extras.paper import claims
+from mavfi.extras.paper.claims import CLAIMS, Claim, Evidence, claims_table, verdict
+from mavfi.extras.paper.overhead_views import ALL
 from mavfi.record import EnergyTerms
 from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, alarm, flown, golden, injected, runs
 
@@ -26,19 +27,20 @@ def test_verdicts(corrected, supports, expected):
     assert verdict(Evidence("", 0.001, supports=supports), corrected) == expected
 
 
-def test_the_correction_is_over_all_claims_of_the_table():
+def test_the_correction_is_over_all_claims_of_the_table(monkeypatch):
     name = "of_this_test"
-    register(Claim(name, "It holds", "I", "handmade", "by hand", lambda _: Evidence("seen", 0.03, supports=True)))
-    try:
-        own = [runs(golden(1), injected(1, flown()))]
-        [alone] = claims_table([name], own).entries()
-        assert (alone["verdict"], alone["holm_p"]) == ("confirmed", 0.03)
-        first, second = claims_table([name, name], own).entries()
-        assert first["holm_p"] == second["holm_p"] == 0.06 and first["verdict"] == "undecided"
-        [absent] = claims_table([name], []).entries()
-        assert (absent["verdict"], absent["p"]) == ("undecided", None) and "no runs of campaign" in absent["here"]
-    finally:
-        del CLAIMS[name]
+    claim = Claim(name, "It holds", "I", "handmade", "by hand", lambda _: Evidence("seen", 0.03, supports=True))
+    monkeypatch.setattr(claims, "CLAIMS", {name: claim})
+    own = [runs(golden(1), injected(1, flown()))]
+    [alone] = claims_table([name], own).entries()
+    assert (alone["verdict"], alone["holm_p"]) == ("confirmed", 0.03)
+    first, second = claims_table([name, name], own).entries()
+    assert first["holm_p"] == second["holm_p"] == 0.06 and first["verdict"] == "undecided"
+    [absent] = claims_table([name], []).entries()
+    assert (absent["verdict"], absent["p"]) == ("undecided", None) and "no runs of campaign" in absent["here"]
+
+
+def test_an_unknown_claim_is_refused():
     with pytest.raises(BadInputError, match="claim 'none': not known; allowed: perception_least_critical"):
         claims_table(["none"], [])
 

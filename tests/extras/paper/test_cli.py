@@ -11,9 +11,9 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
-from mavfi.cli.progress import StudyBar
-from mavfi.extras.paper import overheads
+from mavfi.extras.paper import overhead_views
 from mavfi.extras.paper.cli import FLIGHTS
+from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
 from mavfi.extras.paper.steps import Steps
@@ -93,7 +93,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     def never(*_, **__):
         raise AssertionError("trained or timed again")
 
-    assert overheads.load(out)["missions"] == 1
+    assert overhead_views.load(out)["missions"] == 1
     written = (out / "study.md").read_text(encoding="utf-8")
     assert "one process on " in written, "measured, not modelled alone"
     flights = ["training flights", "fitting of detectors", FLIGHTS_STEP]
@@ -115,7 +115,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
 @pytest.mark.slow
 def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("mavfi.campaign.training.record", lambda *_, **__: None)
-    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
+    monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)
     changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
     sections = [
         {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "flight_times"]},
@@ -218,7 +218,7 @@ def trained(monkeypatch):
     no_report(monkeypatch)
     monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
-    monkeypatch.setattr("mavfi.campaign.training.Training.fit", lambda _: None)
+    monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)
     return found
 
 

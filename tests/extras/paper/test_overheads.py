@@ -8,7 +8,7 @@ from mavfi.analysis import table
 from mavfi.campaign.config import Campaign
 from mavfi.config import config_root
 from mavfi.errors import BadInputError
-from mavfi.extras.paper import overheads
+from mavfi.extras.paper import overhead_views, overheads
 from mavfi.mission import MissionSpec
 from mavfi.states import new_state
 from tests.core.unit.analysis.handmade import flown, golden, injected, runs
@@ -100,13 +100,13 @@ def test_without_a_detector_there_is_nothing_to_measure():
 
 
 def test_measured_shares_are_kept_with_the_ledger(tmp_path):
-    assert overheads.load(tmp_path) == {}
+    assert overhead_views.load(tmp_path) == {}
     overheads.save(MEASURED, tmp_path)
-    assert overheads.load(tmp_path) == MEASURED
+    assert overhead_views.load(tmp_path) == MEASURED
     for damaged in ("{", "[]", json.dumps({"rows": [{}]}), json.dumps({"rows": MEASURED["rows"]})):
         (tmp_path / overheads.FILE).write_text(damaged)
         with pytest.raises(BadInputError, match="overheads.json: is not a file of measured overheads"):
-            overheads.load(tmp_path)
+            overhead_views.load(tmp_path)
 
 
 def test_repeated_steps_count_with_the_mean_time_of_a_step_and_memory_is_kept_by_stage():

@@ -1,7 +1,7 @@
 import pytest
 
 from mavfi.analysis import VIEWS
-from mavfi.extras.paper import published as paper
+from mavfi.analysis import published as paper
 from mavfi.extras.paper.redundancy import DesignConfig, find_design, performance, shipped_designs, time_ratio
 from mavfi.extras.paper.redundancy_views import band, ratio, redundancy_tables, schemes, summary
 from tests.core.unit.analysis.handmade import flown, golden, injected, runs

@@ -3,9 +3,9 @@ from dataclasses import replace
 import polars as pl
 import pytest
 
+from mavfi.analysis import published as paper
 from mavfi.analysis import table
 from mavfi.analysis.measures import leads, population_names, population_text
-from mavfi.extras.paper import published as paper
 from mavfi.extras.paper.cases import path_cases
 from mavfi.extras.paper.views import GOLDEN_ROW, by_bits, by_state, value_at_risk
 from mavfi.faults.fault import FaultSite, StateFault

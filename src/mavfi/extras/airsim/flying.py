@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim import attitude
-from mavfi.extras.airsim.attitude import Vertical
 from mavfi.extras.airsim.frames import from_geo_point, pose_numbers, triple
 from mavfi.extras.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
-from mavfi.extras.airsim.tasks import (
+from mavfi.flight.piloted import (
+    Task,
+    Vertical,
     Yaw,
+    at_attitude,
+    at_rates,
     fly_path,
     fly_rotors,
     fly_velocity,
@@ -21,10 +23,10 @@ from mavfi.extras.airsim.tasks import (
     from_body,
     hover,
     land,
+    motors,
     take_off,
     turn_to,
 )
-from mavfi.extras.airsim.vehicle import Task
 
 _FORWARD_ONLY = 1
 _HOME_SPEED = 0.5
@@ -242,10 +244,10 @@ def _add_attitude_task(name: str, arguments: str) -> None:
         own = dict(zip(numbers, given, strict=False))
         vertical = Vertical(own.get("throttle"), own.get("z", 0.0))
         if "roll_rate" in own:
-            rotors = attitude.at_rates(api.vehicle, own["roll_rate"], own["pitch_rate"], own["yaw_rate"], vertical)
+            rotors = at_rates(api.vehicle, own["roll_rate"], own["pitch_rate"], own["yaw_rate"], vertical)
         else:
             yaw, yaw_rate = own.get("yaw", 0.0), own.get("yaw_rate")
-            rotors = attitude.at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
+            rotors = at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
         return fly_rotors(api.vehicle, rotors, own["duration"])
 
     task(name)(_with_signature(fly, numbers))
@@ -267,7 +269,7 @@ def _(
     shares = (front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
     if not np.isfinite(shares).all():
         raise BadInputError(f"moveByMotorPWMs: {shares}: allowed: 0 to 1")
-    return fly_rotors(api.vehicle, attitude.motors(api.vehicle, shares), duration)
+    return fly_rotors(api.vehicle, motors(api.vehicle, shares), duration)
 
 
 @vehicle_call("moveByRC")
@@ -280,7 +282,7 @@ def _(api: Api, rcdata: Any) -> None:
     require_ready(api, "moveByRC")
     api.sticks = sticks
     tilt = api.vehicle.scenario.vehicle.max_tilt
-    rotors = attitude.at_attitude(
+    rotors = at_attitude(
         api.vehicle, tilt * sticks["roll"], tilt * sticks["pitch"], 0.0,
         api.vehicle.scenario.vehicle.max_yaw_rate * sticks["yaw"], Vertical(sticks["throttle"]),
     )  # fmt: skip

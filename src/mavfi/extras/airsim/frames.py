@@ -8,27 +8,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import cos, sin
-from mavfi.numerics.frames import Triple as Triple
-from mavfi.numerics.frames import geodetic, local
+from mavfi.numerics.frames import Numbers, Quaternion, Triple, flipped, geodetic, local, turned
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
 _GEO_POINT = ("latitude", "longitude", "altitude")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
-Numbers = Sequence[float] | np.ndarray
 Data = dict[str, Any]
 """An object of the API, as plain data."""
-
-
-def flipped(values: Numbers) -> Triple:
-    """A vector in the other frame; its own inverse."""
-    x, y, z = values
-    return float(x), -float(y), -float(z)
 
 
 def vector(values: Numbers) -> dict[str, float]:
@@ -55,19 +45,13 @@ def triple(data: Any) -> Triple:  # noqa: ANN401 - a client's
     return x, y, z
 
 
-def turned(quaternion: Numbers) -> tuple[float, float, float, float]:
-    """An orientation in the other frames; its own inverse. Shape (4,), w x y z."""
-    w, x, y, z = quaternion
-    return float(w), float(x), -float(y), -float(z)
-
-
 def rotation(quaternion: Numbers) -> dict[str, float]:
     """Quaternionr."""
     w, x, y, z = quaternion
     return {"w_val": float(w), "x_val": float(x), "y_val": float(y), "z_val": float(z)}
 
 
-def quaternion(data: Any) -> tuple[float, float, float, float]:  # noqa: ANN401 - a client's
+def quaternion(data: Any) -> Quaternion:  # noqa: ANN401 - a client's
     """Numbers w x y z of a Quaternionr.
 
     Raises:
@@ -82,7 +66,7 @@ def pose(position: Numbers, orientation: Numbers) -> Data:
     return {"position": vector(position), "orientation": rotation(orientation)}
 
 
-def pose_numbers(data: Any) -> tuple[Triple, tuple[float, float, float, float]]:  # noqa: ANN401 - a client's
+def pose_numbers(data: Any) -> tuple[Triple, Quaternion]:  # noqa: ANN401 - a client's
     """Position and quaternion of a Pose.
 
     Raises:
@@ -113,7 +97,7 @@ def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
     return (*flipped(position), *turned(orientation))
 
 
-def looking(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float, float]:
+def looking(yaw_deg: float, pitch_deg: float) -> Quaternion:
     """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
     y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
     return cos(y) * cos(p), -sin(y) * sin(p), cos(y) * sin(p), sin(y) * cos(p)

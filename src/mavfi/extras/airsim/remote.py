@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.airsim.frames import flipped, pose, pose_numbers, triple, turned
-from mavfi.extras.airsim.identity import difference, identity, reported
-from mavfi.extras.airsim.pictures import PERSPECTIVE
+from mavfi.extras.airsim.cameras import PERSPECTIVE
+from mavfi.extras.airsim.frames import pose, pose_numbers, triple
+from mavfi.extras.airsim.scene import difference, identity, reported
 from mavfi.extras.airsim.server import msgpack
 from mavfi.mission import Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
+from mavfi.numerics.frames import flipped, turned
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments.world import World
 

@@ -5,14 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from mavfi.extras.airsim.frames import (
-    LEVEL,
-    Data,
-    flipped,
-    geo_point,
-    pose,
-    vector,
-)
+from mavfi.extras.airsim.frames import LEVEL, Data, geo_point, pose, vector
 from mavfi.extras.airsim.frames import rotation as rotated
 from mavfi.extras.airsim.table import (
     DESTROYED,
@@ -21,8 +14,9 @@ from mavfi.extras.airsim.table import (
     add_readings,
     vehicle_call,
 )
-from mavfi.extras.airsim.vehicle import FLYING, LANDED
+from mavfi.flight.piloted import FLYING, LANDED
 from mavfi.numerics.elementary import cos, sin
+from mavfi.numerics.frames import flipped
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim import grounded
 from mavfi.sim.engine import GRAVITY

@@ -7,7 +7,7 @@ from inspect import Parameter, signature
 from typing import Any
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.vehicle import ApiVehicle
+from mavfi.flight.piloted import PilotedVehicle
 
 GROUND = "Ground"
 """Name of the ground plane."""
@@ -74,7 +74,7 @@ class Api:
         recording: Whether the program asked for a recording; nothing is written.
     """
 
-    vehicle: ApiVehicle
+    vehicle: PilotedVehicle
     name: str
     pixels: tuple[int, int]
     version: int

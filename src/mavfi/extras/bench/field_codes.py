@@ -4,18 +4,19 @@ One code is a quantum in the field's unit, too small to matter to a flight: 1 cm
 a step, so that a step is not lost in rounding.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import residual_state, residuals
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.samples import Sample
+from mavfi.detectors.model import Model
+from mavfi.detectors.training import Sample, TrainedDetector, Training, check_finite, join
 from mavfi.detectors.vehicle import VehicleQueue
+from mavfi.extras.bench import residual_state, residuals
 from mavfi.numerics.jit import entry
-from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, floats, new_state
+from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, new_state, rows
 
 MONITORED = "all"
 """Name of the set, in models."""
@@ -173,7 +174,7 @@ class FieldCodes:
         if watched.in_list:
             elements = self._empty[slot]
             if len(state.elements):
-                elements = floats(state.elements, watched.width).reshape(-1, watched.width)
+                elements = rows(state.elements, watched.width)
             self._measures[slot](state.header, elements, self.measured)
         else:
             self._measures[slot](state.header, self.measured)
@@ -260,10 +261,10 @@ class CodeRecorder(Detector):
         first, last = self._field_codes.range_of(slot)
         self._own.append(self._codes[first:last].tobytes())
 
-    def codes(self) -> "Codes":
+    def recording(self) -> "Codes":
         """Codes of all publications since `start`."""
-        own = np.frombuffer(b"".join(self._own), np.int16)
-        return Codes(np.array(self._slots, np.int8), np.array(self._regimes, np.int8), own)
+        codes = np.frombuffer(b"".join(self._own), np.int16)
+        return Codes(np.array(self._slots, np.int8), np.array(self._regimes, np.int8), codes)
 
 
 class Codes(NamedTuple):
@@ -272,20 +273,12 @@ class Codes(NamedTuple):
     Attributes:
         slots: State of each publication. Shape (m,), int8.
         regimes: Regime of each, see `FieldCodes.measure`. Shape (m,), int8.
-        own: Codes of the published states, concatenated. Shape (total,), int16.
+        codes: Codes of the published states, concatenated. Shape (total,), int16.
     """
 
     slots: np.ndarray
     regimes: np.ndarray
-    own: np.ndarray
-
-
-def codes_are_whole(flight: Codes) -> bool:
-    """Whether slots, regimes and codes are consistent."""
-    slots = flight.slots
-    if len(slots) != len(flight.regimes) or ((slots < 0) | (slots >= residuals.SLOTS)).any():
-        return False
-    return int(_SIZES[slots].sum()) == len(flight.own) and bool((np.abs(flight.regimes) <= REGIMES).all())
+    codes: np.ndarray
 
 
 def sample_of(flight: Codes, field_codes: FieldCodes) -> Sample:
@@ -296,10 +289,47 @@ def sample_of(flight: Codes, field_codes: FieldCodes) -> Sample:
     for slot in np.unique(flight.slots):
         first, last = field_codes.range_of(int(slot))
         rows = np.flatnonzero(flight.slots == slot)
-        codes = flight.own[ends[rows, None] - (last - first) + np.arange(last - first)]
+        codes = flight.codes[ends[rows, None] - (last - first) + np.arange(last - first)]
         # a code holds until the next publication of its state
         newest = np.searchsorted(rows, np.arange(count), side="right") - 1
         vectors[:, first:last] = np.where((newest >= 0)[:, None], codes[np.maximum(newest, 0)], 0)
     first_ones = np.zeros(count, bool)
     first_ones[np.unique(flight.slots, return_index=True)[1]] = True
     return Sample(vectors, flight.slots.astype(np.int64), flight.regimes.astype(np.int64), first_ones)
+
+
+class AllFields(Training):
+    """Training with the codes of all fields, in one profile."""
+
+    parts = Codes
+    profiles = ("tuned",)
+    # one of each family: limits of all fields that are learned in one do not hold in the other
+    environments = ("training", "factory")
+
+    def recorder(self, autopilot: str) -> CodeRecorder:
+        """See `Training`."""
+        return CodeRecorder(autopilot)
+
+    def is_whole(self, recording: Codes) -> bool:
+        """Whether slots, regimes and codes are consistent."""
+        slots, regimes, codes = recording
+        if [part.dtype for part in recording] != [np.int8, np.int8, np.int16] or any(p.ndim != 1 for p in recording):
+            return False
+        if len(slots) != len(regimes) or ((slots < 0) | (slots >= residuals.SLOTS)).any():
+            return False
+        return int(_SIZES[slots].sum()) == len(codes) and bool((np.abs(regimes) <= REGIMES).all())
+
+    def fit(
+        self, detectors: Mapping[str, type[TrainedDetector]], profile: str, recordings: Sequence[Codes],
+        origin: Mapping[str, Any], figures: Mapping[str, Mapping[str, Any]],
+    ) -> Iterator[Model]:  # fmt: skip
+        """See `Training`."""
+        field_codes = FieldCodes(origin["stack"])
+        sample = join([sample_of(codes, field_codes) for codes in recordings])
+        check_finite(sample)
+        for name, detector in detectors.items():
+            parameters = detector.fit(sample, field_codes, figures[name])
+            yield Model(detector.model_kind, profile, MONITORED, "", parameters, dict(origin))
+
+
+ALL_FIELDS = AllFields()

@@ -12,8 +12,9 @@ from mavfi.analysis.pairs import Paired, mcnemar
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import NUMBER, PER_HOUR, SMALL
-from mavfi.analysis.views import View, has, register
+from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
+from mavfi.plugins import Chapter
 
 PAIR = "pair"
 """Kind of a row that joins the runs of a fault in `fi` and in an arm; columns of the arm have the prefix `dr_`."""
@@ -172,7 +173,7 @@ def _schemes(
     )  # fmt: skip
 
 
-register(
+CHAPTER = Chapter(110, (
     _schemes(
         STATE, "schemes", "Schemes on the same faults in states",
         (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
@@ -220,4 +221,4 @@ register(
         ),
         applies=_has_durations, by_name=True,
     ),
-)  # fmt: skip
+))  # fmt: skip

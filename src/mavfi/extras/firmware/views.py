@@ -9,9 +9,10 @@ import polars as pl
 from mavfi.analysis import measures as m
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import SIGNED, Cell
-from mavfi.analysis.views import View, has, register
+from mavfi.analysis.views import View, has
 from mavfi.extras.registers.classes import class_of, function_of
 from mavfi.outcomes import COSTLIER, HEALTHY, LASTING_S, LONGER, LOST, Control
+from mavfi.plugins import Chapter
 
 FIRMWARE = "firmware"
 """Value of the column `kernel` for faults in a firmware."""
@@ -86,7 +87,7 @@ def _definitions(_: Runs) -> tuple[str, ...]:
     )
 
 
-register(
+CHAPTER = Chapter(60, (
     View(
         "firmware_control", "How a mission is controlled after one bit in a register of the firmware", ("registers",),
         _CLASSES, where=_faults, total=("registers", "in all"), notes=_definitions, largest="n", applies=_has_classes,
@@ -121,4 +122,4 @@ register(
         "firmware_functions", "By function of the firmware", ("function",), _MEASURES, where=_faults, largest="n",
         limit=_MOST, applies=_in_firmware,
     ),
-)  # fmt: skip
+))  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -14,11 +14,36 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.extras.logs.report import Rates
-    from mavfi.extras.logs.watch import Judged, LogWatch
+    from mavfi.extras.logs.live import LiveView
+    from mavfi.extras.logs.watch import Judged, LogWatch, Rates
 
 _MOST_FLIPS = 100_000
 _MOST_LISTED = 10
+
+
+class LiveOption:
+    """The option of `mavfi fly` that serves the running flight to viewers; see the entry points `mavfi.observers`."""
+
+    options = {
+        "live": Annotated[
+            bool | None,
+            typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live)."),
+        ]
+    }
+
+    @staticmethod
+    def chosen(values: dict[str, Any]) -> bool:
+        """Whether the option is set."""
+        return bool(values["live"])
+
+    @staticmethod
+    def build(values: dict[str, Any]) -> tuple[LiveView, str]:
+        """The observer, and a line of text that says where the flight can be seen."""
+        del values
+        from mavfi.extras.logs.live import PORT, LiveView
+
+        view = LiveView(PORT)
+        return view, f"serving the flight at {view.address}"
 
 
 def watch(  # noqa: PLR0913 - one parameter per option
@@ -50,7 +75,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.detectors.preprocess import PROFILES
     from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.extras.logs.report import Rates
+    from mavfi.extras.logs.watch import Rates
 
     check_name("--detector", detector, of_monitored_fields())
     check_name("--profile", profile, PROFILES)
@@ -131,7 +156,7 @@ def _summary(rates: Rates) -> list[str]:
 
 
 def _table(judged: list[Judged]) -> Table:
-    from mavfi.extras.logs.report import delay_text
+    from mavfi.extras.logs.watch import delay_text
 
     table = titled_table("Recordings")
     for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):

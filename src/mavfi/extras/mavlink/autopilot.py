@@ -1,15 +1,13 @@
 """A MAVLink autopilot with PX4's modes: answers messages, flies tasks, sends telemetry; its owner advances time."""
 
 import math
-from collections.abc import Callable
+import struct
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import Any
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.attitude import Vertical, at_attitude, at_rates
-from mavfi.extras.airsim.tasks import land
-from mavfi.extras.airsim.vehicle import TICK_US, Task
-from mavfi.extras.mavlink import telemetry
 from mavfi.extras.mavlink.flying import (
     FOREVER_S,
     MavVehicle,
@@ -21,12 +19,11 @@ from mavfi.extras.mavlink.flying import (
     orbit,
     return_to_launch,
 )
-from mavfi.extras.mavlink.mission import Mission, place_of
-from mavfi.extras.mavlink.parameters import Parameters
 from mavfi.extras.mavlink.tlog import chunks_of, mavlink_dialect
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import NULL, SensorFault
-from mavfi.numerics.frames import Triple, euler, local
+from mavfi.flight.piloted import TICK_US, Task, Vertical, at_attitude, at_rates, land
+from mavfi.numerics.frames import HOME, Triple, euler, geodetic, local
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 """MAV_RESULT; 1 = temporarily rejected."""
@@ -57,6 +54,145 @@ class Mode(Enum):
     OFFBOARD = (6, 0)
 
 
+# ---- parameters ------------------------------------------------------------------------------------------------------
+_INT32, _REAL32 = 6, 9
+_DEFAULTS: dict[str, float | int] = {
+    "COM_RC_IN_MODE": 4, "MIS_TAKEOFF_ALT": 2.5, "MPC_XY_CRUISE": 5.0, "NAV_DLL_ACT": 0, "SYS_AUTOSTART": 4001,
+    "SYS_FAILURE_EN": 1, "SYS_HITL": 0,
+}  # fmt: skip
+
+
+class Parameters:
+    """Values by name, those of PX4 that client programs ask for."""
+
+    def __init__(self) -> None:
+        self._values = dict(_DEFAULTS)
+
+    def __getitem__(self, name: str) -> float:
+        return float(self._values[name])
+
+    def answer(self, message: Any, send: Callable[..., None]) -> None:
+        """Answer PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET; unknown names are ignored."""
+        names = list(self._values)
+        kind = message.get_type()
+        if kind == "PARAM_REQUEST_LIST":
+            wanted = names
+        elif kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
+            wanted = names[message.param_index : message.param_index + 1]
+        elif kind in ("PARAM_REQUEST_READ", "PARAM_SET"):
+            wanted = [message.param_id] if message.param_id in self._values else []
+        else:
+            return
+        for name in wanted:
+            if kind == "PARAM_SET":
+                whole = isinstance(self._values[name], int)
+                self._values[name] = _from_wire(message.param_value) if whole else float(message.param_value)
+            value = self._values[name]
+            whole = isinstance(value, int)
+            encoded = struct.unpack("<f", struct.pack("<i", value))[0] if whole else value
+            send("param_value", name.encode(), encoded, _INT32 if whole else _REAL32, len(names), names.index(name))
+
+
+def _from_wire(value: float) -> int:
+    found: int = struct.unpack("<i", struct.pack("<f", value))[0]
+    return found
+
+
+# ---- missions --------------------------------------------------------------------------------------------------------
+_WAYPOINT, _TAKEOFF, _LAND, _RETURN, _SPEED = 16, 22, 21, 20, 178
+_RELATIVE_FRAMES = (3, 6)
+"""MAV_FRAME: global, relative to home."""
+_SCALE, _MISSING = 1e-7, 2**31 - 1
+_MISSION, _ALL_TYPES = 0, 255
+"""MAV_MISSION_TYPE."""
+
+
+def place_of(item: Any) -> Triple:
+    """Place (NED, m) of a MISSION_ITEM_INT or COMMAND_INT; NaN where a coordinate is left out."""
+    latitude, longitude = (math.nan if value == _MISSING else value * _SCALE for value in (item.x, item.y))
+    return local(latitude, longitude, item.z + (HOME[2] if item.frame in _RELATIVE_FRAMES else 0.0))
+
+
+class Mission:
+    """Items by MAV_MISSION_TYPE; those of a mission are flown, those of fences and rally points are only stored."""
+
+    def __init__(self, autopilot: "Autopilot") -> None:
+        self._autopilot = autopilot
+        self._items: defaultdict[int, list[Any]] = defaultdict(list)
+        self._expected = 0
+        self._current = 0
+
+    def answer(self, message: Any) -> None:
+        """Answer a message of the protocol."""
+        send, asked = self._autopilot.send, (message.get_srcSystem(), message.get_srcComponent())
+        kind, which = message.get_type(), getattr(message, "mission_type", _MISSION)
+        items = self._items[which]
+        if kind == "MISSION_COUNT":
+            items.clear()
+            self._expected = message.count
+            self._next(which, asked)
+        elif kind == "MISSION_ITEM_INT":
+            if message.seq == len(items):
+                items.append(message)
+            self._next(which, asked)
+        elif kind == "MISSION_REQUEST_LIST":
+            send("mission_count", *asked, len(items), which)
+        elif kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and message.seq < len(items):
+            item = items[message.seq]
+            given = item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z
+            send("mission_item_int", *asked, item.seq, item.frame, item.command, 0, item.autocontinue, *given, which)
+        elif kind == "MISSION_SET_CURRENT":
+            self._current = message.seq
+            send("mission_current", message.seq)
+        elif kind == "MISSION_CLEAR_ALL":
+            for cleared in self._items.values() if which == _ALL_TYPES else (items,):
+                cleared.clear()
+            send("mission_ack", *asked, ACCEPTED, which)
+
+    def _next(self, which: int, asked: tuple[int, int]) -> None:
+        """Ask for the next item, or acknowledge the last one."""
+        count = len(self._items[which])
+        if count < self._expected:
+            self._autopilot.send("mission_request_int", *asked, count, which)
+            return
+        if which == _MISSION:
+            self._current = 0
+        self._autopilot.send("mission_ack", *asked, ACCEPTED, which)
+
+    def fly(self) -> Task:
+        """Fly the items from the current one on, once the motors run."""
+        autopilot, items = self._autopilot, self._items[_MISSION]
+        while self._current < len(items):
+            while not autopilot.vehicle.sim.armed:
+                yield
+            autopilot.send("mission_current", self._current)
+            yield from self._item(items[self._current])
+            autopilot.send("mission_item_reached", self._current)
+            self._current += 1
+        autopilot.text("Mission finished")
+        return True
+
+    def _item(self, item: Any) -> Task:
+        autopilot, vehicle, command = self._autopilot, self._autopilot.vehicle, item.command
+        place = place_of(item)
+        if command == _TAKEOFF or (command == _WAYPOINT and vehicle.landed):
+            yield from climb(vehicle, -place[2])
+        if command == _WAYPOINT:
+            yaw = None if math.isnan(item.param4) else math.radians(item.param4)
+            yield from go_to(vehicle, place, autopilot.speed, yaw)
+        elif command == _SPEED and item.param2 > 0:
+            autopilot.speed = float(item.param2)
+        elif command == _RETURN:
+            yield from return_to_launch(vehicle, autopilot.speed)
+            vehicle.sim.arm(False)
+        elif command == _LAND:
+            if item.x or item.y:  # PX4: without coordinates it lands where it is
+                yield from go_to(vehicle, (place[0], place[1], vehicle.position[2]), autopilot.speed)
+            yield from land(vehicle, FOREVER_S)
+            vehicle.sim.arm(False)
+
+
+# ---- the autopilot ---------------------------------------------------------------------------------------------------
 class Autopilot:
     """One vehicle with the system id 1.
 
@@ -74,7 +210,7 @@ class Autopilot:
         self._setpoint: Setpoint | None = None
         self._setpoint_us = 0
         self._task = 0
-        self._schedule = telemetry.Schedule()
+        self._schedule = Schedule()
         self._pending: list[tuple[Failure, Any]] = []
         self._long_texts = 0
         self._start(hold(vehicle))
@@ -271,7 +407,7 @@ class Autopilot:
     def _repeat(self, wanted: int) -> int:
         known = mavlink_dialect().mavlink_map.get(wanted)
         name = "" if known is None else known.msgname.lower()
-        if name not in {message.__name__ for _, message in telemetry.STREAMS}:
+        if name not in {message.__name__ for _, message in STREAMS}:
             return DENIED
         self._schedule.request(name)
         return ACCEPTED
@@ -342,3 +478,163 @@ _COMMANDS: dict[int, Callable[[Autopilot, Any], int | None]] = {
     511: lambda *_: ACCEPTED,  # message intervals: all rates are fixed, and high enough
 }  # fmt: skip
 """By MAV_CMD."""
+
+
+# ---- messages that it sends periodically -----------------------------------------------------------------------------
+Arguments = tuple[Any, ...]
+_QUADROTOR, _PX4 = 2, 12
+_ACTIVE, _STANDBY = 4, 3
+_MODE_FLAGS, _ARMED_FLAG = 1 | 4 | 8 | 16, 128
+"""MAV_MODE_FLAG: custom mode, auto, guided, stabilize; safety armed."""
+_HEALTHY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x4000 | 0x8000 | 0x10000 | 0x200000 | 0x10000000
+"""MAV_SYS_STATUS_SENSOR: gyro, accelerometer, compass, pressure, GPS, controls, motors, receiver, AHRS, pre-arm."""
+_SENSORS = {"gyro": 0x1, "accelerometer": 0x2, "compass": 0x4, "position": 0x20, "motor": 0x8000}
+_ON_GROUND, _IN_AIR, _TAKING_OFF, _LANDING = 1, 2, 3, 4
+_FIX_3D, _NO_FIX = 3, 1
+_CENTIVOLTS, _PERCENT = 16_000, 90
+_NAN = float("nan")
+
+
+def _heading(autopilot: Autopilot) -> float:
+    """Degrees clockwise from north, 0 to 360."""
+    return math.degrees(autopilot.vehicle.yaw) % 360.0
+
+
+def _above_sea(autopilot: Autopilot) -> float:
+    """Altitude above sea level (m)."""
+    return HOME[2] - autopilot.vehicle.position[2]
+
+
+def _scaled(ned: Triple) -> tuple[int, int, int]:
+    """Latitude and longitude (1e-7 degrees) and altitude (mm) of a position (m)."""
+    latitude, longitude, altitude = geodetic(ned)
+    return round(1e7 * latitude), round(1e7 * longitude), round(1e3 * altitude)
+
+
+def heartbeat(autopilot: Autopilot) -> Arguments:
+    """HEARTBEAT."""
+    main, sub = autopilot.mode.value
+    armed = autopilot.vehicle.sim.armed
+    state = _ACTIVE if armed and not autopilot.vehicle.landed else _STANDBY
+    return _QUADROTOR, _PX4, _MODE_FLAGS | (_ARMED_FLAG if armed else 0), main << 16 | sub << 24, state
+
+
+def sys_status(autopilot: Autopilot) -> Arguments:
+    """SYS_STATUS; sensors that are off are unhealthy."""
+    off = sum({_SENSORS[failure.fault.unit] for failure in autopilot.failures if failure.fault.kind == "off"})
+    return _HEALTHY, _HEALTHY, _HEALTHY & ~off, 300, _CENTIVOLTS, -1, _PERCENT, 0, 0, 0, 0, 0, 0
+
+
+def home_position(autopilot: Autopilot) -> Arguments:
+    """HOME_POSITION."""
+    level = [1.0, 0.0, 0.0, 0.0]
+    return *_scaled((0.0, 0.0, 0.0)), 0.0, 0.0, 0.0, level, 0.0, 0.0, 0.0, autopilot.vehicle.now_us
+
+
+def extended_sys_state(autopilot: Autopilot) -> Arguments:
+    """EXTENDED_SYS_STATE."""
+    name = autopilot.mode.name
+    moving = _TAKING_OFF if name == "TAKEOFF" else _LANDING if name == "LAND" else _IN_AIR
+    return 0, _ON_GROUND if autopilot.vehicle.landed else moving
+
+
+def gps_raw_int(autopilot: Autopilot) -> Arguments:
+    """GPS_RAW_INT; without a fix while the position is off."""
+    lost = any(failure.fault.unit == "position" and failure.fault.kind == "off" for failure in autopilot.failures)
+    north, east, _ = autopilot.vehicle.velocity
+    speed = min(65_534, round(100 * math.hypot(north, east)))
+    course = round(100 * _heading(autopilot)) % 36_000
+    return (
+        autopilot.vehicle.now_us,
+        _NO_FIX if lost else _FIX_3D,
+        *_scaled(autopilot.vehicle.position),
+        80,
+        80,
+        speed,
+        course,
+        12,
+    )
+
+
+def global_position_int(autopilot: Autopilot) -> Arguments:
+    """GLOBAL_POSITION_INT."""
+    speeds = (max(-32_768, min(32_767, round(100 * value))) for value in autopilot.vehicle.velocity)
+    above = round(-1e3 * autopilot.vehicle.position[2])
+    return autopilot.ms, *_scaled(autopilot.vehicle.position), above, *speeds, round(100 * _heading(autopilot)) % 36_000
+
+
+def vfr_hud(autopilot: Autopilot) -> Arguments:
+    """VFR_HUD."""
+    north, east, down = autopilot.vehicle.velocity
+    speed = math.hypot(north, east)
+    return speed, speed, round(_heading(autopilot)) % 360, 50, _above_sea(autopilot), -down
+
+
+def altitude(autopilot: Autopilot) -> Arguments:
+    """ALTITUDE."""
+    above, height = _above_sea(autopilot), -autopilot.vehicle.position[2]
+    return autopilot.vehicle.now_us, above, above, height, height, _NAN, 0.0
+
+
+def attitude(autopilot: Autopilot) -> Arguments:
+    """ATTITUDE."""
+    return autopilot.ms, *euler(autopilot.vehicle.orientation), *autopilot.vehicle.rates
+
+
+def attitude_quaternion(autopilot: Autopilot) -> Arguments:
+    """ATTITUDE_QUATERNION."""
+    return autopilot.ms, *autopilot.vehicle.orientation, *autopilot.vehicle.rates
+
+
+def local_position_ned(autopilot: Autopilot) -> Arguments:
+    """LOCAL_POSITION_NED."""
+    return autopilot.ms, *autopilot.vehicle.position, *autopilot.vehicle.velocity
+
+
+def highres_imu(autopilot: Autopilot) -> Arguments:
+    """HIGHRES_IMU; constant magnetic field and pressure."""
+    x, y, z, roll, pitch, yaw = map(float, autopilot.vehicle.imu())
+    field, air = (0.2, 0.0, 0.4), (1013.25, 0.0, _above_sea(autopilot), 25.0)
+    return autopilot.vehicle.now_us, x, -y, -z, roll, -pitch, -yaw, *field, *air, 0x1FFF
+
+
+def battery_status(autopilot: Autopilot) -> Arguments:
+    """BATTERY_STATUS, constant."""
+    del autopilot
+    return 0, 0, 0, 2500, [_CENTIVOLTS, *[65_535] * 9], -1, -1, -1, _PERCENT
+
+
+def estimator_status(autopilot: Autopilot) -> Arguments:
+    """ESTIMATOR_STATUS: all estimates are valid."""
+    return autopilot.vehicle.now_us, 0x3FF, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2
+
+
+def system_time(autopilot: Autopilot) -> Arguments:
+    """SYSTEM_TIME."""
+    return autopilot.vehicle.stamp // 1000, autopilot.ms
+
+
+STREAMS: tuple[tuple[float, Callable[[Autopilot], Arguments]], ...] = (
+    (1.0, heartbeat), (1.0, sys_status), (1.0, home_position), (1.0, battery_status), (1.0, estimator_status),
+    (1.0, system_time), (5.0, extended_sys_state), (5.0, gps_raw_int), (10.0, global_position_int), (10.0, vfr_hud),
+    (10.0, altitude), (50.0, attitude), (50.0, attitude_quaternion), (50.0, local_position_ned), (50.0, highres_imu),
+)  # fmt: skip
+"""Rate (Hz) and content of each message, which has the name of its function."""
+
+
+class Schedule:
+    """Instants at which messages are due."""
+
+    def __init__(self) -> None:
+        self._due: dict[str, int] = {}
+
+    def request(self, name: str) -> None:
+        """Make a message due at once."""
+        self._due[name] = 0
+
+    def due(self, now_us: int) -> Iterator[Callable[[Autopilot], Arguments]]:
+        """Messages to send now."""
+        for rate, message in STREAMS:
+            if now_us >= self._due.get(message.__name__, 0):
+                self._due[message.__name__] = now_us + round(1e6 / rate)
+                yield message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,8 +14,36 @@ from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.extras.mavlink.server import Server
+    from mavfi.extras.mavlink.tlog import Telemetry
 
 _LONGEST_S = 7 * 86_400.0
+_LAST_PORT = 65_535
+
+
+class GroundStationOption:
+    """The option of `mavfi fly` that sends the running flight to a ground station; see `mavfi.observers`."""
+
+    options = {
+        "mavlink": Annotated[
+            int | None,
+            typer.Option(metavar="PORT", help="Send the flight to a ground station's UDP port on loopback: 14550."),
+        ]
+    }
+
+    @staticmethod
+    def chosen(values: dict[str, Any]) -> bool:
+        """Whether the option is set; raises `BadInputError` for a value that is not allowed."""
+        check_number("--mavlink", values["mavlink"], 1, _LAST_PORT)
+        return values["mavlink"] is not None
+
+    @staticmethod
+    def build(values: dict[str, Any]) -> tuple[Telemetry, str]:
+        """The observer, and a line of text that says where the flight can be seen."""
+        from mavfi.extras.mavlink.tlog import HOST, Telemetry
+
+        port = values["mavlink"]
+        return Telemetry(port), f"sending the flight to udp://{HOST}:{port}"
+
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -44,7 +72,7 @@ def serve(
 
     Example: [bold]mavfi mavlink serve --environment farm --seed 7[/bold]
     """
-    check_number("--port", port, 0, 65_535)
+    check_number("--port", port, 0, _LAST_PORT)
     check_number("--speed", speed, 0.1, 100.0)
     check_number("--seconds", seconds, 0.0, _LONGEST_S)
     from mavfi.extras.mavlink.server import Server

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavfi.extras.airsim.tasks import HOLD_S, YAW_GAIN, YAW_RATE, Yaw, clip, fly_path, from_body, land
-from mavfi.extras.airsim.vehicle import ApiVehicle, Task
+from mavfi.flight.piloted import HOLD_S, YAW_GAIN, YAW_RATE, PilotedVehicle, Task, Yaw, clip, fly_path, from_body, land
 from mavfi.numerics.elementary import atan2
 from mavfi.numerics.frames import Triple
 
@@ -20,8 +19,8 @@ _POSITION_GAIN, _HOLD_SPEED, _APPROACH_SPEED = 0.9, 2.0, 5.0
 _ORBIT_GAIN = 1.0
 
 
-class MavVehicle(ApiVehicle):
-    """An `ApiVehicle` that starts disarmed."""
+class MavVehicle(PilotedVehicle):
+    """An `PilotedVehicle` that starts disarmed."""
 
     def _begin(self) -> None:
         super()._begin()
@@ -49,7 +48,7 @@ class Setpoint:
     rotors: Callable[[int, np.ndarray], np.ndarray] | None = None
 
 
-def hold(vehicle: ApiVehicle) -> Task:
+def hold(vehicle: PilotedVehicle) -> Task:
     """Stay here."""
     here = vehicle.position
     while True:
@@ -59,19 +58,19 @@ def hold(vehicle: ApiVehicle) -> Task:
         yield
 
 
-def climb(vehicle: ApiVehicle, height: float) -> Task:
+def climb(vehicle: PilotedVehicle, height: float) -> Task:
     """Climb to a height above the origin (m), at 1.5 m/s like PX4."""
     north, east, _ = vehicle.position
     return (yield from fly_path(vehicle, [(north, east, -height)], 1.5, FOREVER_S, Yaw()))
 
 
-def go_to(vehicle: ApiVehicle, place: Triple, speed: float, yaw: float | None = None) -> Task:
+def go_to(vehicle: PilotedVehicle, place: Triple, speed: float, yaw: float | None = None) -> Task:
     """Fly to a place in a straight line; the nose points along it unless a yaw is given."""
     facing = Yaw(is_rate=False, value=yaw or 0.0, forward=yaw is None)
     return (yield from fly_path(vehicle, [place], speed, FOREVER_S, facing))
 
 
-def return_to_launch(vehicle: ApiVehicle, speed: float) -> Task:
+def return_to_launch(vehicle: PilotedVehicle, speed: float) -> Task:
     """Fly home at a safe height, and land."""
     north, east, down = vehicle.position
     height = min(down, -RETURN_HEIGHT)
@@ -79,7 +78,7 @@ def return_to_launch(vehicle: ApiVehicle, speed: float) -> Task:
     return (yield from land(vehicle, FOREVER_S))
 
 
-def orbit(vehicle: ApiVehicle, centre: Triple, radius: float, speed: float, clockwise: bool) -> Task:
+def orbit(vehicle: PilotedVehicle, centre: Triple, radius: float, speed: float, clockwise: bool) -> Task:
     """Circle around a place, nose to the centre."""
     sign = 1.0 if clockwise else -1.0
     while True:
@@ -95,7 +94,7 @@ def orbit(vehicle: ApiVehicle, centre: Triple, radius: float, speed: float, cloc
         yield
 
 
-def offboard(vehicle: ApiVehicle, latest: Callable[[], tuple[Setpoint | None, int]]) -> Task:
+def offboard(vehicle: PilotedVehicle, latest: Callable[[], tuple[Setpoint | None, int]]) -> Task:
     """Follow set-points; `latest` returns the last one and its time (us)."""
     while True:
         setpoint, time_us = latest()
@@ -109,7 +108,7 @@ def offboard(vehicle: ApiVehicle, latest: Callable[[], tuple[Setpoint | None, in
         yield
 
 
-def _velocity_for(vehicle: ApiVehicle, setpoint: Setpoint) -> Triple:
+def _velocity_for(vehicle: PilotedVehicle, setpoint: Setpoint) -> Triple:
     """Velocity (NED, m/s): feed-forward, plus what a position set-point asks for."""
     x, y, z = (value or 0.0 for value in setpoint.velocity)
     if setpoint.body:
@@ -121,7 +120,7 @@ def _velocity_for(vehicle: ApiVehicle, setpoint: Setpoint) -> Triple:
     return found[0], found[1], found[2]
 
 
-def _yaw_rate_for(vehicle: ApiVehicle, setpoint: Setpoint) -> float:
+def _yaw_rate_for(vehicle: PilotedVehicle, setpoint: Setpoint) -> float:
     absolute = setpoint.yaw is not None
     yaw = Yaw(is_rate=not absolute, value=(setpoint.yaw if absolute else setpoint.yaw_rate) or 0.0)
     return yaw.rate(vehicle, (0.0, 0.0, 0.0))

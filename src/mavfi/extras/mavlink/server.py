@@ -6,10 +6,10 @@ import time
 from typing import Any
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim.vehicle import TICK_US
 from mavfi.extras.mavlink.autopilot import Autopilot
 from mavfi.extras.mavlink.flying import MavVehicle
 from mavfi.extras.mavlink.tlog import mavlink_dialect
+from mavfi.flight.piloted import TICK_US
 from mavfi.mission import MissionSpec
 
 HOST = "127.0.0.1"

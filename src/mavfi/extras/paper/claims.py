@@ -1,12 +1,13 @@
 """Claims: statements of the paper, each tested on the runs of a campaign."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
 from mavfi.errors import BadInputError
+from mavfi.plugins import Catalogue
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +32,8 @@ class Claim:
     test: Callable[[Runs], Evidence]
 
 
-CLAIMS: dict[str, Claim] = {}  # by name
-
-
-def register(*claims: Claim) -> None:
-    """Register claims; a claim replaces an earlier one with the same name."""
-    CLAIMS.update({claim.name: claim for claim in claims})
-
-
+CLAIMS: Mapping[str, Claim] = Catalogue("mavfi.claims")
+"""By name."""
 LEVEL = 0.05
 """Family-wise error rate: probability that any claim of a table is wrongly confirmed or contradicted."""
 CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "undecided"

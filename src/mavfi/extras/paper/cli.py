@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from mavfi.analysis.runs import Runs
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.training import Training
-    from mavfi.cli.progress import StudyBar
+    from mavfi.campaign.training import RecordedFlights
+    from mavfi.extras.paper.cli_report import StudyBar
     from mavfi.extras.paper.steps import Steps
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
@@ -56,8 +56,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.run import run_campaigns
     from mavfi.campaign.training import record
     from mavfi.campaign.warm_up import compile_ahead
-    from mavfi.cli.progress import StudyBar
-    from mavfi.extras.paper.cli_report import show_study_report, write_study_report
+    from mavfi.extras.paper.cli_report import StudyBar, show_study_report, write_study_report
     from mavfi.extras.paper.overheads import measure, save
     from mavfi.extras.paper.report import check_names
     from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
@@ -97,11 +96,11 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
 
 def _train(
-    lacking: Iterable["MissionSpec"], fly: Callable[..., "Training"], executor: "LocalExecutor", bar: "StudyBar"
+    lacking: Iterable["MissionSpec"], fly: Callable[..., "RecordedFlights"], executor: "LocalExecutor", bar: "StudyBar"
 ) -> None:
     """Fly and fit the models that are lacking."""
     from mavfi.campaign.executors.executor import map_each
-    from mavfi.campaign.training import Training
+    from mavfi.campaign.training import RecordedFlights
 
     trainings = []
     for mission in lacking:
@@ -109,7 +108,7 @@ def _train(
             trainings.append(fly(mission))
     if trainings:
         with bar.timed("fitting of detectors", "trainings"):
-            for done, _ in enumerate(map_each(executor, Training.fit, trainings), 1):
+            for done, _ in enumerate(map_each(executor, RecordedFlights.fit, trainings), 1):
                 bar.show(done, len(trainings))
 
 
@@ -143,7 +142,7 @@ def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> l
 
 def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path) -> list[str]:
     """Folders of the campaigns whose overheads the study shows and nobody has measured yet."""
-    from mavfi.extras.paper.overheads import load
+    from mavfi.extras.paper.overhead_views import load
 
     shown = dict.fromkeys(section.campaign for section in study.sections if TIMED in section.views)
     return [folder for folder in shown if _detectors(campaigns[folder]) and not load(out / folder)]

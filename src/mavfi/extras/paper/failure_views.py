@@ -12,7 +12,7 @@ from mavfi.analysis.pairs import paired_difference
 from mavfi.analysis.runs import ALL, Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import ESTIMATE, NUMBER, POINTS, Table
-from mavfi.analysis.views import View, has, register
+from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
 from mavfi.extras.paper.failure_rate import (
     Estimate,
@@ -22,6 +22,7 @@ from mavfi.extras.paper.failure_rate import (
     total_failures,
     upsets_per_instruction,
 )
+from mavfi.plugins import Chapter
 from mavfi.states import DETECTORS, PLANNERS
 
 INSTRUCTION = "instruction"
@@ -280,7 +281,7 @@ _VIEW = View(
     where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),
     applies=lambda runs: has(runs.injected, level=INSTRUCTION),
 )  # fmt: skip
-register(_VIEW)
+CHAPTER = Chapter(50, (_VIEW,))
 
 
 def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:

@@ -9,9 +9,10 @@ from mavfi.analysis import measures as m
 from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import FI
-from mavfi.extras.paper.claims import Claim, Evidence, register
-from mavfi.extras.paper.views import by_bits, leading_faults
+from mavfi.extras.paper.claims import Claim, Evidence
+from mavfi.extras.paper.views import by_bits
 from mavfi.extras.paper.worlds import Difference, Mean, between_worlds, within_worlds
+from mavfi.plugins import Chapter
 
 KERNELS, STATES, INSTRUCTIONS, VALUES = "kernels", "states", "table1_instructions", "table1"
 """Names of the campaigns used in the tests."""
@@ -60,7 +61,7 @@ def equality(test: Callable[[Runs], Evidence]) -> Callable[[Runs], Evidence]:
 
 
 def _faults(runs: Runs) -> Runs:
-    return leading_faults(runs).where(setting=FI)
+    return m.leading_faults(runs).where(setting=FI)
 
 
 def _of(column: str, *names: str) -> pl.Expr:
@@ -92,7 +93,7 @@ def _lost(select: pl.Expr | None = None, setting: str = FI) -> Callable[[Runs], 
     """Test of golden runs against the same missions with a fault."""
 
     def test(runs: Runs) -> Evidence:
-        own = leading_faults(runs).where(pl.col("golden_success").is_not_null(), setting=setting)
+        own = m.leading_faults(runs).where(pl.col("golden_success").is_not_null(), setting=setting)
         own = own if select is None else own.where(select)
         once = replace(own, frame=own.frame.unique("world", maintain_order=True))  # a world has one golden run
         golden = once.adding(value=pl.col("golden_success"))
@@ -120,7 +121,7 @@ def paired(
     """Paired test of two settings with the same faults; pairs with a null value in either setting are excluded."""
 
     def test(runs: Runs) -> Evidence:
-        own = leading_faults(runs).where(pl.col("setting").is_in((setting, other)), **where)
+        own = m.leading_faults(runs).where(pl.col("setting").is_in((setting, other)), **where)
         pair = ("environment", "target", "index")
         complete = (pl.len().over(pair) == 2) & pl.col(column).is_not_null().all().over(pair)
         own = own.where(complete)
@@ -143,12 +144,12 @@ def _hardest(runs: Runs) -> Evidence:
 
 
 def _hardest_to_recover(runs: Runs) -> Evidence:
-    lost = m.against_fi(leading_faults(runs)).where("golden_success", ~pl.col("fi_success"))
+    lost = m.against_fi(m.leading_faults(runs)).where("golden_success", ~pl.col("fi_success"))
     return _in_dense(lost, "dr_success", more=False, what="lost missions that GAD or AAD bring back")
 
 
 def _most_missed(runs: Runs) -> Evidence:
-    own = leading_faults(runs).where(pl.col("detector") != "", site_outcome=ACTIVATED)
+    own = m.leading_faults(runs).where(pl.col("detector") != "", site_outcome=ACTIVATED)
     return _in_dense(own, "detected_at_site", more=False, what="faults detected at their site by GAD or AAD")
 
 
@@ -274,8 +275,8 @@ def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
 
 
 _MISSED = "Table I, faults in states: in Dense most faults go undetected"
-register(
+CHAPTER = Chapter(10, (
     *_of_kernels(), *_of_states(), *_of_success(INSTRUCTIONS, "instructions", ""),
     *_of_success(VALUES, "states", "_in_states"),
     *_claims("VI-A", VALUES, ("dense_most_missed_in_states", _MISSED, _most_missed), method=_BETWEEN),
-)  # fmt: skip
+))  # fmt: skip

@@ -5,13 +5,14 @@ from collections.abc import Callable, Iterable
 import polars as pl
 from scipy.stats import binomtest
 
+from mavfi.analysis import published as paper
 from mavfi.analysis.measures import recomputed_share
 from mavfi.analysis.runs import Runs
-from mavfi.extras.paper import published as paper
-from mavfi.extras.paper.claims import Claim, Evidence, register
+from mavfi.extras.paper.claims import Claim, Evidence
 from mavfi.extras.paper.mission_claims import INSTRUCTIONS, VALUES, WITHIN, Unit, tested
-from mavfi.extras.paper.overheads import ALL
+from mavfi.extras.paper.overhead_views import ALL
 from mavfi.extras.paper.worlds import within_worlds
+from mavfi.plugins import Chapter
 from mavfi.states import Stage
 
 _FLIGHTS = "sign test of flights"
@@ -129,4 +130,4 @@ def _of_overhead() -> Iterable[Claim]:
     yield Claim("gaussian_recovery_of_early_stages", text, "VI-C", INSTRUCTIONS, WITHIN, _of_early_stages)
 
 
-register(*_of_overhead())
+CHAPTER = Chapter(20, tuple(_of_overhead()))

@@ -21,19 +21,13 @@ from mavfi.campaign.fingerprint import processor
 from mavfi.campaign.plan import arms_of
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, write_text
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.compose import resolve
-from mavfi.flight.decide import SCANNING, Action
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
+from mavfi.extras.paper.overhead_views import ALL, FILE
+from mavfi.flight.compose import detector_for, new_loop, resolve, watch
+from mavfi.flight.decide import SCANNING, Action, Recovery
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State
 
-FILE = "overheads.json"
-"""Name of the file in the folder of a campaign."""
-ALL = "all"
-"""Key of the sum over all stages."""
 STAGES = (*map(str, PPC_STAGES), ALL)
 _REPLAYS, _BLOCK = 5, 16
 LONG_S = 1.0
@@ -265,21 +259,3 @@ def save(measured: Mapping[str, Any], directory: Path) -> Path:
     path = directory / FILE
     write_text(path, json.dumps(measured, indent=1) + "\n")
     return path
-
-
-def load(directory: Path) -> dict[str, Any]:
-    """Read measured overheads from the folder of a campaign; empty if there are none.
-
-    Raises:
-        BadInputError: The file is invalid.
-    """
-    path = directory / FILE
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        found["processor"], found["missions"]
-        {(row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"]) for row in found["rows"]}
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise BadInputError(f"{path}: is not a file of measured overheads; remove it, or measure again") from None
-    return found

@@ -4,16 +4,17 @@ from collections.abc import Callable, Iterable
 
 import polars as pl
 
+from mavfi.analysis import published as paper
+from mavfi.analysis.measures import leading_faults
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.extras.paper import published as paper
-from mavfi.extras.paper.claims import Claim, Evidence, register
+from mavfi.extras.paper.claims import Claim, Evidence
 from mavfi.extras.paper.mission_claims import HURT, WITHIN, Unit, equality, paired, tested
 from mavfi.extras.paper.platform_views import compared
 from mavfi.extras.paper.redundancy import shipped_designs
 from mavfi.extras.paper.redundancy_views import TMR, band, between, ratio
-from mavfi.extras.paper.views import leading_faults
 from mavfi.extras.paper.worlds import within_worlds
+from mavfi.plugins import Chapter
 
 PLATFORMS = "platforms"
 FAST, SLOW = "i9-9940x", "cortex-a57"
@@ -108,4 +109,4 @@ def _of_platforms() -> Iterable[Claim]:
     )  # fmt: skip
 
 
-register(*_of_redundancy(), *_of_platforms())
+CHAPTER = Chapter(30, (*_of_redundancy(), *_of_platforms()))

@@ -3,13 +3,13 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from mavfi.analysis import published as paper
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import GOLDEN
-from mavfi.extras.paper import published as paper
 from mavfi.extras.paper.platform_views import compared, platforms
-from mavfi.report import style
-from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing, register
+from mavfi.plugins import Chapter
+from mavfi.report import links, style
+from mavfi.report.figures import Drawing
 
 
 def flight_times(runs: Runs) -> Figure | None:
@@ -57,4 +57,6 @@ def flight_times(runs: Runs) -> Figure | None:
     return figure
 
 
-register(Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True))
+CHAPTER = Chapter(
+    30, (Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),)
+)

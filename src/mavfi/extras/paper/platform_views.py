@@ -8,14 +8,15 @@ import numpy as np
 import polars as pl
 
 from mavfi.analysis import measures as m
+from mavfi.analysis import published as paper
 from mavfi.analysis.flight_views import ONE_FAULT, of_missions
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import PERCENT, PERCENT_TEST, TIMES_TEST
-from mavfi.analysis.views import View, register
+from mavfi.analysis.views import View
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.extras.paper import published as paper
 from mavfi.extras.paper.worlds import CONTRAST, contrast_measure
+from mavfi.plugins import Chapter
 
 _SECONDS, _KJ, _TIMES = "number .1f s", "number .1f kJ", "number .2f ×"
 
@@ -138,7 +139,7 @@ def _explanation(runs: Runs) -> list[str]:
     ]
 
 
-register(
+CHAPTER = Chapter(90, (
     View(
         "platforms", "Computing platforms (Fig. 9): flights that succeed", ("environment", "setting"),
         (
@@ -160,7 +161,7 @@ register(
             "latencies are modelled; power is that of the rotors, the processor's is not in it", ONE_FAULT,
         ), applies=lambda runs: bool(platforms(runs)),
     ),
-)  # fmt: skip
+))  # fmt: skip
 
 
 def _kilo(kilojoule: float | None) -> float | None:

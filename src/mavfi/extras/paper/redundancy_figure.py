@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mavfi.extras.paper import published as paper
+from mavfi.analysis import published as paper
 from mavfi.extras.paper.redundancy import DesignConfig, energy_ratio, performance, shipped_designs
 from mavfi.extras.paper.redundancy_views import AUTOENCODER, band, ratio, schemes
+from mavfi.plugins import Chapter
 from mavfi.report import style
-from mavfi.report.figures.registry import Drawing, register
+from mavfi.report.figures import Drawing
 
 _LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PURPLE, "D"))
 
@@ -71,10 +72,10 @@ def _energy(design: DesignConfig, scheme: str) -> float:
     return energy_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
 
 
-register(
+CHAPTER = Chapter(40, (
     Drawing(
         "redundancy", lambda _: redundancy(shipped_designs()),
         "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
         "paper's figure.",
-    )
-)  # fmt: skip
+    ),
+))  # fmt: skip

@@ -7,11 +7,11 @@ from typing import Any
 
 import polars as pl
 
+from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure, first
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import TEXT, Table
-from mavfi.analysis.views import View, register
-from mavfi.extras.paper import published as paper
+from mavfi.analysis.views import View
 from mavfi.extras.paper.redundancy import (
     DesignConfig,
     at_ends,
@@ -21,6 +21,7 @@ from mavfi.extras.paper.redundancy import (
     shipped_designs,
     time_ratio,
 )
+from mavfi.plugins import Chapter
 
 SPEED_LIMIT = 3.0
 """Speed limit of the published mission (m/s)."""
@@ -176,7 +177,7 @@ _SPEEDS = View(
         "published mission",
     ),
 )  # fmt: skip
-register(_COMPARED, _BAND, _SPEEDS)
+CHAPTER = Chapter(100, (_COMPARED, _BAND, _SPEEDS))
 
 
 def redundancy_tables(designs: Sequence[DesignConfig]) -> list[Table]:

@@ -97,7 +97,7 @@ def machine() -> str:
 
 def program() -> str:
     """This program in words: its version, and its commit if it runs in a clone."""
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[4]
     done = None
     if (root / ".git").exists():
         command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from mavfi.analysis import measures as m
+from mavfi.analysis import published as paper
 from mavfi.analysis.flight_views import (
     INSTRUCTION,
     INTERVALS,
@@ -21,10 +22,10 @@ from mavfi.analysis.flight_views import (
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import POINTS_TEST, SIGNED, TEXT
-from mavfi.analysis.views import View, has, register
+from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.extras.paper import published as paper
 from mavfi.extras.paper.worlds import CONTRAST, contrast_measure
+from mavfi.plugins import Chapter
 
 GOLDEN_ROW = "golden run"
 BIT_CLASSES = ("sign", "exponent", "mantissa")
@@ -40,12 +41,6 @@ def with_golden(faulty: Runs, runs: Runs, column: str) -> Runs:
     return Runs(pl.concat([golden.frame, faulty.frame], how="diagonal"), runs.records, runs.campaign, runs.flights)
 
 
-def leading_faults(runs: Runs) -> Runs:
-    """Judged runs with a fault in the leading bits: sign and exponent, or all bits where these were not drawn apart."""
-    judged = runs.injected.where("judged")
-    return judged.where(pl.col("population").is_in(m.leads(m.population_names(judged, ()))))
-
-
 def by_kernel(runs: Runs) -> Runs:
     """Fig. 3: golden runs, and runs with an instruction fault, by kernel."""
     return with_golden(runs.injected.where("judged", level=INSTRUCTION, setting=FI), runs, "kernel")
@@ -53,7 +48,7 @@ def by_kernel(runs: Runs) -> Runs:
 
 def by_state(runs: Runs) -> Runs:
     """Fig. 4: golden runs, and runs with a state fault in the leading population, by group of fields."""
-    return with_golden(leading_faults(runs).where(level="state", setting=FI), runs, "target")
+    return with_golden(m.leading_faults(runs).where(level="state", setting=FI), runs, "target")
 
 
 def by_bits(runs: Runs) -> Runs:
@@ -114,7 +109,7 @@ def _kernels_note() -> str:
     )
 
 
-register(
+_EFFECTS = (
     _shown("kernels_as_in_the_paper", "Fig. 3: flight time and success, one fault in one kernel", "kernel", by_kernel,
            "kernel", lambda runs: has(runs.injected, level=INSTRUCTION) and runs.campaign.get("each") == "kernel",
            _kernels_note(), leads=True),
@@ -133,7 +128,7 @@ def distribution(runs: Runs) -> Runs:
 
     Column `paired` marks faults with which the mission succeeds in all settings.
     """
-    faulty = paired(leading_faults(runs)).frame
+    faulty = paired(m.leading_faults(runs)).frame
     golden = runs.golden.where("judged", arm="").frame.with_columns(paired=pl.col("inflation").is_not_null())
     return Runs(pl.concat([golden, faulty], how="diagonal"), runs.records, runs.campaign, runs.flights)
 
@@ -186,7 +181,8 @@ def _papers(own: Runs) -> float | None:
     return found
 
 
-register(
+CHAPTER = Chapter(80, (
+    *_EFFECTS,
     View(
         "flight_times", "Flight time: worst cases, and what detection and recovery take from them",
         SETTING,
@@ -215,4 +211,4 @@ register(
             ONE_FAULT,
         ),
     ),
-)  # fmt: skip
+))  # fmt: skip

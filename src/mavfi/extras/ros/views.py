@@ -4,7 +4,8 @@ import polars as pl
 
 from mavfi.analysis import measures as m
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.views import View, has, register
+from mavfi.analysis.views import View, has
+from mavfi.plugins import Chapter
 
 _EFFECTS = {"masked": "masked", "sdc": "SDC", "crash": "crash", "hang": "hang"}
 _INTERVALS = "per cent, [95 % interval, Wilson], count; a crash or a hang is a detected error (DUE)"
@@ -45,7 +46,7 @@ def _stopped_note(runs: Runs) -> list[str]:
     return [f"the process stood still for {held[len(held) // 2] / 1000:.1f} ms (median)"] if held else []
 
 
-register(
+CHAPTER = Chapter(40, (
     View(
         "boundary_effects", "What one bit in a call does to a program", ("side",),
         (
@@ -72,4 +73,4 @@ register(
         where=_trials, total=("registers", "in all"),
         notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT), applies=_of_registers,
     ),
-)  # fmt: skip
+))  # fmt: skip

@@ -17,7 +17,7 @@ from mavfi.numerics.voxels import Grid
 from mavfi.record import FlightLog
 from mavfi.report.export.lines import Line, lines_of
 from mavfi.sim.environments.world import World
-from mavfi.states import State, floats
+from mavfi.states import State, rows
 
 MAP, VEHICLE = "map", "base_link"
 FIRST_STAMP_NS = 1
@@ -153,10 +153,8 @@ class Converter:
         self._kinds: dict[str, Callable[[State, int], Iterable[Message]]] = {
             "perception.point_cloud": lambda state, time_ns: [_cloud("/points", state.elements, time_ns)],
             "perception.map_update": self._map,
-            "planning.path": lambda state, time_ns: [_polyline("/path", floats(state.elements, 3), time_ns)],
-            "planning.trajectory": lambda state, time_ns: [
-                _polyline("/trajectory", floats(state.elements, 3), time_ns)
-            ],
+            "planning.path": lambda state, time_ns: [_polyline("/path", rows(state.elements, 3), time_ns)],
+            "planning.trajectory": lambda state, time_ns: [_polyline("/trajectory", rows(state.elements, 3), time_ns)],
         }
 
     def __call__(self, state: State, time_us: int) -> Iterable[Message]:

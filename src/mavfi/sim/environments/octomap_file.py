@@ -20,7 +20,7 @@ from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.files import read_file
 from mavfi.numerics.jit import kernel_jit
-from mavfi.sim.environments.arena import checked_number
+from mavfi.sim.environments.generated import checked_number
 from mavfi.sim.environments.world import Voxels, World
 
 _DEPTH = 16
@@ -30,6 +30,8 @@ _LARGEST_GRID = 1 << 26
 _LARGEST_FILE = 1 << 28
 _HEADERS = {b"# Octomap OcTree binary file": False, b"# Octomap OcTree file": True}
 _TRUNCATED, _TOO_DEEP = -1, -2
+_SOLID, _INNER = 2, 3
+"""Kinds of children in a `.bt` file; 0 is unknown, 1 free."""
 _PASSAGE, _NEAR = 0.2, 1.0
 _MARGINS = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
@@ -162,15 +164,14 @@ def read_octree(path: Path) -> tuple[Leaves, float]:
     content = read_file(path, _LARGEST_FILE)
     has_values, resolution, offset = _read_header(path, content)
     nodes = np.frombuffer(content, np.uint8, offset=offset)
-    parse = _parse_values if has_values else _parse_bits
     nothing = Leaves(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.bool_))
-    count = parse(nodes, nothing)
+    count = _parse(nodes, has_values, nothing)
     if count == _TRUNCATED:
         raise BadInputError(f"{path}: truncated: the octree does not end within the file")
     if count == _TOO_DEEP:
         raise BadInputError(f"{path}: not an octree of {_DEPTH} levels")
     leaves = Leaves(np.empty((count, 3), np.int32), np.empty(count, np.int32), np.empty(count, np.bool_))
-    parse(nodes, leaves)
+    _parse(nodes, has_values, leaves)
     return leaves, resolution
 
 
@@ -201,59 +202,47 @@ def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
 
 
 @kernel_jit
-def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Traverse the nodes of a `.bt` file; store leaves up to the capacity, and return their number."""
+def _parse(nodes: np.ndarray, has_values: bool, leaves: Leaves) -> int:
+    """Traverse the nodes; store leaves up to the capacity, and return their number.
+
+    Args:
+        nodes: Bytes of the nodes. Shape (n,), uint8.
+        has_values: Whether they are those of an `.ot` file.
+        leaves: Output.
+    """
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0
     while top > 0:
         top -= 1
         x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
-        if level == 0:
+        if level == 0 and not has_values:
             return _TOO_DEEP
-        if at + 2 > len(nodes):
+        if at + (5 if has_values else 2) > len(nodes):
             return _TRUNCATED
-        bits = int(nodes[at]) | int(nodes[at + 1]) << 8
-        at += 2
+        if has_values:
+            log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
+            bits = int(nodes[at + 4])
+            at += 5
+            if bits == 0:
+                _store(leaves, count, (x, y, z), 1 << level, not (log_odds < 0.0))
+                count += 1
+                continue
+            if level == 0:
+                return _TOO_DEEP
+        else:
+            bits = int(nodes[at]) | int(nodes[at + 1]) << 8
+            at += 2
         half = 1 << (level - 1)
         for child in range(7, -1, -1):
-            kind = bits >> (2 * child) & 3
+            kind = 3 * (bits >> child & 1) if has_values else bits >> (2 * child) & 3
             corner = (x + (child & 1) * half, y + (child >> 1 & 1) * half, z + (child >> 2) * half)
-            if kind == 3:
+            if kind == _INNER:
                 _push(stack, top, corner, level - 1)
                 top += 1
             elif kind > 0:
-                _store(leaves, count, corner, half, kind == 2)
+                _store(leaves, count, corner, half, kind == _SOLID)
                 count += 1
-    return count
-
-
-@kernel_jit
-def _parse_values(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Traverse the nodes of an `.ot` file; store leaves up to the capacity, and return their number."""
-    stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
-    stack[0, 3] = _DEPTH
-    top, at, count = 1, 0, 0
-    while top > 0:
-        top -= 1
-        x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
-        if at + 5 > len(nodes):
-            return _TRUNCATED
-        log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
-        children = int(nodes[at + 4])
-        at += 5
-        if children == 0:
-            _store(leaves, count, (x, y, z), 1 << level, not (log_odds < 0.0))
-            count += 1
-            continue
-        if level == 0:
-            return _TOO_DEEP
-        half = 1 << (level - 1)
-        for child in range(7, -1, -1):
-            if children >> child & 1:
-                corner = (x + (child & 1) * half, y + (child >> 1 & 1) * half, z + (child >> 2) * half)
-                _push(stack, top, corner, level - 1)
-                top += 1
     return count
 
 

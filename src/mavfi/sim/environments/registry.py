@@ -2,13 +2,14 @@
 
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from mavfi.config import EnvironmentConfig, Vector
+from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
@@ -22,12 +23,9 @@ mission, or None."""
 
 ENTRY_POINT_GROUP = "mavfi.environments"
 
-_BUILT_IN = {name: f"mavfi.sim.environments.{name}:{name}" for name in ("cuboids", "factory", "farm", "clutter")}
-_BUILT_IN |= {
-    "training": "mavfi.sim.environments.training:training",
-    "octomap_file": "mavfi.sim.environments.octomap_file:octomap_file",
-}
-SCAN_ENDINGS = (".bt", ".ot")
+_GENERATED = ("cuboids", "factory", "farm", "clutter", "training")
+_BUILT_IN = {name: f"mavfi.sim.environments.generated:{name}" for name in _GENERATED}
+_BUILT_IN["octomap_file"] = "mavfi.sim.environments.octomap_file:octomap_file"
 
 
 def build_world(
@@ -47,7 +45,8 @@ def build_world(
     """
     generator = find_generator(environment.generator)
     known = parameters_of("generator", environment.generator, generator)[1:]
-    ends = {"start": start, "goal": goal} if {"start", "goal"} <= set(known) else {}
+    chosen = {"start": start, "goal": goal}
+    ends = chosen if set(chosen) <= set(known) else {}
     source = f"environment {environment.name!r}"
     try:
         inspect.signature(generator).bind(seed, **environment.parameters, **ends)
@@ -63,8 +62,8 @@ def build_world(
             f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
         )
     _check_boxes(f"{source}: generator {environment.generator}", world)
-    if start is not None or goal is not None:
-        world = _with_ends(world, start, goal)
+    given: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
+    world = replace(world, **given)
     radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
@@ -125,12 +124,6 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         map_resolution=0.08,
         camera_range=8.0,
     )
-
-
-def _with_ends(world: World, start: Vector | None, goal: Vector | None) -> World:
-    values = {name: getattr(world, name) for name in World.__dataclass_fields__}
-    given: dict[str, Any] = {"start": start, "goal": goal}
-    return World(**values | {name: np.array(point) for name, point in given.items() if point is not None})
 
 
 @cache

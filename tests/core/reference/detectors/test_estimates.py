@@ -46,7 +46,7 @@ def naive(new, elapsed, fix):
 
 @pytest.fixture(scope="module")
 def rule():
-    return AcceptanceTest(ESTIMATED).estimates
+    return AcceptanceTest(ESTIMATED)
 
 
 SHIFTS = st.tuples(*[st.floats(-6.0, 6.0) | st.sampled_from([0.0, 0.2, -0.2, np.nan, np.inf, 1e300])] * 6)
@@ -70,6 +70,6 @@ def test_an_estimate_is_judged_as_by_the_twin(rule, shift, scale, turn, length, 
         rule.accept(state, NOW)
     state = new_state(ESTIMATE)
     floats(state.header, WIDTH)[:] = new
-    found = estimates.judge_estimate(bytes_of(state.header), NOW + elapsed_us, rule.record)
+    found = estimates.judge_estimate(bytes_of(state.header), NOW + elapsed_us, rule.estimate)
     expected = naive(new, 1e-6 * elapsed_us, fix)
     assert (None if found < 0 else group(found)) == expected

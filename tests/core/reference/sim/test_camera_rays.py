@@ -7,9 +7,7 @@ import pytest
 from mavfi.config import CameraConfig
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.camera import Camera, box_distance_along, build_columns, voxel_distance_along
-from mavfi.sim.environments.clutter import clutter
-from mavfi.sim.environments.cuboids import cuboids
-from mavfi.sim.environments.factory import factory
+from mavfi.sim.environments.generated import clutter, cuboids, factory
 from mavfi.sim.environments.world import World
 
 RANGE = 20.0

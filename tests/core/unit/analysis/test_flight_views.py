@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from mavfi.analysis import published as paper
 from mavfi.analysis import table, views_for
 from mavfi.analysis.table import RATE
-from mavfi.extras.paper import published as paper
 from tests.core.unit.analysis.handmade import DUE, FAULT, GOLDEN, UNKNOWN, flown, golden, injected, runs
 
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.analysis import measures as m
+from mavfi.analysis.rows import WHOLE_WORD
 from tests.core.unit.analysis.handmade import (
     DUE,
     FAULT,
@@ -26,15 +27,15 @@ def test_unknown_runs_are_left_out_and_due_runs_fail():
 def test_strata_that_part_the_word_make_up_whole_words():
     faults = [replace(FAULT, stratum=name) for name in ("sign", "exponent", "mantissa")]
     own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(faults)))
-    assert m.WHOLE_WORD in m.populations(own, "success")
-    assert m.WHOLE_WORD not in m.populations(own.where(m.pl.col("seed") < 2), "success")
+    assert WHOLE_WORD in m.populations(own, "success")
+    assert WHOLE_WORD not in m.populations(own.where(m.pl.col("seed") < 2), "success")
     assert m.population_names(own, ()) == ["sign", "exponent", "whole_word", "mantissa"]
 
 
 def test_strata_of_messages_make_up_whole_messages():
     faults = [replace(FAULT, stratum=name) for name in ("sign_exponent", "mantissa", "length")]
     own = runs(*(injected(seed, flown(), fault) for seed, fault in enumerate(faults)))
-    assert m.WHOLE_WORD in m.populations(own, "success")
+    assert WHOLE_WORD in m.populations(own, "success")
     assert "length" in m.population_names(own, ())
 
 

@@ -8,12 +8,12 @@ import polars as pl
 import pytest
 
 from mavfi.analysis import VIEWS, View, table, views_for
+from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure, count, rate
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import NUMBER, RATE, TEXT, UNKNOWN
 from mavfi.config import config_root, read_yaml
 from mavfi.errors import BadInputError
-from mavfi.extras.paper import published as paper
 from mavfi.report.text import FORMS
 from tests.core.unit.analysis.handmade import flown, golden, injected, runs
 

@@ -3,7 +3,16 @@ import pytest
 
 from mavfi.campaign import training
 from mavfi.campaign.config import TRAINING_SEED
-from mavfi.campaign.training import FAMILIES, FOLDER, KeptRecordings, record, record_flights, train, training_mission
+from mavfi.campaign.training import (
+    FOLDER,
+    KeptRecordings,
+    record,
+    record_flights,
+    train,
+    training_mission,
+    trainings_of,
+)
+from mavfi.detectors.training import MONITORED_FIELDS
 from mavfi.errors import BadInputError
 from mavfi.flight.host import Flight
 from mavfi.mission import MissionSpec, MissionStatus
@@ -34,7 +43,7 @@ def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
     recordings = record_flights(SCENARIO, 6, workers, lambda kept, wanted: shown.append((kept, wanted)))
     assert list(recordings) == [TRAINING_SEED + offset for offset in (1, 2, 3, 5, 6, 7)]
     assert (shown[0], shown[-1]) == ((0, 6), (6, 6))
-    assert all(len(recording.times_us) for recording in recordings.values())
+    assert all(len(recording.times_us) for (recording,) in recordings.values())
 
 
 def test_training_flies_its_own_worlds_as_the_mission_asks_for():
@@ -54,7 +63,7 @@ def _stop_at(wanted, shown):
 
 
 def _content(recordings):
-    return {seed: (r.kinds.tolist(), r.times_us.tolist(), r.content.tobytes()) for seed, r in recordings.items()}
+    return {seed: (r.kinds.tolist(), r.times_us.tolist(), r.content.tobytes()) for seed, (r,) in recordings.items()}
 
 
 def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
@@ -86,12 +95,13 @@ def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp
 
 
 def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch):
-    def save(model, folder):
-        assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3 * len(FAMILIES)
-        return [folder / "model.json"]
+    class Fitted:
+        @staticmethod
+        def save(folder):
+            assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 6, "three flights in each family of worlds"
+            return folder / "model.json"
 
-    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, *_, **__: {str(len(recordings)): None})
-    monkeypatch.setattr("mavfi.detectors.training.save", save)
+    monkeypatch.setattr(training, "fit", lambda *_: {"model": Fitted})
     assert train(tmp_path, 3, workers=1) == [tmp_path / "model.json"]
     assert not (tmp_path / FOLDER).exists()
 
@@ -103,19 +113,18 @@ def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch)
 def test_detectors_of_all_fields_learn_from_each_family_of_worlds(tmp_path, monkeypatch, given, monitored, every):
     fitted = {}
 
-    def fit(recordings, provenance, *, extras, only):
-        fitted.update(dict.fromkeys(only, (provenance["environment"], provenance["flights"], len(provenance["seeds"]))))
+    def fit(kind, recordings, provenance, extras, only):
+        fitted[kind.profiles] = provenance["environment"], provenance["flights"], len(provenance["seeds"])
         assert len(recordings) == provenance["flights"]
         return {}
 
-    monkeypatch.setattr("mavfi.detectors.training.fit", fit)
+    monkeypatch.setattr(training, "fit", fit)
     record(tmp_path, 2, environments=given, workers=1).fit()
-    assert fitted["limits", "tuned"] == (", ".join(every), 2 * len(every), 2 * len(every))
-    assert fitted["gaussian", "paper"] == (", ".join(monitored), 2 * len(monitored), 2 * len(monitored))
-    assert ("limits", "paper") not in fitted and ("autoencoder", "tuned") in fitted
+    assert fitted["tuned",] == (", ".join(every), 2 * len(every), 2 * len(every))
+    assert fitted["paper", "tuned"] == (", ".join(monitored), 2 * len(monitored), 2 * len(monitored))
     fitted.clear()
     record(tmp_path, 2, workers=1, only={("gaussian", "paper")}).fit()
-    assert fitted == {("gaussian", "paper"): ("training", 2, 2)}, "no flights in the other family"
+    assert fitted == {("paper", "tuned"): ("training", 2, 2)}, "no flights in the other family"
 
 
 def _never_arrives(task):
@@ -136,15 +145,17 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_flights(tmp_path):
         train(tmp_path / "file" / "models", 5)
 
 
-def test_codes_of_all_fields_are_recorded_only_if_they_are_wanted(tmp_path):
-    disk = KeptRecordings(tmp_path, SCENARIO, codes=False)
-    ((seed, recording),) = record_flights(SCENARIO, 1, 1, disk=disk, codes=False).items()
-    assert len(recording.content) and not len(recording.codes)
+def test_only_what_is_needed_is_recorded(tmp_path):
+    (wanted,) = trainings = trainings_of(only=[("gaussian", "paper")])
+    assert wanted is MONITORED_FIELDS
+    disk = KeptRecordings(tmp_path, SCENARIO, trainings)
+    ((seed, recorded),) = record_flights(SCENARIO, 1, 1, disk=disk, trainings=trainings).items()
+    assert len(recorded) == 1 and len(recorded[0].content)
     assert list(disk.load([seed])) == [seed]
-    assert KeptRecordings(tmp_path, SCENARIO).load([seed]) == {}, "other recordings than with codes"
+    assert KeptRecordings(tmp_path, SCENARIO, trainings_of()).load([seed]) == {}, "other recordings than for all"
 
 
-def test_detectors_of_monitored_fields_are_the_same_without_codes(tmp_path):
+def test_a_model_does_not_depend_on_the_others(tmp_path):
     everything = {path.name: path.read_bytes() for path in train(tmp_path / "all", 2, workers=1)}
     for path in train(tmp_path / "one", 2, workers=1, only=[("gaussian", "paper")]):
         assert path.read_bytes() == everything[path.name]

@@ -1,6 +1,7 @@
 import pytest
 
-from mavfi.detectors import training
+from mavfi.campaign.training import fit
+from mavfi.detectors.training import MONITORED_FIELDS
 from tests.core.unit.detectors.streams import PROVENANCE, flight, record
 
 
@@ -11,11 +12,12 @@ def recordings():
 
 @pytest.fixture(scope="session")
 def models(recordings):
-    return training.fit(recordings, PROVENANCE)
+    return fit(MONITORED_FIELDS, recordings, PROVENANCE)
 
 
 @pytest.fixture(scope="session")
 def model_folder(models, tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
-    training.save(models, folder)
+    for model in models.values():
+        model.save(folder)
     return folder

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mavfi.detectors.limits import MissionLimits
-from mavfi.detectors.recorder import Recorder
+from mavfi.detectors.training import Recorder
 from mavfi.states import State, floats, new_state
 
 TICK_US = 20_000

@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.detectors import load_detector, rule_memory, rules
+from mavfi.detectors import acceptance, load_detector, rules
 from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
-from mavfi.states import STATES, floats, new_state
+from mavfi.states import STATES, floats, new_state, rows
 from tests.core.unit.detectors.streams import LIMITS, odometry
 from tests.core.unit.detectors.test_registry import FITS
 
@@ -63,7 +62,7 @@ def short(state, autopilot):
 def step_of(autopilot, index, share=0.0, trajectory=1):
     """The way-point that a trajectory's point becomes; interpolated, by a share of the way to the next."""
     state = make(WAYPOINT, trajectory_seq=trajectory, future_collision_seq=1, index=index)
-    own = floats(points(autopilot).elements, 11)
+    own = rows(points(autopilot).elements, 11)
     floats(state.header, 11)[:] = (
         own[index]
         if autopilot == "published"
@@ -331,7 +330,7 @@ def test_judging_changes_nothing_and_memory_is_restored(autopilot):
 @pytest.mark.parametrize("autopilot", LIMITS)
 def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
     compiled = [flying(autopilot, *before).check(state, NOW) for state, before in everything(autopilot)]
-    for module in (rules, rule_memory):
+    for module in (rules, acceptance):
         for name, found in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(found, "py_func", found))
     plain = {name: function.py_func for name, function in COMPILED.items()}
@@ -342,9 +341,9 @@ def test_compiled_rules_agree_with_plain_python(autopilot, monkeypatch):
 
 def test_a_trajectory_for_which_there_is_no_room_makes_more():
     detector = flying("published")
-    several = rule_memory.CAPACITY + 7
+    several = acceptance.CAPACITY + 7
     long = make(TRAJECTORY, several, trajectory_seq=2, future_collision_seq=1)
-    floats(long.elements, 11)[:] = np.arange(several)[:, None]
+    rows(long.elements, 11)[:] = np.arange(several)[:, None]
     detector.accept(long, NOW)
     other = AcceptanceTest(LIMITS["published"])
     other.restore(detector.memory())

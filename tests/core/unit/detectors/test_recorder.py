@@ -3,7 +3,7 @@ import pickle
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.recorder import WATCHED
+from mavfi.detectors.training import WATCHED
 from mavfi.states import new_state
 from tests.core.unit.detectors.streams import command, flight, odometry, record, waypoint
 

@@ -1,11 +1,13 @@
 import numpy as np
 import pytest
 
+from mavfi.campaign.training import fit
 from mavfi.detectors import training
 from mavfi.detectors.autoencoder import AutoencoderDetector, representative
 from mavfi.detectors.gaussian import GaussianDetector, fit_frozen
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.detectors.samples import Sample
+from mavfi.detectors.registry import figures_of
+from mavfi.detectors.training import MONITORED_FIELDS, Sample
 from mavfi.errors import BadInputError
 from tests.core.unit.detectors.streams import PROVENANCE, command, flight, fly, record, status, waypoint
 
@@ -18,7 +20,7 @@ def test_both_detectors_are_fitted_in_both_profiles(models):
 
 @pytest.mark.slow
 def test_the_same_flights_give_the_same_models(recordings):
-    first, second = (training.fit(recordings[:3], PROVENANCE) for _ in range(2))
+    first, second = (fit(MONITORED_FIELDS, recordings[:3], PROVENANCE) for _ in range(2))
     assert {name: model.sha256 for name, model in first.items()} == {
         name: model.sha256 for name, model in second.items()
     }
@@ -78,16 +80,18 @@ def test_a_regime_with_few_samples_takes_the_largest_limit_of_its_field():
 def test_recordings_that_cannot_serve_are_refused(events, message):
     recordings = [record([(state, 20_000 * number) for number, state in enumerate(events)])]
     with pytest.raises(BadInputError, match=message):
-        training.fit(recordings, PROVENANCE)
+        fit(MONITORED_FIELDS, recordings, PROVENANCE)
 
 
 def test_a_model_needs_its_origin(recordings):
     with pytest.raises(BadInputError, match="lacks v_max, planner"):
-        training.fit(recordings[:1], {"stack": "published", "platform": "i9-9940x"})
+        fit(MONITORED_FIELDS, recordings[:1], {"stack": "published", "platform": "i9-9940x"})
 
 
 @pytest.mark.slow
 def test_nineteen_fields_can_be_fitted(recordings):
-    models = training.fit(recordings[:3], PROVENANCE, monitored="published-19")
-    for name, kind in (("gaussian-tuned", GaussianDetector), ("autoencoder-tuned", AutoencoderDetector)):
-        assert fly(kind(models[name]), flight(0)) == []
+    kinds = {"gaussian": GaussianDetector, "autoencoder": AutoencoderDetector}
+    figures = {name: figures_of(name, "tuned") for name in kinds}
+    nineteen = training.MonitoredFields("published-19")
+    for model in nineteen.fit(kinds, "tuned", recordings[:3], PROVENANCE, figures):
+        assert fly(kinds[model.kind](model), flight(0)) == []

@@ -4,7 +4,7 @@ import numpy as np
 
 from mavfi.config import AutopilotConfig, CameraConfig, MapConfig, PlannerConfig, shipped
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.states import floats, new_state
+from mavfi.states import floats, new_state, rows
 
 AUTOPILOTS = ("published", "hardened")
 
@@ -31,7 +31,7 @@ def odometry(position=(2.0, 5.0, 3.0), velocity=(0.0, 0.0, 0.0)):
 def trajectory(seq=1, epoch=0, count=10, start=(2.0, 5.0, 3.0), speed=2.0, period=0.5):
     state = new_state("planning.trajectory", count)
     state.header["trajectory_seq"], state.header["future_collision_seq"] = seq, epoch
-    points = floats(state.elements, 11).reshape(count, 11)
+    points = rows(state.elements, 11)
     points[:, :3] = start
     points[:, 0] += speed * period * np.arange(count)
     points[:, 4], points[:, 10] = speed, period

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.pipeline.waypoints import SetpointGenerator
-from mavfi.states import floats
+from mavfi.states import floats, rows
 from tests.core.unit.pipeline.parts import config, odometry, status, tracking, trajectory
 
 TICK = 20_000
@@ -113,7 +113,7 @@ def test_hardened_refuses_a_trajectory_that_makes_no_sense_and_stops(column, val
     kernel = setpoint_generator("hardened")
     give(kernel, trajectory(period=0.02))
     bad = trajectory(seq=2, period=0.02)
-    floats(bad.elements, 11)[4, column] = value
+    rows(bad.elements, 11)[4, column] = value
     (stop,) = give(kernel, bad, at=2 * TICK)
     assert int(stop.header["index"][0]) == -1
     assert np.isfinite(floats(stop.header, 11)).all()

@@ -7,7 +7,7 @@ from mavfi.pipeline.planners import Rrt, RrtConnect, RrtStar, make_search
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.trajectories import TrajectoryGenerator
-from mavfi.states import STATES, floats, new_state
+from mavfi.states import STATES, new_state, rows
 from tests.core.unit.pipeline.parts import AUTOPILOTS, config, map_update, odometry, same, status, waypoint
 
 
@@ -37,7 +37,7 @@ def test_a_plan_is_wanted_when_nothing_is_flown_and_leads_around_the_wall(autopi
     kernel = planner(autopilot, distance="centres", plan_radius=0.6, check_radius=0.36)
     assert request(kernel, autopilot)
     (path,) = kernel.step(600_000)
-    vertices = floats(path.elements, 3).reshape(-1, 3)
+    vertices = rows(path.elements, 3)
     np.testing.assert_allclose(vertices[0], [2.0, 5.0, 3.0])
     np.testing.assert_allclose(vertices[-1], kernel._config.goal, atol=2e-3)
     for a, b in zip(vertices[:-1], vertices[1:], strict=True):
@@ -97,7 +97,7 @@ def generator(autopilot="published"):
 
 def path(*vertices, entry=0.0):
     state = new_state("planning.path", len(vertices))
-    floats(state.elements, 3).reshape(-1, 3)[:] = vertices
+    rows(state.elements, 3)[:] = vertices
     state.header["junction"], state.header["entry_speed"] = -1, entry
     return state
 
@@ -134,7 +134,7 @@ def test_corrupted_paths_give_a_trajectory_without_an_error(autopilot, value):
     with np.errstate(all="ignore"):
         for row in range(4):
             bad = path(*LEGS)
-            floats(bad.elements, 3)[row, 1] = value
+            rows(bad.elements, 3)[row, 1] = value
             kernel = generator(autopilot)
             kernel.receive(bad, 0)
             assert len(kernel.step(0)) == 1

@@ -7,7 +7,7 @@ from mavfi.errors import MavfiError
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule
 from mavfi.pipeline.maps import DenseMap
-from mavfi.pipeline.scratch import SearchScratch, arrays_of
+from mavfi.pipeline.planners import SearchScratch, arrays_of
 
 FRAME = KeyFrame(0.5, 0.25, 0.25, 0.25, 0, 0, 0, 20, 20, 10)
 RULE = UpdateRule(*(np.float32(value) for value in (0.85, -0.4, -2.0, 3.5)))
@@ -21,7 +21,7 @@ def scan(seed):
 
 
 def contents(one):
-    return {name: getattr(one._arrays, name).copy() for name in ARRAYS} | {"scans": one._arrays.scans}
+    return {name: getattr(one._arrays, name).copy() for name in ARRAYS} | {"number": one._arrays.number}
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_arrays_of_a_map_are_as_they_were(flown, order):
     for place in order:
         back_to(one, saved[place])
         now = contents(one)
-        assert all(np.array_equal(now[name], then[place][name]) for name in (*ARRAYS, "scans"))
+        assert all(np.array_equal(now[name], then[place][name]) for name in (*ARRAYS, "number"))
 
 
 def test_a_map_continues_as_it_did(flown):
@@ -60,7 +60,7 @@ def test_a_map_continues_as_it_did(flown):
     for seed in (4, 5):
         one.mark()
         one.insert(*scan(seed))
-    assert all(np.array_equal(contents(one)[name], then[5][name]) for name in (*ARRAYS, "scans"))
+    assert all(np.array_equal(contents(one)[name], then[5][name]) for name in (*ARRAYS, "number"))
 
 
 def test_arrays_that_are_not_filled_are_those_of_later_scans(flown):

@@ -9,7 +9,7 @@ import yaml
 
 from mavfi.config import VehicleConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.sim.environments.cuboids import cuboids
+from mavfi.sim.environments.generated import cuboids
 from mavfi.sim.mjcf import find_vehicle, measure
 from mavfi.sim.scene import build_model
 from mavfi.sim.simulator import Simulator

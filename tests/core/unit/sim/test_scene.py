@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from mavfi.sim.environments.cuboids import cuboids
+from mavfi.sim.environments.generated import cuboids
 from mavfi.sim.scene import build_model
 from tests.core.unit.sim.flights import room, scenario
 

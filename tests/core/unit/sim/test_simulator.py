@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.sim.environments.cuboids import cuboids
+from mavfi.sim.environments.generated import cuboids
 from mavfi.sim.simulator import Simulator
 from tests.core.unit.sim.flights import TICK_US, fly, open_world, room, scenario, simulator
 

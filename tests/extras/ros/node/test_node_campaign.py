@@ -10,7 +10,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.node.trial import run_trial
+from mavfi.extras.ros.node.bench import run_trial
 from mavfi.faults.fault import RegisterFault
 from mavfi.outcomes import effect_of
 from tests.extras.ros.node.conftest import until

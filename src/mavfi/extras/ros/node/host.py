@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.node.bench import Trial, run_trial
 from mavfi.extras.ros.node.config import NodeConfig
-from mavfi.extras.ros.node.trial import Trial, run_trial
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.supervisor import private_network
 from mavfi.faults.fault import Fault, RegisterFault

@@ -67,7 +67,9 @@ def test_an_unknown_generator_is_named_with_what_is_allowed():
     assert "'swamp'" in text and "cuboids" in text
 
 
-@pytest.mark.parametrize("generator", ("no_such_package:worlds", "mavfi.sim.environments.farm:barn", "math:pi", ":x"))
+@pytest.mark.parametrize(
+    "generator", ("no_such_package:worlds", "mavfi.sim.environments.generated:barn", "math:pi", ":x")
+)
 def test_a_function_that_cannot_be_had_is_refused(generator):
     assert generator in message(environment(generator), 0)
 
@@ -112,7 +114,7 @@ def test_boxes_that_are_none_are_refused_with_their_generator(monkeypatch, lower
 
 
 def test_generators_are_found_by_package_and_function():
-    assert find_generator("mavfi.sim.environments.farm:farm") is find_generator("farm")
+    assert find_generator("mavfi.sim.environments.generated:farm") is find_generator("farm")
 
 
 def test_the_example_builds_a_world():
