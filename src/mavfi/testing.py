@@ -43,7 +43,7 @@ class LevelContract:
         for fault in self.faults:
             assert type(fault) is self.level.fault and isinstance(fault.site, str)
             assert fault_from_json(json.loads(json.dumps(fault.to_json(), allow_nan=False))) == fault
-            assert pickle.loads(pickle.dumps(fault)) == fault and len({fault, replace(fault)}) == 1  # type: ignore[type-var]
+            assert pickle.loads(pickle.dumps(fault)) == fault and len({fault, replace(fault)}) == 1
             try:
                 fault.seed = 1  # type: ignore[misc]
             except FrozenInstanceError:
