@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.cli.commands import run
 from mavfi.flight.compose import resolve
-from mavfi.flight.recorded import fly_recorded
+from mavfi.flight.mission_flights import fly_recorded
 from mavfi.mission import MissionSpec
 from mavfi.record import COLUMNS, FlightLog
 from mavfi.report.export.files import write_bag, write_csv, write_mcap
