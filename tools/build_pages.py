@@ -14,8 +14,7 @@ from mavfi.extras.ros.ros1.messages import type_name
 from mavfi.extras.ros.ros1.plan import WORLD, Graph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit, check_read
 from mavfi.faults.strata import WORD_BITS
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import find_host, host_class
 from mavfi.flight.loop import CONTROL_PERIOD_US
 from mavfi.mission import MissionSpec
@@ -105,7 +104,7 @@ def unit_text(name: str, unit: Unit) -> str:
 
 def _executed(unit: str, host: str, controller: str = "cascade", localization: str = "truth") -> bool:
     """Whether a host executes failures of a unit in missions with a flight controller and localization."""
-    levels = find_host(host).levels if host == "local" else host_class(host).levels
+    levels = cast(frozenset[str], find_host(host).levels if host == "local" else host_class(host).levels)
     if SensorFault.level not in levels:
         return False
     try:

@@ -20,10 +20,9 @@ from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve, with_keys_of
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from mavfi.analysis.table import Table
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
-    from mavfi.campaign.session import Progress
+    from mavfi.campaign.ledger import Progress
 
 
 def fly(

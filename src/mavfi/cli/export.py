@@ -129,10 +129,9 @@ def _recorded(source: Path, run_id: str) -> Recorded:
 def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
     from mavfi.cli.fly import load_watcher
-    from mavfi.flight.compose import resolve
+    from mavfi.flight.compose import resolve, with_keys_of
+    from mavfi.flight.decide import Recovery
     from mavfi.flight.host import ArmSetup
-    from mavfi.flight.policy import Recovery
-    from mavfi.flight.watching import with_keys_of
 
     if request is None:
         return ArmSetup(scenario)

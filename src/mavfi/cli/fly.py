@@ -55,17 +55,16 @@ def fly(  # noqa: PLR0913 - one parameter per option
     observers = observing.chosen_observers(extra, pace, fault)
     for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
         check_file(option, path, endings)
-    wanted, host = _chosen(mission, {"fault": fault, "html": html, **extra})
+    of_extra, host = _chosen(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
     from mavfi.levels.level import parse
 
-    wanted = wanted if fault is None else parse(fault, mission.localization)
+    request = of_extra if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
-        from mavfi.flight.compose import resolve
+        from mavfi.flight.compose import resolve, with_keys_of
+        from mavfi.flight.decide import Recovery
         from mavfi.flight.host import ArmSetup
-        from mavfi.flight.policy import Recovery
-        from mavfi.flight.watching import with_keys_of
 
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
@@ -74,7 +73,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         watching, label = load_watcher(detector, profile, models, scenario, mission)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
         with observing.observing(observers, extra, pace) as views:
-            result = fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
+            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
@@ -173,7 +172,7 @@ def load_watcher(
     """Load a detector; return it with its label (name, and profile if it has one)."""
     if name == "none":
         return None, ""
-    from mavfi.flight.watching import detector_for
+    from mavfi.flight.compose import detector_for
 
     detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models, mission.trained_for)
     if mission.trained_for and not model:

@@ -446,13 +446,15 @@ class AcceptanceTest(Detector):
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
-        name = state.spec.name
-        if state is not self._candidate and name in _CANDIDATES:
-            self.check(state, time_us)  # makes it the candidate, unless it is not read
+        if state is not self._candidate:
+            note = self._notes.get(state.spec.name)
+            if note is not None:
+                note(state, time_us)
+                return
+            if state.spec.name in _CANDIDATES:
+                self.check(state, time_us)  # makes it the candidate, unless it is not read
         if state is self._candidate:
             self._accepted[0] = True
-        elif name in self._notes:
-            self._notes[name](state, time_us)
 
     def _note_odometry(self, state: State, now: int) -> None:
         self.odometry = state.header

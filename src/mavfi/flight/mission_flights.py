@@ -17,13 +17,11 @@ from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving
-from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.checkpoints import can_save_detector
-from mavfi.flight.compose import resolve
-from mavfi.flight.fast_forward import FastForward, FlownArm, takes_part
+from mavfi.flight.compose import new_loop, resolve, watch
+from mavfi.flight.fast_forward import FastForward, FlownArm, check_prefix, fly_until, takes_part
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import InjectedRuns, fly_from_checkpoints, fly_instruction_faults
-from mavfi.flight.golden_prefix import check_prefix, fly_until
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one
 from mavfi.flight.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario

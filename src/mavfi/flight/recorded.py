@@ -3,11 +3,11 @@
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault, InstructionFault
 from mavfi.flight.case import Published
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_with_publications
 from mavfi.flight.host import Flight, require_level
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.states import State
 

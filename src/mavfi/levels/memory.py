@@ -160,7 +160,7 @@ class Exposure:
 
 def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int | None = None) -> "Flight":
     """Fly the golden flight of an arm, and draw from its memory at an instant (us), or at every control period."""
-    from mavfi.flight.assemble import new_loop, watch
+    from mavfi.flight.compose import new_loop, watch
     from mavfi.flight.loop import CONTROL_PERIOD_US
     from mavfi.flight.memory_faults import memory_of
 

@@ -108,7 +108,7 @@ class CodeFiles(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the Numba types of the arguments; None if there is none, or none that can be used."""
         # Not `target_context.refresh()`: it imports all that Numba can compile, SciPy's linear algebra, too (0.4 s).
-        rtsys.initialize(target_context)  # type: ignore[no-untyped-call]
+        rtsys.initialize(target_context)
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None
@@ -134,7 +134,7 @@ class CodeFiles(NullCache):
             with contextlib.suppress(OSError):
                 part.unlink()
             return
-        _delete_oldest(code_folder())  # type: ignore[attr-defined]
+        _delete_oldest(code_folder())
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         """File of a signature; None if nothing tells whether a value that the function uses has changed."""

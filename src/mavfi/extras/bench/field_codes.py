@@ -12,8 +12,8 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
+from mavfi.detectors.preprocess import VehicleQueue
 from mavfi.detectors.training import Sample, TrainedDetector, Training, check_finite, join
-from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.extras.bench import residual_state, residuals
 from mavfi.numerics.jit import entry
 from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, new_state, rows

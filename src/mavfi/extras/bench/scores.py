@@ -18,16 +18,15 @@ from mavfi.analysis.statistics import Rate, wilson
 from mavfi.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
+from mavfi.campaign.ledger import ORDERED
 from mavfi.campaign.plan import FI, Arm, arms_of
-from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.outcomes import quality_of_flight
 from mavfi.states import State

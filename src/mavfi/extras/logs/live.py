@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.flight.loop import Loop
-from mavfi.flight.observe import Item
+from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS
 from mavfi.report.export.files import Maker

@@ -17,8 +17,7 @@ import numpy as np
 from mavfi.errors import BadInputError, writing
 from mavfi.faults.levels.message.definition import FORMATS, Leaf
 from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, reading
-from mavfi.flight.loop import Loop
-from mavfi.flight.observe import Item
+from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog

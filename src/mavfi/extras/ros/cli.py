@@ -94,7 +94,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.ros.ros1.host import configure
     from mavfi.extras.ros.ros1.plan import Plan
     from mavfi.flight.compose import resolve
-    from mavfi.flight.policy import Recovery
+    from mavfi.flight.decide import Recovery
 
     scenario = resolve(mission)
     watching, label = load_watcher(detector, profile, models, scenario, mission)
@@ -168,7 +168,7 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
     A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
     """
     from mavfi.extras.ros.ros1.plan import check_supported
-    from mavfi.flight.watching import with_keys_of
+    from mavfi.flight.compose import with_keys_of
 
     resolved = with_keys_of(mission, detector)
     if "grain" not in mission.model_fields_set and resolved.grain == "message":

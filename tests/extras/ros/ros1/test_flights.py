@@ -25,10 +25,9 @@ from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.decide import MAX_UNCHANGED
+from mavfi.flight.compose import detector_for
+from mavfi.flight.decide import MAX_UNCHANGED, Recovery
 from mavfi.flight.fly import fly as fly_here
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault, golden, mission
 from tests.extras.ros.ros1.flights import NODES, same, short, there
