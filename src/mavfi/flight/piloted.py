@@ -189,8 +189,7 @@ class PilotedVehicle:
 
     def to_world(self, ned: Triple) -> np.ndarray:
         """A place in the world's frame (m). Shape (3,)."""
-        place: np.ndarray = np.array(flipped(ned)) + self.origin
-        return place
+        return np.array(flipped(ned)) + self.origin
 
     def to_ned(self, place: np.ndarray) -> Triple:
         """A place of the world in NED (m)."""

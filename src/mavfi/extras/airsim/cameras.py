@@ -70,15 +70,13 @@ class View:
 
     def planar(self) -> np.ndarray:
         """Distance of each pixel from the image plane (m). Shape (height * width,), float32."""
-        found: np.ndarray = self.ranges * self.rays[:, 0].astype(np.float32)
-        return found
+        return self.ranges * self.rays[:, 0].astype(np.float32)
 
     def points(self) -> np.ndarray:
         """Points in the world (m), infinite for the sky. Shape (height * width, 3)."""
         matrix = np.empty((3, 3))
         rotation_matrix(np.array(self.pose[3:]), matrix)
-        found: np.ndarray = np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
-        return found
+        return np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
 
 
 def check_kind(kind: int) -> None:
@@ -95,8 +93,7 @@ def floats(view: View, kind: int, sky: float) -> list[float]:
     depth = view.ranges if kind == PERSPECTIVE else view.planar()
     if kind == DISPARITY:
         depth = np.where(np.isfinite(depth), np.float32(_BASELINE_M) / np.maximum(depth, np.float32(1e-3)), 0.0)
-    found: list[float] = np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
-    return found
+    return np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
 
 
 def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
@@ -126,8 +123,7 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
     haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST)) if api.weather_on else 0.0
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
-    veiled: np.ndarray = clear * grey + (1.0 - clear) * 200.0
-    return veiled
+    return clear * grey + (1.0 - clear) * 200.0
 
 
 def owners(api: Api, view: View) -> np.ndarray:
@@ -146,8 +142,7 @@ def _segments(api: Api, view: View, kind: int) -> np.ndarray:
     ids = np.array(segments, np.int64)[owners(api, view)]
     if kind == INFRARED:
         return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)
-    picture: np.ndarray = _colours()[ids % 256].reshape(view.height, view.width, 3)
-    return picture
+    return _colours()[ids % 256].reshape(view.height, view.width, 3)
 
 
 def _colours() -> np.ndarray:
