@@ -1,11 +1,6 @@
 """Contract suites for plug-ins: pytest classes that the author of one subclasses, and that mavfi's own ones pass.
 
-    class TestMyDetector(DetectorContract):
-        detector = "my_package:MyDetector"
-
-    class TestMyLevel(LevelContract):
-        level = MyLevel
-        faults = [MyFault(...), ...]
+Example: `class TestMyDetector(DetectorContract): detector = "my_package:MyDetector"`.
 """
 
 import json
