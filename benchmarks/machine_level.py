@@ -30,12 +30,11 @@ from benchmarks.single_step import SteppedCall
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.battery import DETECTED
+from mavfi.extras.hardening.battery import DETECTED, copied
+from mavfi.extras.hardening.certify import coverage
 from mavfi.extras.hardening.compiled import Compiled, compiled
+from mavfi.extras.hardening.duplicate import MESSAGE
 from mavfi.extras.hardening.protected import Protection
-from mavfi.extras.hardening.ratio import coverage
-from mavfi.extras.hardening.recorded import copied
-from mavfi.extras.hardening.wrapper import MESSAGE
 from mavfi.faults.levels.instruction import count, draw, run_forked
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import signature_of

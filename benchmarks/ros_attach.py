@@ -16,6 +16,7 @@ from pathlib import Path
 from mavfi.campaign.config import load_campaign
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.node.bench import MASTER_URI, Bench
+from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet
 from mavfi.extras.ros.ros1.supervisor import loopback_up
@@ -93,8 +94,8 @@ def measure_relay(bench: Bench) -> None:
 
 def measure_stops(bench: Bench) -> None:
     """Stop time of robot_state_publisher for an injection at a symbol."""
-    node = load_campaign("ros_robot_state_publisher").node
-    assert node is not None
+    node = load_campaign("ros_robot_state_publisher").under_test
+    assert isinstance(node, NodeConfig)
     for name, value in node.parameters.items():
         bench.master.call("setParam", name, value)
     process = bench.start(list(node.command))

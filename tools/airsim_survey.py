@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mavfi.extras.airsim.refused import REFUSED
+from mavfi.extras.airsim.scene import REFUSED
 from mavfi.extras.airsim.table import CALLS
 from mavfi.report.text import markdown_grid, percent
 from tools.markers import DOCS, fill

@@ -17,7 +17,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -29,15 +28,12 @@ from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
 from mavfi.extras.hardening.certification import Certification, merged
 from mavfi.extras.hardening.certify import certify, pairs_of, rate_of, verdict_of
-from mavfi.extras.hardening.golden import GoldenCheck, check_golden
-from mavfi.extras.hardening.learned import Injected, injections_in
-from mavfi.extras.hardening.ledger import harm_of
-from mavfi.extras.hardening.observed import Seen, observe
+from mavfi.extras.hardening.observed import GoldenCheck, Seen, check_golden, observe
 from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
 from mavfi.extras.hardening.protected import Protection
 from mavfi.extras.hardening.study import Study, advise, plan_of, planned_of
-from mavfi.extras.hardening.summary import AdviceSummary, growth_of, summary
-from mavfi.extras.hardening.target import Target
+from mavfi.extras.hardening.summary import AdviceSummary, growth_of, harm_of, summary
+from mavfi.extras.hardening.target import Injected, Target, injections_in
 from mavfi.extras.hardening.text import advice_table, caveats, certificate_table, headline, verdict_line
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
@@ -101,7 +97,7 @@ class Records:
         key = f"learned {times} {seen.variant.ir_sha256}"
         row = self.get(key)
         if row is None:
-            row = self.put(key, {"injections": [astuple(one) for one in injections_in(seen, times=times)]})
+            row = self.put(key, {"injections": injections_in(seen, times)})
         return [Injected(*one) for one in row["injections"]]
 
 
@@ -160,7 +156,7 @@ def golden(study: Study, plan: Plan, flights: int, records: Records) -> GoldenCh
             key = f"golden {code_of(plan)} {environment} {seed}{f' {planner}' if place else ''}"
             if records.get(key) is None:
                 spec = MissionSpec(environment=environment, seed=seed, planner=planner)
-                records.put(key, check_golden(resolve(spec), plan, kernels).to_json())
+                records.put(key, check_golden(resolve(spec), plan, kernels)._asdict())
     total = GoldenCheck()
     for key, row in records.known.items():
         if key.startswith("golden "):

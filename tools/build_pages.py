@@ -8,22 +8,19 @@ from typing import cast
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.autopilot import TYPES as MAVLINK_TYPES
 from mavfi.extras.mavlink.autopilot import UNITS as MAVLINK_UNITS
-from mavfi.extras.ros.ros1.graph import WORLD, Graph
+from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.messages import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.extras.ros.ros1.messages import type_name
-from mavfi.extras.ros.ros1.session import configure
-from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit
+from mavfi.extras.ros.ros1.plan import WORLD, Graph
+from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit, check_read
 from mavfi.faults.strata import WORD_BITS
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
-from mavfi.flight.host import GROUP, SHIPPED
+from mavfi.flight.compose import new_loop, resolve
+from mavfi.flight.host import find_host, host_class
 from mavfi.flight.loop import CONTROL_PERIOD_US
-from mavfi.flight.sensor_faults import check_read
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.words import words_of
-from mavfi.plugins import load_object
 from mavfi.states import AUTOPILOTS, STATES, Field, StateSpec
 from tools import build_reference
 from tools.fault_levels import level_table
@@ -107,7 +104,8 @@ def unit_text(name: str, unit: Unit) -> str:
 
 def _executed(unit: str, host: str, controller: str = "cascade", localization: str = "truth") -> bool:
     """Whether a host executes failures of a unit in missions with a flight controller and localization."""
-    if SensorFault.level not in load_object("host", host, GROUP, SHIPPED).levels:
+    levels = cast(frozenset[str], find_host(host).levels if host == "local" else host_class(host).levels)
+    if SensorFault.level not in levels:
         return False
     try:
         check_read(unit, controller, localization)

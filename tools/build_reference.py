@@ -20,8 +20,10 @@ from mavfi.detectors.registry import DetectorConfig
 from mavfi.extras.paper.failure_rate import UpsetConfig
 from mavfi.extras.paper.redundancy import DesignConfig
 from mavfi.extras.paper.study import Study
-from mavfi.faults.fault import LEVELS
+from mavfi.faults.fault import find_level, level_names
+from mavfi.flight.host import GROUP
 from mavfi.mission import MissionSpec
+from mavfi.plugins import extensions
 from tools.markers import GENERATED, banner
 
 COMMAND = "make docs"
@@ -77,7 +79,13 @@ Files of `configs/`, and of one's own: every option that takes a name takes a pa
 """
 SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
     "mission-keys.md": (MISSION, (MissionSpec,)),
-    "campaign-keys.md": (CAMPAIGN, (campaigns.Campaign, Study)),
+    "campaign-keys.md": (
+        CAMPAIGN,
+        (
+            campaigns.Campaign, *(find_level(name).sampling for name in level_names()),
+            *(host.config for host in extensions(GROUP).values() if host.config is not None), Study,
+        ),
+    ),
     "config-keys.md": (
         CONFIGS,
         (
@@ -97,7 +105,7 @@ def with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 def _models(annotation: Any) -> Iterable[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation.model_fields:
         yield annotation
     for inner in get_args(annotation):
         yield from _models(inner)
@@ -117,7 +125,9 @@ def kind(annotation: Any) -> str:
     if origin in words:
         return words[origin]()
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+        return (
+            f"[{annotation.__name__}](#{annotation.__name__.lower()})" if annotation.model_fields else "keys and values"
+        )
     name = getattr(annotation, "__name__", str(annotation))
     return NAMES.get(name, name)
 
@@ -205,7 +215,7 @@ def pages() -> dict[Path, str]:
         )
         for name, (head, models) in SECTIONS.items()
     }
-    sections = (fault_section(level, fault) for level, fault in LEVELS.items())
+    sections = (fault_section(level, find_level(level).fault) for level in level_names())
     return {**written, GENERATED / "fault-specs.md": _page(FAULTS, sections)}
 
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
 from mavfi.flight.compose import resolve
-from mavfi.flight.fly import Flight
+from mavfi.flight.host import Flight
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.report import style

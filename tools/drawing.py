@@ -13,7 +13,8 @@ from matplotlib.patches import Rectangle
 from PIL import Image
 
 from mavfi.flight.compose import pipeline_config
-from mavfi.flight.fly import Flight, fly
+from mavfi.flight.fly import fly
+from mavfi.flight.host import Flight
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import Scenario
 from mavfi.numerics.voxels import Grid

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from mavfi.extras.hardening.candidates import candidates
+from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.plan import FunctionPlan, signature_text
-from mavfi.ir.digest import digest_of
+from mavfi.ir.module import digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 

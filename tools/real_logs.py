@@ -12,8 +12,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mavfi.analysis.table import Table
-from mavfi.extras.logs.report import Rates, rate_text
-from mavfi.extras.logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, judge_rest, read_recording, select
+from mavfi.extras.logs.watch import (
+    BIT_CLASSES,
+    Judged,
+    LogWatch,
+    Rates,
+    Recording,
+    judge_rest,
+    rate_text,
+    read_recording,
+    select,
+)
 from mavfi.report.text import ABSENT, rate
 from tools import results
 from tools.markers import ROOT

@@ -5,11 +5,10 @@ from dataclasses import fields
 from typing import Any
 
 from mavfi.analysis.pairs import Paired
-from mavfi.extras.hardening.certification import Certification
+from mavfi.extras.hardening.certification import Certification, Spending
 from mavfi.extras.hardening.certify import Certificate, Unprotected
-from mavfi.extras.hardening.golden import GoldenCheck
+from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Coverage
-from mavfi.extras.hardening.spending import Spending
 
 
 def certificate_of(content: Mapping[str, Any]) -> Certificate:

@@ -16,17 +16,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, RegisterFault
-from mavfi.faults.spec import Request, parse
-from mavfi.flight.compose import resolve
+from mavfi.faults.fault import Fault
+from mavfi.flight.compose import detector_for, resolve, with_keys_of
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for, with_keys_of
+from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.report.flight_result import FlightResult
@@ -37,8 +34,9 @@ if TYPE_CHECKING:
 
     from mavfi.analysis.runs import Runs
     from mavfi.analysis.table import Table
+    from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
-    from mavfi.campaign.session import Progress
+    from mavfi.campaign.ledger import Progress
 
 
 def fly(
@@ -74,10 +72,8 @@ def fly(
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models, spec.trained_for, detector_options)
     own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
-    bare, request = resolve(asked), parse(fault, spec.localization) if isinstance(fault, str) else None
-    if isinstance(fault, str):
-        return fly_request(own, request, fault_seed, label, bare)
-    return _fly_fault(own, fault, label, bare)
+    request = parse(fault, spec.localization) if isinstance(fault, str) else fault
+    return fly_request(own, request, fault_seed, label, resolve(asked))
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -93,11 +89,11 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
         BadInputError: Invalid text, or the mission has no such site.
     """
     spec = _spec(mission, options)
-    return draw_request(resolve(spec), parse(fault, spec.localization), seed)[0]
+    return parse(fault, spec.localization).draw(ArmSetup(resolve(spec)), seed)[0]
 
 
 def run(
-    campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
+    campaign: "Campaign | str | Path", directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
     executor: "Executor | None" = None, progress: "Callable[[Progress], None] | None" = None,
 ) -> "Runs":  # fmt: skip
     """Fly a campaign or its remaining runs, and load its ledger.
@@ -113,6 +109,7 @@ def run(
     Raises:
         BadInputError: See `campaign.run.run_campaign`.
     """
+    from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.names import check_names
     from mavfi.campaign.run import run_campaign
@@ -169,18 +166,13 @@ def figure(runs: "Runs", name: str) -> "Figure":
 
 
 def fly_request(
-    setup: ArmSetup,
-    request: Request | RegisterFault | None,
-    seed: int,
-    label: str,
-    bare: Scenario,
-    own_host: Host | None = None,
-) -> FlightResult:
-    """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
+    setup: ArmSetup, fault: Request | Fault | None, seed: int, label: str, bare: Scenario, own_host: Host | None = None
+) -> FlightResult:  # fmt: skip
+    """Fly the golden run and a fault; a requested fault is drawn first, from the golden run.
 
     Args:
         setup: Mission, detector and recovery.
-        request: The fault; one in a register is drawn when it is injected.
+        fault: The fault, or a request for one; None = the golden run only.
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
         bare: The mission without the detector and its mission keys, in which the fault is flown as well.
@@ -189,35 +181,28 @@ def fly_request(
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault, golden = (
-        (None, None)
-        if request is None
-        else draw_request(setup.scenario, request, seed, setup.detector(), setup.recovery)
-    )
-    return _fly_fault(setup, fault, label, bare, golden if own_host is None else None, own_host)
-
-
-def _fly_fault(
-    setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None,
-    own_host: Host | None = None,
-) -> FlightResult:  # fmt: skip
-    """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
+    golden = None
+    if fault is not None and not isinstance(fault, Fault):
+        fault, golden = fault.draw(setup, seed)
+    if own_host is not None:
+        golden = None  # it was flown in this process
+    host = own_host or host_for(fault)
     if setup.make_detector is None:
-        flight, own = _flown(setup, fault, golden, own_host)
-        return FlightResult(setup.scenario, flight, own, fault)
-    flight, own = _flown(setup, fault, None, own_host)
-    known = golden if bare == setup.scenario else None
-    of_detector = getattr(fault, "kernel", "") in WATCHING  # such faults exist only with the detector
-    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, own_host)[0]
-    return FlightResult(setup.scenario, flight, own, fault, label, alone)
+        flight, golden = _flown(host, setup, fault, golden)
+        return FlightResult(setup.scenario, flight, golden, fault)
+    flight, watched_golden = _flown(host, setup, fault)
+    unwatched = None
+    if fault is not None and getattr(fault, "kernel", "") not in WATCHING:  # those exist only with the detector
+        unwatched, _ = _flown(host, ArmSetup(bare), fault, golden if bare == setup.scenario else None)
+    return FlightResult(setup.scenario, flight, watched_golden, fault, label, unwatched)
 
 
 def _flown(
-    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, own_host: Host | None = None
-) -> tuple[Flight, Flight | None]:
-    """Return the flight and its golden run; without a fault, the golden run and None."""
+    host: Host, setup: ArmSetup, fault: Fault | None, golden: Flight | None = None
+) -> tuple[Flight, Flight | None]:  # fmt: skip
+    """Return the flight and its golden run, which may be known; without a fault, the golden run and None."""
     arms = {"": setup, "golden": replace(setup, observers=())}  # observers see the flight with the fault only
-    flights: Any = (own_host or host_for(fault)).mission(arms, fast_forward=False)  # each host has its own type
+    flights: Any = host.mission(arms, fast_forward=False)  # each host has its own type
     if fault is None:
         return golden or flights.golden(""), None
     golden = golden or flights.golden("golden")

@@ -31,6 +31,8 @@ Gain = Annotated[float, Field(ge=-1e3, le=1e3)]
 Gains = tuple[Gain, Gain, Gain]
 STRONGEST_WIND = 30.0
 """Largest gust and mean wind (m/s)."""
+SCAN_ENDINGS = (".bt", ".ot")
+"""File name extensions of scanned maps, which are environments."""
 STORED = {"stored": True}
 """Pydantic's context of data that mavfi itself has stored."""
 _FOLDER = re.compile(r"\w[\w.-]*")
@@ -329,6 +331,14 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored:
         return model.model_validate(data, context=STORED if stored else None)
     except ValidationError as error:
         raise BadInputError(f"{source}: {finding(error, model)}") from None
+
+
+def parse_part(model: type[ConfigType], data: object, key: str, context: Any) -> ConfigType:
+    """Validate the part of a file under a key, in a validator of the whole; a ValueError names key and value."""
+    try:
+        return model.model_validate(data, context=context)
+    except ValidationError as error:
+        raise ValueError(finding(error, model, key)) from None
 
 
 def checked(kind: type[Checked], data: object, source: str) -> Checked:

@@ -5,7 +5,7 @@ from functools import cache
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, Tag, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from mavfi.dropped import dropped_key, dropped_value
 from mavfi.errors import hint
@@ -28,13 +28,17 @@ _KEY = "[key]"
 """Pydantic's mark of an error in the key of a mapping."""
 
 
-def finding(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """The first of pydantic's errors: key, value and what is allowed; checks of a whole model name keys themselves."""
+def finding(error: ValidationError, model: type[BaseModel] | None = None, under: str = "") -> str:
+    """The first of pydantic's errors: key, value and what is allowed; checks of a whole model name keys themselves.
+
+    `under`: the key whose value is the model.
+    """
     found: list[Mapping[str, Any]] = [{**one} for one in error.errors()]
     mistyped = [one for one in found if one["type"] == "extra_forbidden" and found[0]["type"] == "missing"]
     first = (mistyped or found)[0]
     owner, location = (None, first["loc"]) if model is None else _place(model, model, first["loc"])
-    kind, key, name = first["type"], ".".join(map(str, location)), str(location[-1]) if location else ""
+    kind, name = first["type"], str(location[-1]) if location else ""
+    key = ".".join(filter(None, (under, *map(str, location))))
     message: str = first["msg"].removeprefix("Value error, ")
     if kind == "value_error":
         return message if not key or message.startswith(f"{key}.") else f"key {key!r}: {message}"
@@ -50,10 +54,6 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None) -> str
         allowed = get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
         return f"key {key!r}: is required" + (f"; allowed: {', '.join(map(str, allowed))}" if allowed else "")
     value, context = first["input"], first.get("ctx", {})
-    if kind == "union_tag_invalid":
-        tags = context["expected_tags"].replace("'", "").split(", ")
-        tag, key = context["tag"], f"{key}.level"
-        return f"key {key!r}: {tag!r}: not known{hint(tag, tags)}; allowed: {', '.join(tags)}"
     if kind == "literal_error":
         words = [word.strip("'") for word in context["expected"].replace(" or ", ", ").split(", ")]
         return f"key {key!r}: {shown(value)}: not known{hint(value, words)}; allowed: {context['expected']}"
@@ -111,9 +111,6 @@ def _place(
     """The model in which a location's last key stands, and the location in the file: without marks of pydantic."""
     if not location or location[0] == _KEY:
         return owner, ()
-    members = {tag: part for part in get_args(annotation) for tag in _tags(part)}
-    if location[0] in members:
-        return _place(owner, members[location[0]], location[1:])
     kinds = [kind for kind in _members(annotation) if kind is not type(None)]
     if len(kinds) != 1:  # pydantic names the member of the union
         return owner, ()
@@ -130,7 +127,3 @@ def _place(
         return owner, (first,)
     owner, inner = _place(owner, annotation, tuple(rest))
     return owner, (first, *inner)
-
-
-def _tags(part: Any) -> list[str]:  # noqa: ANN401 - a member of an annotation
-    return [data.tag for data in getattr(part, "__metadata__", ()) if isinstance(data, Tag)]

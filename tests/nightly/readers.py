@@ -37,12 +37,12 @@ from mavfi.campaign.integrity import (
     mission_checksum,
     salt_of,
 )
+from mavfi.campaign.ledger import repair, status
 from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
 from mavfi.campaign.names import check_names
 from mavfi.campaign.plan import arms_of
-from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.training import KeptRecordings
@@ -55,9 +55,9 @@ from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
-from mavfi.faults.spec import StateRequest, parse
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import find_environment, find_planner, resolve
+from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
+from mavfi.levels.level import parse
+from mavfi.levels.state import StateRequest
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
 from mavfi.sim.environments import build_world, environment_for_file

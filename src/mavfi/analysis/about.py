@@ -2,19 +2,11 @@
 
 from typing import Any
 
-from mavfi.analysis.rows import POPULATIONS
 from mavfi.analysis.statistics import CONFIDENCE
-from mavfi.campaign.config import (
-    ArmConfig,
-    Campaign,
-    InstructionSampling,
-    MemorySampling,
-    RegisterSampling,
-    Sampling,
-)
-from mavfi.campaign.run import status, stored_campaign
-from mavfi.campaign.sampling import MessageSampling, SensorSampling, StateSampling, label_of
+from mavfi.campaign.config import ArmConfig, Campaign, label_of
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.store import Store
+from mavfi.faults.fault import find_level
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
 
@@ -42,50 +34,17 @@ def describe(store: Store) -> dict[str, Any]:
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
         **{name: read(store.directory) for name, read in extensions("mavfi.descriptions").items()},
         "digest": store.digest(), "done": progress.done,
-        "total": progress.total, **drawn(campaign.sampling, campaign),
+        "total": progress.total, **drawn(campaign),
     }  # fmt: skip
 
 
-def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
+def drawn(campaign: Campaign) -> dict[str, Any]:
     """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
-    match sampling:
-        case StateSampling():
-            each = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
-            shares = sorted(sampling.strata.items(), reverse=True)
-            strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
-            return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}
-        case MemorySampling():
-            each = "group" if sampling.groups else {"kernel": "kernel", "exposure": "environment"}[sampling.share]
-            return {"each": each, **_flights(campaign, each, "uniform over remembered bits and instants")}
-        case InstructionSampling():
-            how = f"instructions: {sampling.which}, model {sampling.model}"
-            own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
-            return own | _flights(campaign, sampling.share, how)
-        case MessageSampling():
-            what = "" if campaign.program is None else campaign.program.script
-            calls = f" of {', '.join(sampling.calls)}" if sampling.calls else ""
-            line = f"{what} · one bit per run, in a number of a call{calls}, uniform over calls"
-            title = f"campaign {campaign.name} · AirSim program in {', '.join(map(label_of, campaign.environments))}"
-            return {"each": "side of the calls", "profile": "", "title": title, "lines": [line]}
-        case SensorSampling():
-            lasts = "to the end" if sampling.lasts_s == "inf" else f"for {sampling.lasts_s:g} s"
-            how = f"types {', '.join(sampling.types)}, from a uniform instant {lasts}"
-            return {"each": "unit", **_flights(campaign, "unit", how)}
-        case RegisterSampling():
-            return {"each": "kind of registers", **_registers(campaign, sampling)}
-
-
-def _registers(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
-    if campaign.node is None:
-        return _flights(campaign, "kind of registers", "uniform over the firmware's instructions")
-    return _trials(campaign, sampling, campaign.node.command[0])
-
-
-def _trials(campaign: Campaign, sampling: RegisterSampling, command: str) -> dict[str, Any]:
-    where = f"from the next call of {sampling.symbol!r} on" if sampling.symbol else "from a random instant on"
-    line = f"{command} · one bit per trial, {where}, after up to {sampling.walk} instructions"
-    title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
-    return {"profile": "", "title": title, "lines": [line]}
+    about: dict[str, Any] = find_level(campaign.sampling.level).about(campaign)
+    if "title" in about:
+        return about
+    how = about.pop("how")
+    return about | _flights(campaign, about["each"], how)
 
 
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:

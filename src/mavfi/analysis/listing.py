@@ -1,10 +1,17 @@
-"""The runs of a campaign as a table with one row per run."""
+"""Single runs of a campaign: their list, the most illustrative ones, pairs, and their flights."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
 
 import polars as pl
 
 from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import NUMBER, SIGNED, TEXT, Column, Table
+from mavfi.campaign.plan import FI
+from mavfi.campaign.store import Store
+from mavfi.record import End
 
 _COLUMNS = (
     Column("run_id", "run"), Column("status", "status"), Column("flight_time_s", "flight time", "number .1f s"),
@@ -32,3 +39,54 @@ def listing(runs: Runs, *, failed: bool = False) -> Table:
     done, planned = (runs.campaign.get(key) for key in ("done", "total"))
     flown = "" if done == planned else f" flown so far, {planned} planned"
     return Table("runs", f"{len(listed)} of {len(runs)} runs{flown}", columns, rows)
+
+
+_INTERESTING = 0.02  # relative increase in flight time from which a successful run is worth a picture
+
+
+def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
+    """Return runs of a ledger with the replayed flights of selected runs added.
+
+    Raises:
+        BadInputError: A run does not exist, or its host does not support replays.
+    """
+    from mavfi.campaign.replay import flight_again
+
+    wanted = list(dict.fromkeys(run_ids))
+    if not wanted:
+        return runs
+    with Store.open(directory) as store:
+        flights = {run_id: flight_again(store, store.run(run_id).spec) for run_id in wanted}
+    return replace(runs, flights={**runs.flights, **flights})
+
+
+def ordered(runs: pl.DataFrame) -> list[str]:
+    """Ids of runs that can be explained, the most illustrative first.
+
+    Lost missions come first, then delayed ones, then other changed flights, then masked faults; within each class,
+    settings, environments and targets alternate.
+    """
+    own = runs.filter(kind="injected", judged=True, end=str(End.FLOWN), site_outcome="activated")
+    lost = ~pl.col("success") & pl.col("golden_success")
+    slower = pl.col("inflation").fill_null(0.0) > _INTERESTING
+    own = own.with_columns(
+        sort=pl.when(lost).then(0).when(slower).then(1).when(pl.col("effect") != "masked").then(2).otherwise(3)
+    )
+    turn = pl.int_range(pl.len()).over("sort", "setting", "environment", "target")
+    found: list[str] = own.with_columns(turn=turn).sort("sort", "turn", maintain_order=True)["run_id"].to_list()
+    return found
+
+
+def partner(runs: pl.DataFrame, run_id: str) -> str | None:
+    """Find the run with the same fault in another setting, among the rows of a ledger.
+
+    Returns:
+        Id of a run with a detector (preferably a successful one) if the given run has none, else of the run in setting
+        `fi`; None if there is no such run.
+    """
+    (row,) = runs.filter(run_id=run_id).to_dicts()
+    same = runs.filter(
+        kind=row["kind"], world=row["world"], target=row["target"], index=row["index"], judged=True, end=str(End.FLOWN)
+    ).filter((pl.col("detector") != "") if not row["detector"] else (pl.col("setting") == FI))
+    found: list[str] = same.sort("success", descending=True, maintain_order=True)["run_id"].to_list()
+    return found[0] if found else None

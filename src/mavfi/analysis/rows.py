@@ -5,15 +5,14 @@ from typing import Any
 
 import polars as pl
 
+from mavfi.campaign.config import label_of
 from mavfi.campaign.plan import RunSpec, reason_of
-from mavfi.campaign.sampling import label_of
 from mavfi.campaign.store import Run
-from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.fault import find_level
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import DUE, ControlErrors, control_of, effect_of, energy
 from mavfi.record import AFTERMATH, INSTANT, AlarmRecord, End, FlightRecord, Injection
-from mavfi.states import DETECTORS, KERNEL_STAGES, KERNELS, STATES
+from mavfi.states import DETECTORS
 
 WHOLE_WORD = "whole_word"
 ALL_BITS = "all_bits"  # population of faults with uniformly drawn bits, i.e. without strata
@@ -65,7 +64,8 @@ def row_of(
     environment = label_of(spec.environment)
     planned = {} if fault is None else {
         "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
-        "bit_class": fault.bit_class, "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
+        "bit_class": fault.bit_class, "has_site": fault.has_site, "population": ALL_BITS,
+        **find_level(fault.level).columns(fault),
     }  # fmt: skip
     planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
     return {
@@ -79,34 +79,6 @@ def row_of(
         "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
         "reason": reason_of(run.note) if record.end is End.UNKNOWN else "",
     }  # fmt: skip
-
-
-def _site_columns(fault: Fault) -> dict[str, Any]:
-    """Columns for the site of a planned fault."""
-    match fault:
-        case StateFault(where=where):
-            spec = STATES[where.state]
-            return {
-                "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
-                "element": where.element, "population": fault.stratum,
-            }  # fmt: skip
-        case MemoryFault():
-            row = KERNELS.get(fault.kernel)  # None: a detector, or recovery
-            return {
-                "stage": "" if row is None else str(row.stage), "kernel": fault.kernel, "field": fault.field,
-                "element": fault.index, "population": fault.stratum or ALL_BITS,
-            }  # fmt: skip
-        case InstructionFault():
-            return {
-                "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
-                "value_class": fault.value_class,
-            }  # fmt: skip
-        case MessageFault():
-            return {"state": fault.topic, "field": fault.field}
-        case SensorFault():
-            return {"state": fault.unit, "field": fault.kind}
-        case RegisterFault():
-            return {"register": fault.registers, "symbol": fault.symbol, "kernel": fault.node}
 
 
 _DETAILS = {

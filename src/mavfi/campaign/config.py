@@ -1,30 +1,22 @@
 """Model of a campaign: the YAML files in configs/campaigns."""
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import Field, SerializeAsAny, ValidationInfo, model_validator
 
-from mavfi.campaign.sampling import (
-    NULL_RUNS,
-    Lifetime,
-    MessageSampling,
-    SensorSampling,
-    SiteGroup,
-    StateSampling,
-    check_distinct,
-    check_known,
-    check_strata,
-    label_of,
-)
-from mavfi.config import STORED, Config, Name, parse, shipped
-from mavfi.errors import BadInputError
-from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.ros.node.config import NodeConfig
-from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
+from mavfi.config import SCAN_ENDINGS, STORED, Config, Name, names, parse, parse_part, shipped
+from mavfi.errors import BadInputError, hint
+from mavfi.faults.fault import find_level, level_names
+from mavfi.levels.level import Sampling, check_distinct, check_known, sampler_for
 from mavfi.mission import MissionSpec
-from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
+from mavfi.plugins import extensions
+from mavfi.states import MONITORED_SETS, PLANNERS
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Host
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
@@ -39,96 +31,21 @@ _RENAMED = {
 """Keys of campaign schema 1, with their replacements."""
 _SETTINGS = ("golden", "fi", "dr", "null")
 """Settings, and the beginnings of their names."""
-_STORED_SCHEME = "uniform"
-"""Value of the key `scheme` in the identities of ledgers with faults in instructions; there was another one once."""
-_UNDER_TEST = {"node": "node", "airsim_program": "program"}
-"""Hosts where something other than our pipeline is under test, with the key that names it."""
+_STORED_WITHOUT_VALUE = ("until_halfwidth", "node", "program")
+"""Keys that ledgers may have without a value."""
+_LOCAL = "local"
+_ENVIRONMENT_FILES = (".yaml", ".yml", *SCAN_ENDINGS)
 
 
-class MemorySampling(Config):
-    """Faults in memory of kernels or detectors: one bit, uniform over bits and instants of a golden run."""
+@cache
+def label_of(environment: str) -> str:
+    """An environment's name in run ids and tables: of a file, its name without folder and ending.
 
-    null_runs: ClassVar[int] = NULL_RUNS
-    level: Literal["memory"]
-    kernels: tuple[str, ...] = Field((), description="whose memory; all kernels by default")
-    share: Literal["exposure", "kernel"] = Field(
-        "exposure", description="what `faults` counts: all bits together, most of which are maps, or each kernel"
-    )
-    groups: tuple[SiteGroup, ...] = Field((), description="instead: `faults` for each of these, e.g. planner.acted_seq")
-    strata: dict[str, float] | None = Field(None, description="shares of the faults by bit class; whole words else")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "MemorySampling":
-        check_distinct("sampling.kernels", self.kernels)
-        check_distinct("sampling.groups", [group.name for group in self.groups])
-        if self.strata is not None:
-            check_strata(self.strata)
-        if any(group.lifetime or group.strata for group in self.groups):
-            raise ValueError("sampling.groups: keys lifetime and strata: allowed with faults in states")
-        return self
-
-
-class InstructionSampling(Config):
-    """Faults in instructions: the result of one dynamic instruction of a kernel."""
-
-    null_runs: ClassVar[int] = 0
-    level: Literal["instruction"]
-    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm")
-    share: Literal["kernel", "stage"] = Field(
-        "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
-    )
-    which: str = Field("all", description="class of instructions, e.g. floating_point")
-    model: Model = Field("one_bit", description="what becomes of the value")
-    restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_scheme(cls, data: Any, info: ValidationInfo) -> Any:
-        """Ledgers store `_STORED_SCHEME`, which users may no longer write."""
-        if info.context != STORED or not isinstance(data, dict) or data.get("scheme") != _STORED_SCHEME:
-            return data
-        return {key: value for key, value in data.items() if key != "scheme"}
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "InstructionSampling":
-        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
-        check_distinct("sampling.kernels", self.kernels)
-        return self
-
-
-class RegisterSampling(Config):
-    """Faults in registers of a live process (hosts node and firmware)."""
-
-    null_runs: ClassVar[int] = NULL_RUNS
-    level: Literal["register"]
-    registers: tuple[Literal["general", "fp", "all"], ...] = Field(
-        ("general", "fp"), min_length=1, description="kinds of registers; `faults` for each"
-    )
-    access: str = Field("either", description="a register that an instruction reads, or one that it has written")
-    symbol: str = Field("", description="stop at the next call of this function; a part of its name that no other has")
-    walk: int = Field(64, ge=1, le=LONGEST_WALK, description="instructions from the stop to the injection, at most")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "RegisterSampling":
-        check_known("sampling.access", [self.access], ACCESSES)
-        check_distinct("sampling.registers", self.registers)
-        return self
-
-
-def _level_of(data: Any) -> str:
-    return str(data.get("level", "state") if isinstance(data, Mapping) else getattr(data, "level", "state"))
-
-
-Sampling = Annotated[
-    Annotated[StateSampling, Tag("state")]
-    | Annotated[MemorySampling, Tag("memory")]
-    | Annotated[InstructionSampling, Tag("instruction")]
-    | Annotated[RegisterSampling, Tag("register")]
-    | Annotated[MessageSampling, Tag("message")]
-    | Annotated[SensorSampling, Tag("sensor")],
-    Discriminator(_level_of),
-]
-"""How faults are drawn; `level` selects the model."""
+    A file named like a shipped environment keeps its path: the paper's figures are not those of its world.
+    """
+    path = Path(environment)
+    is_own_file = path.suffix.lower() in _ENVIRONMENT_FILES and path.stem not in names("environments")
+    return path.stem if is_own_file else environment
 
 
 class ArmConfig(Config):
@@ -191,29 +108,34 @@ class Campaign(Config):
     faults: int = Field(30, ge=1, le=MOST_FAULTS, description="per environment and target")
     scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
-    sampling: Sampling = Field(default_factory=StateSampling)
+    sampling: SerializeAsAny[Sampling] = Field(
+        default_factory=lambda: _sampling({}, None), description="how faults are drawn; its `level` has the keys"
+    )
     monitored_set: str = Field("paper-13", description="fields that count as monitored, in tables and sampling")
     null_runs: int | None = Field(
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
     parts: dict[str, Part] = Field(default_factory=dict, description="by name in environments, e.g. one per platform")
-    node: NodeConfig | None = Field(None, description="the node under test, with host node")
-    program: ProgramConfig | None = Field(None, description="the program under test, with host airsim_program")
+    under_test: SerializeAsAny[Config] | None = Field(
+        None, description="what is under test instead of our pipeline; given under the key of its host"
+    )
 
     @model_validator(mode="before")
     @classmethod
-    def _renamed(cls, data: Any, info: ValidationInfo) -> Any:
-        if isinstance(data, dict):
-            if data.get("until_halfwidth", "") is None:  # the default of earlier versions, in their ledgers
-                data = {key: value for key, value in data.items() if key != "until_halfwidth"}
-            if data.get("host") == "node" and isinstance(data.get("node"), dict):
-                data = {"environments": [str(data["node"].get("name", "")).strip("/")], "missions": 1, **data}
-            for key in data:
-                if key in _RENAMED and key not in cls.model_fields:
-                    raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
-            if isinstance(data.get("mission"), dict):
-                data = {**data, "mission": _mission_keys(data["mission"], "mission", info)}
+    def _complete(cls, data: Any, info: ValidationInfo) -> Any:
+        """Validate the parts whose models belong to the level and the host that the campaign names."""
+        if not isinstance(data, dict):
+            return data
+        data = {key: value for key, value in data.items() if value is not None or key not in _STORED_WITHOUT_VALUE}
+        data = _with_under_test(data, info)
+        for key in data:
+            if key in _RENAMED and key not in cls.model_fields:
+                raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
+        if isinstance(data.get("mission"), dict):
+            data["mission"] = _mission_keys(data["mission"], "mission", info)
+        if "sampling" in data:
+            data["sampling"] = _sampling(data["sampling"], info)
         return data
 
     @model_validator(mode="after")
@@ -224,9 +146,6 @@ class Campaign(Config):
                 f"first_seed: {self.first_seed}, missions: {missions}: seeds from {TRAINING_SEED} on are for training"
             )
         check_known("monitored_set", [self.monitored_set], MONITORED_SETS)
-        for place, key in _UNDER_TEST.items():
-            if (self.host == place) != (getattr(self, key) is not None):
-                raise ValueError(f"host: {self.host!r}: the key {key} goes with host {place}, and only with it")
         check_distinct("environments", map(label_of, self.environments))
         check_known("parts", self.parts, self.environments)
         for name in self.arms:
@@ -237,9 +156,10 @@ class Campaign(Config):
                     f"arms: {name!r}: allowed: any name but {', '.join(_SETTINGS)}, without a slash and control "
                     "characters"
                 )
-        from mavfi.campaign.samplers import sampler_for  # samplers read this model
-
+        host = _class_of_host(self.host)
         try:
+            if host is not None:
+                host.check_sampling(self.sampling)
             sampler_for(self)
         except BadInputError as error:
             raise ValueError(str(error)) from None
@@ -273,11 +193,6 @@ class Campaign(Config):
         return len(self.environments) * self.missions
 
     @property
-    def under_test(self) -> dict[str, Any]:
-        """Arguments of the host by key: the object under test."""
-        return {key: value for key in _UNDER_TEST.values() if (value := getattr(self, key)) is not None}
-
-    @property
     def nulls(self) -> int:
         """Number of null runs per environment."""
         return self.sampling.null_runs if self.null_runs is None else self.null_runs
@@ -286,6 +201,20 @@ class Campaign(Config):
     def on_design_seeds(self) -> bool:
         """Whether any mission seed was used for tuning the autopilot profiles; such results are not published."""
         return self.first_seed < DESIGN_SEEDS.stop
+
+    def arm_with(self, target: str) -> str:
+        """The arm in which a detector, also as a named configuration (`recommended`), is injected.
+
+        Raises:
+            BadInputError: It is in no arm, or in several.
+        """
+        from mavfi.detectors.registry import contains
+
+        watching = ((name, arm) for name, arm in self.arms.items() if arm.detector)
+        arms = [name for name, arm in watching if contains(arm.detector, arm.profile, target)]
+        if len(arms) != 1:
+            raise BadInputError(f"sampling.kernels: {target!r}: is in {len(arms)} arms; allowed: what is in one arm")
+        return arms[0]
 
     def environment_of(self, name: str) -> str:
         """The environment of a part, by its name; without parts, the name itself."""
@@ -305,24 +234,60 @@ class Campaign(Config):
                 del arm["options"]
         if not self.parts:
             del data["parts"]
-        if self.program is None:
-            del data["program"]
-        sampling = data["sampling"]
-        if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
-            del sampling["lifetime"]
-        if not sampling.get("messages", True):
-            del sampling["messages"]
-        for group in sampling.get("groups", ()):
-            if group.get("lifetime") is None:
-                group.pop("lifetime", None)
+        data["sampling"] = self.sampling.to_json()
+        under_test = data.pop("under_test")
+        data["node"] = None  # ledgers have it with every host
+        if under_test is not None:
+            from mavfi.flight.host import host_class
+
+            data[host_class(self.host).config_key] = under_test
         return data
 
     def identity(self) -> dict[str, Any]:
-        """Plain data in the identity of a ledger; it keeps the key `scheme` of faults in instructions."""
-        data = self.to_json()
-        if self.sampling.level == "instruction":
-            data["sampling"]["scheme"] = _STORED_SCHEME
-        return data
+        """Plain data in the identity of a ledger."""
+        return {**self.to_json(), "sampling": self.sampling.identity()}
+
+
+def _class_of_host(name: Any) -> "type[Host] | None":
+    """The class of a host that may have keys and rules for campaigns; None = unknown, which is refused later."""
+    if not isinstance(name, str) or name == _LOCAL:
+        return None  # loading the simulator takes a second
+    from mavfi.flight.host import host_class
+
+    try:
+        return host_class(name)
+    except BadInputError:
+        return None
+
+
+def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    """The data with what is under test, given under the key of its host, validated as `under_test`."""
+    host = _class_of_host(data.get("host"))
+    if host is not None and host.config is not None and not data.get("under_test"):
+        key = host.config_key
+        if key not in data:
+            raise ValueError(f"host: {host.name!r}: the key {key} goes with host {host.name}, and only with it")
+        under_test = parse_part(host.config, data[key], key, info.context)
+        data = {**host.campaign_defaults(under_test), **data, "under_test": under_test}
+        del data[key]
+    for key in data.keys() - Campaign.model_fields.keys():
+        for other in extensions("mavfi.hosts").values():
+            if other.config_key == key:
+                raise ValueError(
+                    f"host: {data.get('host', _LOCAL)!r}: the key {key} goes with host {other.name}, and only with it"
+                )
+    return data
+
+
+def _sampling(data: Any, info: ValidationInfo | None) -> Sampling:
+    """The sampling, as validated by its level."""
+    level = data.get("level", "state") if isinstance(data, Mapping) else getattr(data, "level", "state")
+    model = find_level(level).sampling if level in level_names() else None
+    if model is None:
+        known = level_names()
+        raise ValueError(f"key 'sampling.level': {level!r}: not known{hint(level, known)}; allowed: {', '.join(known)}")
+    sampling: Sampling = parse_part(model, data, "sampling", None if info is None else info.context)
+    return sampling
 
 
 def _mission_keys(given: Mapping[str, Any], where: str, info: ValidationInfo) -> dict[str, Any]:

@@ -17,15 +17,14 @@ from pathlib import Path
 from mavfi.campaign.alone import fly_alone
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
-from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.custom import is_custom
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
+from mavfi.flight.compose import detector_for
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Host, MissionFlights, Recorded, find_host
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
+from mavfi.levels.level import NULL, Sampled, Sampler, sampler_for
 from mavfi.mission import Scenario
 from mavfi.plugins import plugin_failure, reason
 from mavfi.record import End, FlightRecord
@@ -111,7 +110,7 @@ def flights_of(plan: Plan, environment: str) -> dict[str, str]:
     campaign = plan.campaign
     return {
         arm.name: json.dumps([
-            campaign.host, campaign.under_test, arm.detector, arm.profile, dict(arm.options),
+            campaign.host, str(campaign.under_test), arm.detector, arm.profile, dict(arm.options),
             model_of(plan.models, environment, arm.name), plan.scenarios[environment, arm.name],
             campaign.spec(environment, campaign.first_seed, arm.overrides).model_dump_json(),
         ], sort_keys=True)

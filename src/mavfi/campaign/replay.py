@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # loads its modules at first use
 
-from mavfi.analysis.statistics import CONFIDENCE, exact_bounds
 from mavfi.campaign.divergence import (
     Departure,
     Difference,
@@ -17,12 +17,12 @@ from mavfi.campaign.divergence import (
     first_difference,
     spread,
 )
+from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of, reason_of
-from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.flight import recorded
 from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
@@ -31,6 +31,9 @@ from mavfi.mission import Scenario
 from mavfi.outcomes import Effect, effect_of
 from mavfi.record import End, FlightRecord, record_of
 from mavfi.rewriting import rewriter
+
+CONFIDENCE = 0.95
+"""Of the bound on the share of wrong records."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +108,8 @@ def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     scenario = None
     if host.flies:
         scenario = _scenario(store, {**stored, "seed": spec.seed})
-    elif campaign.program is not None and campaign.program.to_json()["sha256"] != stored["program"]["sha256"]:
-        raise SpecMismatchError(f"{campaign.program.script}: is absent, or another program than that of the campaign")
+    else:
+        host.check_stored(stored)
     mission = MissionPlan(campaign, *spec.world, store.models_dir, store.meta("identity")["models"])
     return host, setup_of(mission, arms[spec.arm], host, scenario)
 
@@ -141,7 +144,7 @@ class Explanation:
 
 def explained_levels(host: Host) -> frozenset[str]:
     """Levels of a host's faults whose publications can be recorded: those that the host `local` flies, too."""
-    return host.levels & LocalHost.levels if host.flies and host.deterministic else frozenset()
+    return host.levels & LocalHost().levels if host.flies and host.deterministic else frozenset()
 
 
 def explain(directory: Path, run_id: str) -> Explanation:
@@ -194,7 +197,7 @@ def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
     if not levels or (spec.fault is not None and spec.fault.level not in levels):
         raise BadInputError(
             f"{store.directory}: run {spec.run_id}: its publications cannot be recorded; allowed: faults of level "
-            f"{', '.join(sorted(LocalHost.levels))} at hosts that fly missions; see mavfi replay and mavfi runs"
+            f"{', '.join(sorted(LocalHost().levels))} at hosts that fly missions; see mavfi replay and mavfi runs"
         )
     return setup
 
@@ -223,7 +226,8 @@ class Verification:
     def upper_bound(self) -> float:
         """One-sided upper confidence bound on the share of wrong records (Clopper and Pearson 1934)."""
         wrong = len(self.differing)
-        return exact_bounds(wrong, self.flown - wrong, 1.0 - CONFIDENCE)[1]
+        equal = self.flown - wrong
+        return float(scipy.stats.beta.ppf(CONFIDENCE, wrong + 1, equal)) if equal else 1.0
 
 
 def verify(

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.samplers.smaller import can_be_smaller, fewer, lower, narrower
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, find_level
 from mavfi.flight.host import Flight, MissionFlights
 from mavfi.mission import MissionStatus
 from mavfi.record import Injection
@@ -74,7 +73,8 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
         spec = store.run(run_id).spec
         host, setup = setup_of_run(store, spec)
     fault = spec.fault
-    if fault is None or not can_be_smaller(fault):
+    reductions = {} if fault is None else find_level(fault.level).reductions
+    if fault is None or not reductions:
         raise BadInputError(
             f"{directory}: run {spec.run_id}: no fault to make smaller; allowed: runs with a fault in a state, a "
             "memory or an instruction"
@@ -90,7 +90,7 @@ def shrink(directory: Path, run_id: str, report: Callable[[int], None] | None = 
             f"{directory} --failed)"
         )
     smallest, steps = original, []
-    for what, candidates in (("publications", fewer), ("width", narrower), ("bit", lower)):
+    for what, candidates in reductions.items():
         smaller = list(candidates(smallest.fault, smallest.injection))
         if smaller:
             found = next((trial for trial in trials.of(smaller) if trial.lost), None)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
@@ -26,9 +25,8 @@ from mavfi.detectors.registry import figures_of, trainable
 from mavfi.detectors.training import MONITORED_FIELDS, Training
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.outcomes import quality_of_flight
 from mavfi.record import read_arrays
@@ -321,8 +319,10 @@ def train(folder: Path, flights: int = 100, mission: MissionSpec | None = None, 
 def count_false_alarms(
     models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress,
     environments: Sequence[str] = ("training",),
-) -> list[dict[str, EventRate]]:  # fmt: skip
-    """Alarms per flight hour of each model in the folder by environment, on error-free missions with other seeds.
+) -> list[dict[str, list[tuple[int, float]]]]:  # fmt: skip
+    """Alarms and flight hours by flight of each model in the folder by environment, on error-free missions.
+
+    The missions have other seeds than those of the training.
 
     Each environment has `flights` missions, flown as in `train`; `progress` is called with the numbers of completed
     and required flights.
@@ -339,11 +339,7 @@ def count_false_alarms(
         counted.setdefault((task.model.sha256, task.scenario.environment.name), []).append(result)
         progress(done, len(tasks))
 
-    def rate(model: Model, environment: str) -> EventRate:
-        flown = sorted(counted.get((model.sha256, environment), []))
-        return event_rate_by_flight([events for events, _ in flown], [hours for _, hours in flown])
-
-    return [{name: rate(model, name) for name in environments} for model in models]
+    return [{name: sorted(counted.get((model.sha256, name), [])) for name in environments} for model in models]
 
 
 def _count_alarms(task: _Task) -> tuple[int, float]:

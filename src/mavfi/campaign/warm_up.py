@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.config import Campaign, InstructionSampling
+from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.mission import (
     Job,
@@ -24,7 +24,7 @@ from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.flight.compiling import STAGES, compile_stage
-from mavfi.flight.watching import detector_for
+from mavfi.flight.compose import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder
@@ -179,8 +179,7 @@ def _kernels(campaigns: Sequence[Campaign]) -> list[_Mission]:
     found = [
         (kernel, _with_kernels(campaign, (kernel,)))
         for campaign in campaigns
-        if isinstance(campaign.sampling, InstructionSampling)
-        for kernel in campaign.sampling.kernels
+        for kernel in campaign.sampling.instrumented
     ]
     order = {name: place for place, name in enumerate([*DETECTORS, *PLANNERS])}
     last = len(order)
@@ -201,8 +200,8 @@ def _detectors(campaigns: Sequence[Campaign]) -> list[_Detector]:
 
 def _bare(campaign: Campaign) -> Campaign:
     """The campaign without arms that have a detector, and without faults in detectors."""
-    if isinstance(campaign.sampling, InstructionSampling):
-        return _with_kernels(campaign, tuple(name for name in campaign.sampling.kernels if name not in DETECTORS))
+    if campaign.sampling.instrumented:
+        return _with_kernels(campaign, tuple(name for name in campaign.sampling.instrumented if name not in DETECTORS))
     return _with_arms(campaign, ())
 
 

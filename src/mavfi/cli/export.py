@@ -13,6 +13,7 @@ from mavfi.config import Config, parse
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.files import is_dir
 from mavfi.mission import MissionSpec
+from mavfi.plugins import known, load_object
 
 if TYPE_CHECKING:
     from mavfi.campaign.divergence import Publication
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     Recorded = tuple[FlightLog, list[Publication] | None, FlightLog | None]
     """A flight, its publications, and its golden run; None = unknown."""
 
-ENDINGS = (".bag", ".mcap", ".ulg", ".tlog", ".csv")
+_GROUP = "mavfi.exporters"
+"""Writers of other formats: functions (log, path) -> number of messages, by file name extension."""
 ROS_ENDINGS = (".bag", ".mcap")
 """Formats with publications, for which the flight is flown again."""
 
@@ -62,8 +64,9 @@ def export(
 
     Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
     """
-    if to.suffix not in ENDINGS:
-        raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(ENDINGS)}")
+    endings = (*ROS_ENDINGS, *(f".{ending}" for ending in sorted(known(_GROUP, {}), reverse=True)), ".csv")
+    if to.suffix not in endings:
+        raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(endings)}")
     if is_dir(flight) and not run_id:
         raise BadInputError(
             f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; "
@@ -126,10 +129,9 @@ def _recorded(source: Path, run_id: str) -> Recorded:
 def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
     from mavfi.cli.fly import load_watcher
-    from mavfi.flight.compose import resolve
+    from mavfi.flight.compose import resolve, with_keys_of
+    from mavfi.flight.decide import Recovery
     from mavfi.flight.host import ArmSetup
-    from mavfi.flight.policy import Recovery
-    from mavfi.flight.watching import with_keys_of
 
     if request is None:
         return ArmSetup(scenario)
@@ -141,12 +143,13 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
 
 def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
-    from mavfi.extras.logs.ulog import write_ulog
-    from mavfi.extras.mavlink.tlog import write_tlog
     from mavfi.report.export.files import write_bag, write_csv, write_mcap
 
+    if to.suffix == ".csv":
+        return write_csv(log, to)
     if to.suffix not in ROS_ENDINGS:
-        return {".csv": write_csv, ".ulg": write_ulog, ".tlog": write_tlog}[to.suffix](log, to)
+        count: int = load_object("exporter", to.suffix[1:], _GROUP, {})(log, to)
+        return count
     import numpy as np
 
     from mavfi.flight.compose import pipeline_config

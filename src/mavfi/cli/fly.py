@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +31,7 @@ the host that flies the mission, each None if its options ask for none.
 
 
 @options.with_mission_options
-@partial(options.with_extra_options, group=FLY_OPTIONS)
+@options.with_extra_options(FLY_OPTIONS, observing.OBSERVERS)
 def fly(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     fault: options.Fault = None,
@@ -44,8 +43,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     save: options.Save = None,
     picture: options.Picture = None,
     html: options.Html = None,
-    live: observing.Live = False,
-    mavlink: observing.Mavlink = None,
     pace: observing.Pace = observing.REAL_TIME,
     **extra: Any,  # noqa: ANN401 - of the options of extras
 ) -> None:
@@ -55,20 +52,19 @@ def fly(  # noqa: PLR0913 - one parameter per option
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
     _check_dead_node(mission, fault)
-    observing.check_options(live, mavlink, pace, fault)
+    observers = observing.chosen_observers(extra, pace, fault)
     for option, path, endings in (("--save", save, FLIGHTS), ("--picture", picture, PICTURES), ("--html", html, PAGES)):
         check_file(option, path, endings)
-    wanted, host = _chosen(mission, {"fault": fault, "html": html, **extra})
+    of_extra, host = _chosen(mission, {"fault": fault, "html": html, **extra})
     from mavfi.cli.progress import compiling
-    from mavfi.faults.spec import parse
+    from mavfi.levels.level import parse
 
-    wanted = wanted if fault is None else parse(fault, mission.localization)
+    request = of_extra if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
-        from mavfi.flight.compose import resolve
+        from mavfi.flight.compose import resolve, with_keys_of
+        from mavfi.flight.decide import Recovery
         from mavfi.flight.host import ArmSetup
-        from mavfi.flight.policy import Recovery
-        from mavfi.flight.watching import with_keys_of
 
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
@@ -76,8 +72,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
             _compile(scenario)
         watching, label = load_watcher(detector, profile, models, scenario, mission)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        with observing.observing(live, mavlink, pace) as views:
-            result = fly_request(replace(setup, observers=views), wanted, fault_seed or 0, label, bare, host)
+        with observing.observing(observers, extra, pace) as views:
+            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
@@ -137,8 +133,7 @@ def _chosen(mission: MissionSpec, values: dict[str, Any]) -> tuple[Fault | None,
 
 
 def _write_page(html: Path, result: FlightResult, setup: ArmSetup, bare: Scenario, options: tuple[Any, ...]) -> None:
-    from mavfi.cli.flight_pages import fly_command, page_of_result
-    from mavfi.report.html.flight_page import write_flight_page
+    from mavfi.report.html.flight_page import fly_command, page_of_result, write_flight_page
 
     write_flight_page(html, page_of_result(result, setup, bare, fly_command(*options)))
 
@@ -177,7 +172,7 @@ def load_watcher(
     """Load a detector; return it with its label (name, and profile if it has one)."""
     if name == "none":
         return None, ""
-    from mavfi.flight.watching import detector_for
+    from mavfi.flight.compose import detector_for
 
     detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models, mission.trained_for)
     if mission.trained_for and not model:

@@ -1,71 +1,61 @@
-"""Options of `mavfi fly` that show a flight while it runs."""
+"""What shows a flight of `mavfi fly` while it runs: observers that extras add, with options of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mavfi.cli.console import check_number, console
 from mavfi.errors import BadInputError
+from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
-    from mavfi.extras.logs.live import LiveView
-    from mavfi.extras.mavlink.running import Telemetry
+    from mavfi.flight.loop import Attached
 
-_LAST_PORT = 65_535
+OBSERVERS = "mavfi.observers"
+"""Group of entry points, by the name of an option: objects with `options`, see `with_extra_options`, `chosen(values)`
+(whether they are set; refuses values that are not allowed), and `build(values)` (an observer and a line of text).
+"""
 REAL_TIME = 1.0
-Live = Annotated[bool, typer.Option("--live", help="Serve the running flight to Foxglove and Lichtblick (extra live).")]
-Mavlink = Annotated[
-    int | None, typer.Option(metavar="PORT", help="Send the flight to a ground station's UDP port on loopback: 14550.")
-]
 Pace = Annotated[
     float, typer.Option(help="Flight time per wall time with --live and --mavlink; 0 = as fast as possible.")
 ]
 
 
-def check_options(live: bool, mavlink: int | None, pace: float, fault: str | None) -> None:
-    """Refuse values of these options that are not allowed, before the flight."""
-    check_number("--mavlink", mavlink, 1, _LAST_PORT)
+def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) -> list[Any]:
+    """The observers whose options are set; refuses values that are not allowed, before the flight."""
+    observers = extensions(OBSERVERS)
+    chosen = {name: observer for name, observer in observers.items() if observer.chosen(values)}
     check_number("--pace", pace, 0, 1000)
-    if pace != REAL_TIME and not live and mavlink is None:
-        raise BadInputError(f"--pace: {pace:g}: nothing shows the flight; allowed: together with --live or --mavlink")
-    if (live or mavlink is not None) and (fault or "").startswith("instruction"):
-        option = "--live" if live else "--mavlink"
+    if pace != REAL_TIME and not chosen:
+        options = " or ".join(f"--{name}" for name in observers)
+        raise BadInputError(f"--pace: {pace:g}: nothing shows the flight; allowed: together with {options}")
+    if chosen and (fault or "").startswith("instruction"):
         raise BadInputError(
-            f"{option}: faults in instructions fly in a forked process; allowed: null, state, memory, sensor"
+            f"--{next(iter(chosen))}: faults in instructions fly in a forked process; allowed: null, state, memory, "
+            "sensor"
         )
+    return list(chosen.values())
 
 
 @contextmanager
-def observing(live: bool, mavlink: int | None, pace: float) -> Iterator[tuple[Callable[[Any], None], ...]]:
+def observing(
+    chosen: list[Any], values: Mapping[str, Any], pace: float
+) -> Iterator[tuple[Attached, ...]]:  # fmt: skip
     """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
-    if not live and mavlink is None:
+    if not chosen:
         yield ()
         return
-    from mavfi.flight.observe import Attached
+    from mavfi.flight.loop import Attached
 
-    views = list(_views(live, mavlink))
-    try:
-        # only the first waits for the pace
-        yield tuple(Attached(view, pace if place == 0 else 0.0) for place, view in enumerate(views))
-    finally:
-        for view in views:
-            view.close()
-
-
-def _views(live: bool, mavlink: int | None) -> Iterator[LiveView | Telemetry]:
-    out = console(error=True)
-    if live:
-        from mavfi.extras.logs.live import PORT, LiveView
-
-        view = LiveView(PORT)
-        out.print(f"serving the flight at {view.address}", markup=False, highlight=False)
-        yield view
-    if mavlink is not None:
-        from mavfi.extras.mavlink.running import HOST, Telemetry
-
-        out.print(f"sending the flight to udp://{HOST}:{mavlink}", markup=False, highlight=False)
-        yield Telemetry(mavlink)
+    attached: list[Attached] = []
+    with ExitStack() as stack:
+        for observer in chosen:
+            view, text = observer.build(values)
+            stack.callback(view.close)
+            console(error=True).print(text, markup=False, highlight=False)
+            attached.append(Attached(view, 0.0 if attached else pace))  # only the first waits for the pace
+        yield tuple(attached)

@@ -77,19 +77,24 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
     return wrapped
 
 
-def with_extra_options(verb: Callable[..., None], group: str) -> Callable[..., None]:
-    """Replace a command's last parameter, `**values`, by the options of a group of entry points.
+def with_extra_options(*groups: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Replace a command's last parameter, `**values`, by the options of groups of entry points.
 
-    Each object of the group has `options`: the annotated types of its options by the names of their parameters.  An
+    Each object of a group has `options`: the annotated types of its options by the names of their parameters.  An
     option that the user has not set is None.
     """
-    own = list(inspect.signature(verb, eval_str=True).parameters.values())[:-1]
-    added = {name: option for extra in extensions(group).values() for name, option in extra.options.items()}
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    own += [inspect.Parameter(name, keyword, default=None, annotation=option) for name, option in added.items()]
-    verb.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
-    verb.__annotations__ = {parameter.name: parameter.annotation for parameter in own}
-    return verb
+
+    def decorate(verb: Callable[..., None]) -> Callable[..., None]:
+        parameters = list(inspect.signature(verb, eval_str=True).parameters.values())[:-1]
+        for extra in (extra for group in groups for extra in extensions(group).values()):
+            for name, option in extra.options.items():
+                keyword = inspect.Parameter.KEYWORD_ONLY
+                parameters.append(inspect.Parameter(name, keyword, default=None, annotation=option))
+        verb.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        verb.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return verb
+
+    return decorate
 
 
 def _is_users(source: Enum | None) -> bool:

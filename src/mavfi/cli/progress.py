@@ -18,8 +18,7 @@ from rich.text import Text
 from mavfi.cli.console import console
 
 if TYPE_CHECKING:
-    from mavfi.campaign.session import Progress as CampaignProgress
-    from mavfi.extras.paper.steps import Steps
+    from mavfi.campaign.ledger import Progress as CampaignProgress
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""
@@ -113,27 +112,6 @@ class Bar:
             self._printed = now
             self._line = line
             self._console.print(line)
-
-
-class StudyBar(Bar):
-    """Progress bar of a study, which takes one step after the other.
-
-    Args:
-        study: Name of the study.
-        steps: To which the wall times of the steps are added.
-    """
-
-    def __init__(self, study: str, steps: Steps) -> None:
-        super().__init__(study)
-        self.steps = steps
-        self._study = study
-
-    @contextmanager
-    def timed(self, step: str, unit: str = "flights") -> Iterator[None]:
-        """Show a step, counted in units, and add its wall time to those of the study."""
-        self.begin(f"{self._study}, {step}", unit)
-        with self.steps.timed(step):
-            yield
 
 
 @contextmanager

@@ -1,10 +1,11 @@
 """`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
@@ -14,13 +15,13 @@ from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder
+from mavfi.plugins import extensions
 
 MOST_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
-    from mavfi.extras.paper.report import StudyReport
     from mavfi.report.campaign_report import Report
-    from mavfi.report.html.report_page import Drawn
+    from mavfi.report.figures import Drawn
 
 
 def report(  # noqa: PLR0913 - one parameter per option
@@ -54,45 +55,77 @@ def report(  # noqa: PLR0913 - one parameter per option
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
-    from mavfi.campaign.store import Store
-    from mavfi.extras.paper.report import stored_study
-
-    study = stored_study(directory)
-    for folder in (".",) if study is None else study[0].campaigns:
-        Store.open(directory / folder).close()  # fails before writing if a ledger is missing or damaged
-    check_folder(directory)
-    written: Report | StudyReport
-    if study is None:
-        from mavfi.cli.report_page import write_html
-        from mavfi.report.campaign_report import write_report
-        from mavfi.report.html.report_page import drawn
-
-        written = write_report(directory)
-        count = 0 if html is None else write_html(html, directory, written, flights, workers)
-        pictures, show = partial(drawn, written.runs), partial(show_report, written, show_all)
-    else:
-        from mavfi.extras.paper.cli_report import show_study_report, write_study_report
-        from mavfi.report.html.report_page import drawn_of_study
-
-        written, count = write_study_report(*study, directory, html, flights, workers)
-        pictures, show = partial(drawn_of_study, written), partial(show_study_report, written, show_all)
-    made = [] if html is None else [f"{html}, with {counted(count, 'flight')}, {html.stat().st_size / 1e6:.1f} MB"]
+    writers = (*extensions("mavfi.reports").values(), report_campaign)
+    reports = (write(directory, html, flights, workers) for write in writers)
+    reported = next(report for report in reports if report is not None)
+    made = []
+    if html is not None:
+        size = f"{html.stat().st_size / 1e6:.1f} MB"
+        made.append(f"{html}, with {counted(reported.flights, 'flight')}, {size}")
     if figures is not None:
-        made.append(_write_figures(pictures(), figures))
+        made.append(_write_figures(reported.draw(), figures))
     if as_json:
-        write_json(written.to_json())
+        write_json(reported.written.to_json())
         return
-    show()
-    names = _listed([path.relative_to(directory) for path in written.files])
+    reported.show(show_all)
+    names = _listed([path.relative_to(directory) for path in reported.written.files])
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
     for line in made:
         console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
 
 
+@dataclass(frozen=True)
+class Reported:
+    """A report of a folder, as `mavfi report` shows it.
+
+    Attributes:
+        written: The report; it has `files` and `to_json`.
+        flights: Number of flights in its page.
+        draw: Draws its figures.
+        show: Prints it: its headline, or with True all of it.
+    """
+
+    written: Any
+    flights: int
+    draw: Callable[[], Sequence["Drawn"]]
+    show: Callable[[bool], None]
+
+
+def report_campaign(directory: Path, html: Path | None, flights: int | None, workers: int) -> Reported:
+    """Write the report of the campaign whose ledger is in a folder.
+
+    An extra adds an entry point of the group `mavfi.reports` for folders of another kind: a function with the same
+    arguments, which returns None for a folder that is not its own.
+
+    Args:
+        directory: The folder.
+        html: Page to write; None = none.
+        flights: Maximum number of flights in the page; None = as many as fit.
+        workers: Number of processes for them.
+
+    Raises:
+        BadInputError: The ledger is missing or damaged, or a file cannot be written.
+    """
+    from mavfi.campaign.store import Store
+    from mavfi.cli.progress import Bar
+    from mavfi.report.campaign_report import write_report
+    from mavfi.report.figures import drawn
+    from mavfi.report.html.report_page import write_html
+
+    Store.open(directory).close()  # fails before writing
+    check_folder(directory)
+    written = write_report(directory)
+    count = 0
+    if html is not None:
+        with Bar("flights of the page") as bar:
+            count = write_html(html, directory, written, flights, workers, bar.show)
+    return Reported(written, count, partial(drawn, written.runs), partial(show_report, written))
+
+
 def _write_figures(drawn: Sequence["Drawn"], folder: Path) -> str:
     """Write figures; return one line of text."""
     from mavfi.cli.progress import Bar
-    from mavfi.report.column import write_figure
+    from mavfi.report.style import write_figure
 
     paths: list[Path] = []
     with Bar("figures", "figures") as bar:
@@ -115,16 +148,13 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
         check_folder(figures)
 
 
-def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> None:
-    """Print a report: campaign, leading table (or the given views, or all tables), findings."""
-    from mavfi.analysis import table_asked_for
-    from mavfi.report.terminal import show_header, show_table
-    from mavfi.report.text import checks, header
+def show_report(found: "Report", show_all: bool) -> None:
+    """Print a report: campaign, leading table or all tables, findings."""
+    from mavfi.report.text import checks, header, show_header, show_table
 
     out = console()
     show_header(header(found.runs.campaign), out)
-    leading = [table_asked_for(found.runs, name) for name in views] or found.tables[:1]
-    for table in found.tables if show_all else leading:
+    for table in found.tables if show_all else found.tables[:1]:
         show_table(table, out)
     for line in (*(f"· {line}" for line in found.findings), *checks(found.runs)):
         out.print(Text(line))
@@ -140,7 +170,7 @@ def _listed(files: Sequence[Path]) -> str:
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
     from mavfi.analysis import Runs, table_asked_for
     from mavfi.analysis.views import applicable
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     runs = Runs.read(directory)
     if name == "list":

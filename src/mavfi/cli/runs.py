@@ -26,7 +26,7 @@ def runs(
     """
     from mavfi.analysis.listing import listing
     from mavfi.analysis.runs import Runs
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     table = listing(Runs.read(directory), failed=failed)
     if as_csv:
@@ -96,10 +96,9 @@ def explain(
     if picture is not None:
         draw_flight(picture, found.flight, found.golden, detector=detector_name(found.spec))
     if html is not None:
+        from mavfi.analysis.listing import partner
         from mavfi.analysis.runs import Runs
-        from mavfi.campaign.telling import partner
-        from mavfi.cli.flight_pages import page_of_explanation
-        from mavfi.report.html.flight_page import write_flight_page
+        from mavfi.report.html.flight_page import page_of_explanation, write_flight_page
 
         other = partner(Runs.read(directory).frame, found.spec.run_id)
         write_flight_page(html, page_of_explanation(directory, found, other, directory))
@@ -137,10 +136,10 @@ def shrink(
 
 def command(found: "Shrunk") -> str:
     """Command that flies the smallest fault."""
-    from mavfi.campaign.run import stored_campaign
-    from mavfi.campaign.samplers.request import seed_of, text_of
+    from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
-    from mavfi.cli.flight_pages import fly_command
+    from mavfi.faults.fault import find_level
+    from mavfi.report.html.flight_page import fly_command
 
     spec = found.spec
     with Store.open(found.directory) as store:
@@ -149,4 +148,5 @@ def command(found: "Shrunk") -> str:
     mission = campaign.spec(spec.environment, spec.seed, overrides)
     fault = found.smallest.fault
     profile = spec.detector_profile if spec.model else None
-    return fly_command(mission, text_of(fault), seed_of(fault), spec.detector or "none", profile, None)
+    level = find_level(fault.level)
+    return fly_command(mission, level.text_of(fault), level.seed_of(fault), spec.detector or "none", profile, None)

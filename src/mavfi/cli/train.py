@@ -82,12 +82,19 @@ def train(  # noqa: PLR0913 - one for each option
     models = [Model.load(path) for path in files]
     kept = f"Stopped. The models are in {out}; their false alarms are not counted."
     with stoppable(kept), Bar("checking flights") as bar:
-        alarms = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
+        counts = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
+    alarms = [{name: _rate(flights) for name, flights in by_environment.items()} for by_environment in counts]
     if as_json:
         rows = zip(files, models, alarms, strict=True)
         write_json({"models": [{"file": str(f), **_entry(m), "false_alarms": _rates(a)} for f, m, a in rows]})
         return
     console().print(_table(models, alarms, out))
+
+
+def _rate(flights: list[tuple[int, float]]) -> EventRate:
+    from mavfi.analysis.statistics import event_rate_by_flight
+
+    return event_rate_by_flight([alarms for alarms, _ in flights], [hours for _, hours in flights])
 
 
 def _rates(alarms: dict[str, EventRate]) -> dict[str, Any]:

@@ -1,22 +1,30 @@
-"""Planned faults: one type for each level, all pure data.  The resulting event is a `flight_log.Injection`.
+"""Planned faults: one type for each level, all pure data.  The resulting event is a `record.Injection`.
 
 Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` and `to_json`; `fault_from_json` reads
-all levels.
+all levels.  What a level means (how its faults are written, drawn, injected, made smaller) is in its `mavfi.levels`.
 """
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal, Self, get_args
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.levels.transit import is_length
-from mavfi.faults.planned import NO_SITE as NO_SITE
-from mavfi.faults.planned import Planned
+from mavfi.plugins import known, load_object
 from mavfi.states import KERNELS, STATES, WATCHING, find_state
 
+GROUP = "mavfi.levels"
+"""Entry-point group of fault levels: subclasses of `mavfi.levels.level.Level`."""
+SHIPPED = {
+    "state": "mavfi.levels.state:StateLevel", "memory": "mavfi.levels.memory:MemoryLevel",
+    "sensor": "mavfi.levels.sensor:SensorLevel", "instruction": "mavfi.levels.instruction:InstructionLevel",
+}  # fmt: skip
+"""Levels of the core, by name."""
+NO_SITE = -1
+"""`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
 MODELS: tuple[Model, ...] = get_args(Model)
 RESTART_S = 0.57
@@ -33,6 +41,54 @@ LONGEST_TIMEOUT = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
+class Fault:
+    """Base of the planned faults of all levels; `level` is the name of theirs."""
+
+    level: ClassVar[str]
+    if TYPE_CHECKING:  # subclasses have these as fields, in an order of their own
+
+        @property
+        def bit(self) -> int | None:
+            """The flipped bit, if there is exactly one that is known before the run."""
+
+        @property
+        def stratum(self) -> str:
+            """Stratum of the draw; "" = not drawn by stratum."""
+
+        @property
+        def weight(self) -> float:
+            """Probability that a draw from everything falls in the stratum."""
+
+        @property
+        def seed(self) -> int:
+            """Seed of the draw."""
+
+    @property
+    def site(self) -> str:
+        """What is changed, as text."""
+        raise NotImplementedError
+
+    @property
+    def bit_class(self) -> str:
+        """Meaning of the bit, e.g. "exponent"; "" if unknown."""
+        return ""
+
+    @property
+    def has_site(self) -> bool:
+        """Whether there is a value to change, as far as known before the run."""
+        return getattr(self, "time_us", 0) != NO_SITE
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"level": self.level, **asdict(self)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
+        return checked(cls, data, f"fault of level {cls.level}")
+
+
+@dataclass(frozen=True, slots=True)
 class FaultSite:
     """A field of an inter-kernel state, and the index of its element if it is in a list."""
 
@@ -46,7 +102,7 @@ class FaultSite:
 
 
 @dataclass(frozen=True, slots=True)
-class StateFault(Planned):
+class StateFault(Fault):
     """A bit of a field in one publication of an inter-kernel state, or in several publications.
 
     Attributes:
@@ -110,7 +166,7 @@ class StateFault(Planned):
     def to_json(self) -> dict[str, Any]:
         """Plain data; keys of `LIFETIME` with default values are omitted."""
         own = {name: value for name, value in LIFETIME.items() if getattr(self, name) == value}
-        data = {name: value for name, value in Planned.to_json(self).items() if name not in own}
+        data = {name: value for name, value in Fault.to_json(self).items() if name not in own}
         return data | ({"lasts_s": "inf"} if data.get("lasts_s") == float("inf") else {})
 
     @classmethod
@@ -124,7 +180,7 @@ class StateFault(Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class MemoryFault(Planned):
+class MemoryFault(Fault):
     """One bit of a word in a kernel's memory, at an instant.
 
     Attributes:
@@ -174,7 +230,7 @@ class MemoryFault(Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class InstructionFault(Planned):
+class InstructionFault(Fault):
     """The result of one dynamic instruction in one call of a compiled function, once.
 
     Attributes:
@@ -258,7 +314,7 @@ class InstructionFault(Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class MessageFault(Planned):
+class MessageFault(Fault):
     """A number in messages of a ROS topic.
 
     Attributes:
@@ -298,7 +354,7 @@ class MessageFault(Planned):
 
 
 @dataclass(frozen=True, slots=True)
-class RegisterFault(Planned):
+class RegisterFault(Fault):
     """One bit of a register that an instruction of a live process reads or writes, once.
 
     Attributes:
@@ -368,17 +424,23 @@ class RegisterFault(Planned):
         return None
 
 
-Fault = StateFault | MemoryFault | InstructionFault | MessageFault | RegisterFault | SensorFault
-"""A planned fault of any level."""
-LEVELS: dict[str, type[Fault]] = {
-    kind.level: kind for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault, SensorFault)
-}
+@cache
+def find_level(name: str) -> Any:  # noqa: ANN401 - a `mavfi.levels.level.Level`, which imports this module
+    """A fault level by name; a BadInputError if there is none."""
+    return load_object("level", name, GROUP, SHIPPED)()
+
+
+@cache
+def level_names() -> tuple[str, ...]:
+    """Names of all levels, those of the core first."""
+    return tuple(dict.fromkeys([*SHIPPED, *sorted(known(GROUP, SHIPPED))]))
 
 
 def fault_from_json(data: dict[str, Any]) -> Fault:
     """Inverse of `to_json` of any fault; an unknown level is a BadInputError."""
-    given = dict(data) if isinstance(data, dict) else {}
-    level = given.pop("level", None)
-    if not isinstance(level, str) or level not in LEVELS:
-        raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
-    return LEVELS[level].from_json(given)
+    content = dict(data) if isinstance(data, dict) else {}
+    level = content.pop("level", None)
+    if not isinstance(level, str) or level not in level_names():
+        raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(level_names())}")
+    fault: Fault = find_level(level).fault.from_json(content)
+    return fault

@@ -44,6 +44,8 @@ and other bits, unsigned ones other bits only; a flag's single bit counts with t
 message is none of these."""
 
 HEADLINE = "sign_exponent"
+WORDS = {HEADLINE: "sign + exponent", "length": "lengths of lists"}
+"""Strata that tables name otherwise."""
 SIGN_EXPONENT = (HEADLINE, "sign", "exponent")
 """Strata of the headline's bits, together or apart."""
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
-from mavfi.flight.assemble import install, new_loop, restarts_for
 from mavfi.flight.checkpoints import (
     Checkpoint,
     DetectorKeeper,
@@ -38,11 +37,10 @@ from mavfi.flight.checkpoints import (
     put,
     take,
 )
-from mavfi.flight.counted_function import CountedFunction
-from mavfi.flight.golden_prefix import check_prefix
+from mavfi.flight.compose import install, new_loop, restarts_for
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import FlightLog, Profile
@@ -53,6 +51,88 @@ TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
 
 
+# ---- golden flights stopped early -----------------------------------------------------------------------------------
+
+
+def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
+    """Fly a loop from its start until `enough` (evaluated after each control period) is true; None = stopped early."""
+    loop.begin()
+    while loop.status is None and not enough():
+        loop.run(len(loop.record.rows) + 1)
+    return None if loop.status is None else loop.flight()
+
+
+def check_prefix(loop: Loop, golden: FlightLog) -> None:
+    """Check that a loop has flown the start of a golden flight, bit for bit, and the whole if it has ended.
+
+    Raises:
+        MavfiError: The flights differ.
+    """
+    rows = np.asarray(loop.record.rows)
+    same = rows.tobytes() == golden.rows[: len(rows)].tobytes()
+    if loop.status is not None:
+        same = same and loop.status is golden.status and len(rows) == len(golden.rows)
+    if not same:
+        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+
+
+# ---- functions whose calls are counted ------------------------------------------------------------------------------
+
+
+class Taken(NamedTuple):
+    """A call that was made by somebody else, with its result."""
+
+    result: Any
+
+
+Intercept = Callable[[str, int, Callable[..., Any], tuple[Any, ...]], Taken | None]
+"""Called before each call with name, number of the call, function and arguments; None = the call is made as usual."""
+
+
+class CountedFunction:
+    """A compiled function, called in its place; calls are counted in the record of a flight.
+
+    Calls that repeat others for verification are not counted: faults address calls of first executions, as in flights
+    without a detector.
+
+    Attributes:
+        intercept: May take calls over; None = no call is.
+    """
+
+    def __init__(self, name: str, function: Callable[..., Any]) -> None:
+        self.intercept: Intercept | None = None
+        self._name, self._function = name, function
+        self._loop: Loop | None = None
+
+    def attach(self, loop: Loop) -> None:
+        """Count calls in the record of a loop."""
+        self._loop = loop
+        loop.record.calls[self._name] = 0
+
+    @contextmanager
+    def replaced(self, function: Callable[..., Any]) -> Iterator[None]:
+        """Call another function, which returns the same."""
+        original, self._function = self._function, function
+        try:
+            yield
+        finally:
+            self._function = original
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        loop = self._loop
+        if loop is None or loop.repeating:
+            return self._function(*args)
+        call = loop.record.calls[self._name]
+        loop.record.calls[self._name] = call + 1
+        if self.intercept is not None:
+            taken = self.intercept(self._name, call, self._function, args)
+            if taken is not None:
+                return taken.result
+        return self._function(*args)
+
+
+# ---- known flights --------------------------------------------------------------------------------------------------
 @dataclass(slots=True)
 class Share:
     """Share of the flights that was simulated.

@@ -35,15 +35,23 @@ from mavfi.faults.levels.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.levels.instruction.arena import arena, own
 from mavfi.faults.levels.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.levels.instruction.variant import Variant, variant_for
-from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.case import DETECTED, WAITING, Case, ChildReport, Output, Published, case_of, flight_of
 from mavfi.flight.checkpoints import fill, put
-from mavfi.flight.counted_function import CountedFunction, Taken
-from mavfi.flight.fast_forward import NO_DETECTOR, Branch, FastForward, FlownArm, Track
-from mavfi.flight.golden_prefix import check_prefix, fly_until
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.fast_forward import (
+    NO_DETECTOR,
+    Branch,
+    CountedFunction,
+    FastForward,
+    FlownArm,
+    Taken,
+    Track,
+    check_prefix,
+    fly_until,
+)
 from mavfi.flight.host import Flight
-from mavfi.flight.loop import Loop
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.restarts import Restarts
 from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
@@ -188,7 +196,7 @@ class Child:
     output: Output | None = None
 
 
-class Forks:
+class Forks(Listener):
     """Injected runs that fork off a golden flight.
 
     Args:
@@ -308,7 +316,7 @@ class Forks:
                 break
         return ended
 
-    def stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
+    def after_step(self, kernel: Kernel, states: list[State], now: int) -> None:
         """After a step: store the output of an injected one; end the node of one that died, repeat a detected one."""
         child = self.child
         if child is None:
@@ -495,7 +503,7 @@ class FromTakeOff(Start):
         """See `Start.fly`."""
         for function in self._functions:
             function.intercept = forks.intercept
-        self.loop.after_step.append(forks.stepped)
+        self.loop.listeners.append(forks)
         try:
             self.golden = fly_until(self.loop, lambda: not self._flies_whole_golden and forks.is_done())
         finally:
@@ -561,11 +569,11 @@ class FromCheckpoints(Start):
         functions = [self._forward.functions[case.fault.entry] for case in forks.waiting()]
         for function in functions:
             function.intercept = forks.intercept
-        self.loop.after_step.append(forks.stepped)
+        self.loop.listeners.append(forks)
         try:
             yield
         finally:
-            self.loop.after_step.remove(forks.stepped)
+            self.loop.listeners.remove(forks)
             self.loop.taps.recorders.clear()
             for function in functions:
                 function.intercept = None

@@ -5,22 +5,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+from mavfi.config import Config
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, RegisterFault
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.faults.fault import Fault
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.mission import MissionSpec, Scenario
-from mavfi.plugins import load_object
+from mavfi.plugins import extensions, load_object
 from mavfi.record import FlightLog, FlightRecord, Profile, record_of
 
 GROUP = "mavfi.hosts"
-"""Entry-point group of hosts: classes whose constructor arguments are host-specific keys of a campaign."""
-SHIPPED = {
-    "local": "mavfi.flight.mission_flights:LocalHost", "ros1": "mavfi.extras.ros.ros1.host:Ros1Host",
-    "node": "mavfi.extras.ros.node.host:NodeHost", "firmware": "mavfi.extras.firmware.host:FirmwareHost",
-    "airsim_program": "mavfi.extras.airsim.host:AirsimProgramHost",
-}  # fmt: skip
-"""Class of each host of this package, by name."""
+"""Entry-point group of hosts: subclasses of `Host`."""
+SHIPPED = {"local": "mavfi.flight.mission_flights:LocalHost"}
+"""The host of the core; others are those of extras and other packages."""
 
 
 @dataclass(slots=True)
@@ -79,14 +76,14 @@ class RunResult:
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
 
-    Observers are called with the loop before each flight (see `flight.observe`), by the host `firmware`, and by the
-    host `local` without fast-forward, except for faults in instructions.
+    Observers (`flight.loop.Listener`) take part in flights of the host `firmware`, and of the host `local` without
+    fast-forward, except for faults in instructions.
     """
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
     recovery: Recovery = INLINE
-    observers: tuple[Callable[[Any], None], ...] = ()
+    observers: tuple[Any, ...] = ()
 
     def detector(self) -> Detector | None:
         """A detector for flights of the arm; None = no detector."""
@@ -158,33 +155,44 @@ class ArmFlights(ABC):
         return self._detectors[arm]
 
 
-class Host(Protocol):
-    """Execution environment of missions.
+class Host(ABC):
+    """Execution environment of missions; a class whose one optional argument is what is under test instead of ours.
 
     Attributes:
         name: Name in configuration files.
-        levels: Fault levels that it can inject.
         deterministic: Whether a flight is a pure function of its spec; if not, no run is classified as `masked`.
         flies: Whether the results of runs are of type `Flight`, which can be drawn.
         in_process: Whether flights compile and load code in this process, so that forked workers inherit it.
+        single_levels: Levels whose faults single missions are flown with at this host, unless the host `local` can.
+        config: Model of what is under test; None = our pipeline.
+        config_key: Key of a campaign that has its values.
     """
 
     name: str
-    levels: frozenset[str]
-    deterministic: bool
-    flies: bool
-    in_process: bool
+    deterministic: bool = True
+    flies: bool = True
+    in_process: bool = False
+    single_levels: frozenset[str] = frozenset()
+    config: type[Config] | None = None
+    config_key: str = ""
 
+    @property
+    @abstractmethod
+    def levels(self) -> frozenset[str]:
+        """Fault levels that it can inject."""
+
+    @abstractmethod
     def resolve(self, spec: MissionSpec) -> Any:
         """Resolve a spec to its mission: a `Scenario`, or an equivalent with `key` and `to_json`."""
 
-    def check(self) -> None:
+    def check(self) -> None:  # noqa: B027 - most hosts need nothing
         """Check the host's prerequisites before the first flight.
 
         Raises:
             BadInputError: A prerequisite is missing.
         """
 
+    @abstractmethod
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
         """Prepare the flights of a mission under named arms, without flying any.
 
@@ -192,20 +200,49 @@ class Host(Protocol):
         provided that the result is bit-identical.
         """
 
+    def check_stored(self, scenario: Mapping[str, Any]) -> None:  # noqa: B027 - most fly what the ledger stores
+        """Raise a SpecMismatchError if what is under test is not that of a ledger's scenario, given as plain data."""
 
-def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
-    """Construct a host by name with its options.
+    @classmethod
+    def campaign_defaults(cls, under_test: Any) -> dict[str, Any]:
+        """Keys of a campaign that follow from what is under test, unless they are given."""
+        return {}
+
+    @classmethod  # noqa: B027 - most inject all faults of their levels
+    def check_sampling(cls, sampling: Any) -> None:
+        """Raise a BadInputError if the host cannot inject faults that are drawn in this way."""
+
+
+def host_class(name: str) -> type[Host]:
+    """The class of a host by name.
 
     Raises:
         BadInputError: The host is unknown or cannot be imported.
     """
-    host: Host = load_object("host", name, GROUP, SHIPPED)(**(options or {}))
+    found: type[Host] = load_object("host", name, GROUP, SHIPPED)
+    return found
+
+
+def find_host(name: str, under_test: Config | None = None) -> Host:
+    """Construct a host by name, with what is under test.
+
+    Raises:
+        BadInputError: The host is unknown or cannot be imported.
+    """
+    make: Any = host_class(name)
+    host: Host = make() if under_test is None else make(under_test)
     return host
 
 
 def host_for(fault: Fault | None) -> Host:
     """The host that flies a single mission with a fault."""
-    return find_host("firmware" if isinstance(fault, RegisterFault) else "local")
+    local = find_host("local")
+    if fault is None or fault.level in local.levels:
+        return local
+    for name, other in extensions(GROUP).items():
+        if fault.level in other.single_levels:
+            return find_host(name)
+    return local
 
 
 def require_level(host: Host, level: str) -> None:

@@ -13,12 +13,13 @@ import numpy as np
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError, machine_failure
 from mavfi.faults.fault import RESTART_S, MemoryFault
+from mavfi.faults.injector import Injector
 from mavfi.flight.loop import Loop
 from mavfi.flight.restarts import Restarts
 from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.words import change, words_of
 from mavfi.record import Injection, KernelEffect
-from mavfi.states import DETECTORS, WATCHING, State
+from mavfi.states import DETECTORS, WATCHING
 
 _ACTION = "memory_fault"
 _RESTART_US = round(1e6 * RESTART_S)
@@ -59,7 +60,7 @@ def flip_bit(word: np.ndarray, bit: int | None) -> None:
         word[:] = raw
 
 
-class MemoryInjector:
+class MemoryInjector(Injector):
     """Injector tap of a flight that has not started; publications pass unchanged.
 
     Args:
@@ -67,25 +68,15 @@ class MemoryInjector:
         fault: The fault.
         detector: The detector of the flight.
 
-    Attributes:
-        effect: How the kernel or detector crashed after the fault; None = it did not.
     """
-
-    spent = True
 
     def __init__(self, loop: Loop, fault: MemoryFault, detector: Detector | None = None) -> None:
         self._loop, self._fault, self._detector = proxy(loop), fault, detector  # the loop owns this object
         self._restarts = Restarts(loop, loop.scenario.dead_node)
         self._injection: Injection | None = None
-        self.effect: KernelEffect | None = None
         if fault.has_site:
             loop.actions[_ACTION] = self._inject
             loop.at(fault.time_us, _ACTION)
-
-    def __call__(self, state: State, time_us: int) -> State:
-        """The unchanged publication."""
-        del time_us
-        return state
 
     def _inject(self, now: int) -> None:
         fault, loop = self._fault, self._loop

@@ -15,16 +15,14 @@ import numpy as np
 from mavfi.detectors.custom import is_custom
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving
-from mavfi.flight.assemble import new_loop, watch
 from mavfi.flight.checkpoints import can_save_detector
-from mavfi.flight.compose import resolve
-from mavfi.flight.fast_forward import FastForward, FlownArm, takes_part
-from mavfi.flight.fly import LocalFault, fly
+from mavfi.flight.compose import new_loop, resolve, watch
+from mavfi.flight.fast_forward import FastForward, FlownArm, check_prefix, fly_until, takes_part
+from mavfi.flight.fly import fly
 from mavfi.flight.forks import InjectedRuns, fly_from_checkpoints, fly_instruction_faults
-from mavfi.flight.golden_prefix import check_prefix, fly_until
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Recorded, one_by_one
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one
 from mavfi.flight.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -33,7 +31,7 @@ from mavfi.sim.simulator import Simulator
 from mavfi.states import DETECTORS
 
 
-class LocalHost:
+class LocalHost(Host):
     """The deterministic in-process host.
 
     Args:
@@ -46,21 +44,20 @@ class LocalHost:
     """
 
     name = "local"
-    levels = frozenset({"state", "memory", "instruction", "sensor"})
-    deterministic = True
-    flies = True
     in_process = True
 
     def __init__(self, make_plant: MakePlant | None = None) -> None:
         self.make_plant: MakePlant = Simulator if make_plant is None else make_plant
         self.supports_fast_forward = make_plant is None
 
+    @property
+    def levels(self) -> frozenset[str]:
+        """See `Host.levels`: all that are injected in a flight of this process, also those of other packages."""
+        return frozenset(name for name in level_names() if find_level(name).local)
+
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`."""
         return resolve(spec)
-
-    def check(self) -> None:
-        """See `Host.check`; there are no prerequisites."""
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
@@ -119,7 +116,7 @@ class LocalFlights(ArmFlights):
         return self._can_save_detector[arm]
 
     # ---- golden flights, and faults in states, memory, sensors and motors -------------------------------------------
-    def _fly(self, arm: str, fault: LocalFault | None, *, profile: bool = False) -> Flight:
+    def _fly(self, arm: str, fault: Fault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
 
         Excluded are null faults, whose purpose is to exercise the injector; faults in memory, sensors and motors, which

@@ -1,13 +1,13 @@
 """One in-process flight with all its publications, for faults of every level of the host."""
 
 from mavfi.detectors.detector import Detector
-from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault
 from mavfi.flight.case import Published
-from mavfi.flight.fly import LocalFault, fly
+from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_with_publications
-from mavfi.flight.host import Flight
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.host import Flight, require_level
+from mavfi.flight.mission_flights import LocalHost
 from mavfi.mission import Scenario
 from mavfi.states import State
 
@@ -22,8 +22,8 @@ def fly_recorded(
     """
     if isinstance(fault, InstructionFault):
         return fly_with_publications(scenario, fault, detector, recovery)
-    if not isinstance(fault, LocalFault | None):
-        raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, memory, instruction, sensor")
+    if fault is not None:
+        require_level(LocalHost(), fault.level)
     seen: list[Published] = []
 
     def note(state: State, time_us: int) -> None:

@@ -6,15 +6,14 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
+from mavfi.faults.injector import Injector
 from mavfi.faults.levels.sensor.failures import Failures
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.levels.sensor.fault import SensorFault, check_read
 from mavfi.flight.loop import Loop
 from mavfi.flight.taps import InTurn
 from mavfi.record import Injection
 from mavfi.sim.controller import Controller
 from mavfi.states import State, floats
-
-_OWN_CONTROLLER = "cascade"
 
 
 class FailingController:
@@ -54,7 +53,7 @@ class FailingController:
         self._controller.close()
 
 
-class SensorInjector:
+class SensorInjector(Injector):
     """Injector tap of a flight that has not started: changes the publications of sensors, and the flight controller.
 
     An image carries the pose that its readers believe, as with an estimator.
@@ -62,8 +61,6 @@ class SensorInjector:
     Raises:
         BadInputError: Nothing in this flight reads the device.
     """
-
-    spent = True
 
     def __init__(self, loop: Loop, fault: SensorFault) -> None:
         check_read(fault.unit, loop.scenario.flight_controller, loop.scenario.localization.kind)
@@ -122,19 +119,6 @@ def _with_header(state: State, values: np.ndarray) -> State:
     seen = state.copy()
     floats(seen.header, len(values))[:] = values
     return seen
-
-
-def check_read(unit: str, flight_controller: str, localization: str) -> None:
-    """Check that something in a mission reads a device.
-
-    Raises:
-        BadInputError: Nothing does.
-    """
-    if unit == "accelerometer" and flight_controller == _OWN_CONTROLLER and localization == "truth":
-        raise BadInputError(
-            "fault in accelerometer: localization truth and our flight controller do not read it; "
-            "allowed: localization estimator, or flight_controller betaflight"
-        )
 
 
 def inject_sensor_fault(loop: Loop, fault: Fault | None) -> bool:

@@ -6,6 +6,7 @@ Both are made in a process of their own, since LLVM aborts on a malformed module
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import llvmlite.binding as llvm
@@ -13,8 +14,7 @@ import llvmlite.binding as llvm
 from mavfi.errors import BadInputError
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.fresh import run_fresh
-from mavfi.ir.module import Module
-from mavfi.ir.refusal import BuildError, RefusedError
+from mavfi.ir.module import BuildError, Module, RefusedError
 from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE = 600.0
@@ -81,9 +81,10 @@ def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
         BuildError: The compiler crashed.
     """
     check(kernel)
-    ended = run_fresh(kernel, signature, make, _PATIENCE)
+    work = partial(answer, make)
+    ended = run_fresh(kernel, signature, work, _PATIENCE)
     if ended is None:
-        ended = run_in_child(lambda: answer(make, kernel, signature), _PATIENCE)
+        ended = run_in_child(lambda: work(kernel, signature), _PATIENCE)
     if ended.how != "done":
         raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
     if ended.payload[:1] == b"R":

@@ -32,8 +32,10 @@ _NOT_HERE = b"N"
 """Loaded from a file that is on no path, or compilable only where it has been compiled (recursion in Numba)."""
 
 
-def run_fresh(kernel: Any, signature: tuple[Any, ...], make: Any, timeout: float) -> Ended | None:
-    """Run `build.answer` with `make` in a fresh process, for at most `timeout` seconds.
+def run_fresh(kernel: Any, signature: tuple[Any, ...], work: Any, timeout: float) -> Ended | None:
+    """Call `work` with a kernel and a signature in a fresh process, for at most `timeout` seconds.
+
+    `work` returns bytes, and can be pickled.
 
     Returns:
         How the process ended; None if the kernel cannot be prepared there.
@@ -43,7 +45,7 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], make: Any, timeout: float
     if _find(*address) is not kernel:
         return None
     try:
-        request = pickle.dumps((*address, signature, make))
+        request = pickle.dumps((*address, signature, work))
     except Exception:  # noqa: BLE001 - types of a user may refuse in any way
         return None
     ended = _ask(pickle.dumps((timeout, os.getcwd(), dict(os.environ), sys.path, request)))
@@ -133,7 +135,7 @@ def main() -> None:
     channel = socket.socket(fileno=os.dup(0))
     from numba.core.registry import cpu_target
 
-    import mavfi.ir.build  # noqa: F401 - for the forks
+    import mavfi.numerics.jit  # noqa: F401 - for the forks
 
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
@@ -160,10 +162,8 @@ def _serve(channel: socket.socket, timeout: float, *request: Any) -> Ended | Mac
 
 
 def _prepare(folder: str, where: str, variables: dict[str, str], paths: list[str], request: bytes) -> bytes:
-    """Answer of `build.answer` in this process, under the settings of the program."""
+    """The result of `work` in this process, under the settings of the program."""
     import numba
-
-    from mavfi.ir.build import answer
 
     code = os.path.join(folder, "code")
     os.environ.clear()
@@ -173,9 +173,9 @@ def _prepare(folder: str, where: str, variables: dict[str, str], paths: list[str
     os.chdir(where)
     sys.path[:] = paths
     with contextlib.suppress(Exception):
-        module, name, signature, make = pickle.loads(request)
+        module, name, signature, work = pickle.loads(request)
         import_module(module)
-        return answer(make, _find(module, name), signature)
+        return bytes(work(_find(module, name), signature))
     return _NOT_HERE
 
 

@@ -1,7 +1,10 @@
 """LLVM IR module as represented in the injector: functions, blocks, instructions, and the types of their values."""
 
+import hashlib
 import re
 from dataclasses import dataclass, field
+
+from mavfi.errors import MavfiError
 
 _SCALARS = {"half": 16, "bfloat": 16, "float": 32, "double": 64, "ptr": 64}
 _FLOATS = ("half", "bfloat", "float", "double")
@@ -172,3 +175,58 @@ class Module:
     functions: list[Function] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     metadata: dict[int, str] = field(default_factory=dict)
+
+
+# ---- refusals: always an error, never a silent omission -------------------------------------------------------------
+
+
+class RefusedError(MavfiError):
+    """The kernel has a construct that cannot be instrumented exactly."""
+
+    def __init__(self, kernel: str, construct: str) -> None:
+        super().__init__(f"{kernel}: cannot be instrumented: {construct}")
+        self.kernel = kernel
+        self.construct = construct
+
+
+class BuildError(MavfiError):
+    """The compiler crashed on the rewritten module."""
+
+
+# ---- digest of a module's fault space -------------------------------------------------------------------------------
+# The digest is the same in every process and folder, wherever the source is.  The parser has removed line tables and
+# debug metadata, and renamed local values.  Names of compiled functions contain their module, a number by process and
+# the types of their arguments; here they are numbers in the order of their use, for the functions themselves are in
+# the digest.
+DIGEST_VERSION = "2"
+"""Version of the digest; a campaign that was begun with another one cannot be resumed."""
+_GLOBAL = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
+_NAMED_BY_SOURCE = re.compile(r'@"?(_ZN|\.const\.|\.bytes\.)')
+"""Beginnings of the names of compiled functions, and of constants that are named by hashes of texts or of exceptions
+with the path and line of their source."""
+_PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n]*\n\s*store i32 )\d+")
+"""Stored length of a pickled exception: it grows with the path."""
+
+
+def bodies_of(module: Module) -> str:
+    """Text of the functions in the fault space."""
+    return "\n".join(function.text() for function in module.functions)
+
+
+def digest_of(module: Module) -> str:
+    """SHA-256 of the functions in the fault space."""
+    return digest_of_text(bodies_of(module))
+
+
+def digest_of_text(bodies: str) -> str:
+    """SHA-256 of IR, without what differs between processes and what names the source."""
+    numbers: dict[str, int] = {}
+
+    def neutral(match: re.Match[str]) -> str:
+        name = match[0]
+        if not _NAMED_BY_SOURCE.match(name):
+            return name
+        return f"@global.{numbers.setdefault(name, len(numbers))}"
+
+    text = _GLOBAL.sub(neutral, _PICKLED_SIZE.sub(r"\1*", bodies))
+    return hashlib.sha256(text.encode()).hexdigest()

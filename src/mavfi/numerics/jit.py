@@ -33,6 +33,7 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import _rebuild_env
 from numba.core.errors import NumbaDebugInfoWarning
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.core.serialize import dumps
 
 from mavfi.numerics.dependencies import UnknownDependencyError, code_digest, content_digest, signature_digest
@@ -106,7 +107,8 @@ class CodeFiles(NullCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code for the Numba types of the arguments; None if there is none, or none that can be used."""
-        target_context.refresh()
+        # Not `target_context.refresh()`: it imports all that Numba can compile, SciPy's linear algebra, too (0.4 s).
+        rtsys.initialize(target_context)
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None
@@ -156,11 +158,12 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Any:
-    """Numba's environment of a compiled function; without its module, whose globals only Python objects need."""
-    try:
-        return _rebuild_env(module, constants, name)  # type: ignore[no-untyped-call]
-    except ImportError:
-        return _rebuild_env(__name__, constants, name)  # type: ignore[no-untyped-call]
+    """Numba's environment of a compiled function, which takes globals that only Python objects need from its module.
+
+    Not from one of Numba's own, which would be imported here, nor from one that has been renamed since.
+    """
+    found = module if module in sys.modules else __name__
+    return _rebuild_env(found, constants, name)  # type: ignore[no-untyped-call]
 
 
 @functools.cache

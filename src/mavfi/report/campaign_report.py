@@ -14,7 +14,7 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import TEXT, Table
 from mavfi.errors import write_text
 from mavfi.record import plain
-from mavfi.report import figures
+from mavfi.report.figures import draw
 from mavfi.report.text import (
     checks,
     differing_null_runs,
@@ -65,9 +65,7 @@ def write_report(directory: Path) -> Report:
     """
     found = report_of(Runs.read(directory))
     today = date.today().isoformat()
-    captions: dict[str, str] = {}
-    if found.runs.has_missions:
-        captions |= figures.draw(found.runs, directory)
+    captions = draw(found.runs, directory)
     texts = {
         "report.md": _markdown(found, captions, today),
         "summary.json": json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",

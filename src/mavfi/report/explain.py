@@ -1,13 +1,13 @@
 """Step-by-step explanation of a fault's effects against the golden run, for faults of every level."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mavfi.campaign.divergence import LEFT, Departure, Difference, Spread
-from mavfi.campaign.plan import RunSpec
-from mavfi.campaign.replay import Explanation
-from mavfi.faults.fault import Fault
+from mavfi.campaign.divergence import LEFT
+from mavfi.faults.fault import Fault, find_level
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.record import (
@@ -22,7 +22,12 @@ from mavfi.record import (
     Injection,
     KernelEffect,
 )
-from mavfi.report.text import change, lost, signed_percent
+from mavfi.report.numbers import change, lost, signed_percent
+
+if TYPE_CHECKING:
+    from mavfi.campaign.divergence import Departure, Difference, Spread
+    from mavfi.campaign.plan import RunSpec
+    from mavfi.campaign.replay import Explanation
 
 MOST_ALARMS = 8
 """Maximum number of alarms listed individually."""
@@ -158,17 +163,8 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
     return story
 
 
-_ABSENT = {
-    "state": ("published", "no such publication came"),
-    "memory": ("remembered", "the kernel did not remember such a word then"),
-    "instruction": ("executed", "the instruction was not executed"),
-    "sensor": ("read", "no reader received another value than without it"),
-}
-"""By level: verb for a site missing in the golden run, and reason for a fault that was not activated."""
-
-
 def _fault(injection: Injection, fault: Fault | None) -> str:
-    never, why = _ABSENT.get(injection.level, ("reached", "the site was not reached"))
+    never, why = find_level(injection.level).absent
     if fault is not None and not fault.has_site:
         return f"{injection.site}: no site, the golden run never {never} it"
     if not injection.activated:

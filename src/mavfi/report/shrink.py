@@ -1,8 +1,8 @@
 """Results of `campaign.shrink` as text."""
 
-from mavfi.campaign.samplers.request import text_of
 from mavfi.campaign.shrink import Shrunk, Trial
-from mavfi.report.text import change
+from mavfi.levels.level import text_of
+from mavfi.report.numbers import change
 
 Lines = list[tuple[str, str]]
 _WHAT = {"publications": "fewer wrong publications", "width": "one bit instead of several",
@@ -15,7 +15,7 @@ def lines(found: Shrunk) -> Lines:
     for place, step in enumerate(found.steps):
         heading = "steps" if place == 0 else ""
         end = "none loses the mission" if step.found is None else _trial(step.found)
-        rows.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
+        rows.append((heading, f"{_WHAT.get(step.what, step.what)}, {step.tried} tried: {end}"))
     golden = found.golden.log
     rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
     return rows

@@ -1,12 +1,23 @@
 """Common style of figures: a palette safe for colour-blind readers, and typography."""
 
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from itertools import cycle
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.transforms import Bbox
 
 from mavfi.errors import writing
 
@@ -78,3 +89,187 @@ def write(figure: Figure, path: Path) -> Path:
     with writing(path):
         figure.savefig(path, dpi=DOTS_PER_INCH)
     return path
+
+
+# ---- at the width of a journal's column or page: sizes of letters, marks and lines, texts without overlaps -----------
+
+COLUMN, PAGE = 3.5, 7.16
+"""Widths of one column and of the page (in), in IEEE's two-column format."""
+LETTERS, SMALL = 7.0, 5.0
+"""Font sizes (pt): of all texts; of those in panels that are smaller than tick labels."""
+_DOTS_PER_INCH = 600
+_PANELS = 2  # maximum number side by side in one column
+_SCALE = 0.5
+"""Least scale of marks and lines, so that they remain visible."""
+_GAP = 1.5
+"""Least distance between neighbouring tick labels (pt)."""
+_TICKS = (4, 3, 2, 1)
+"""Maximum numbers of intervals between ticks, tried in this order."""
+_SHORTEST, _LEAST, _GROWTH = 1.8, 1.0, 1.1
+"""Least height of a figure and of its panels (in), and factor by which it grows until its names fit."""
+_LETTERS_IN_LINE = 12
+"""Least number of letters in a line of a wrapped text."""
+_SLACK = 1.1
+"""Length of a label over that of its axis beyond which it is wrapped."""
+
+
+def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Write NAME.pdf and NAME.png; the figure is resized in place.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
+    fit_to_column(figure)
+    paths = [directory / f"{name}{ending}" for ending in (".pdf", ".png")]
+    for path in paths:
+        with writing(path):
+            figure.savefig(path, dpi=_DOTS_PER_INCH)
+    return paths
+
+
+def fit_to_column(figure: Figure) -> None:
+    """Resize a figure to column width, or to page width with subfigures or more than two panels side by side.
+
+    Fonts get journal sizes, marks and lines are reduced with the figure.  Legends and labels are wrapped to the space
+    that they have, ticks are thinned out, and names below an axis are turned if they overlap.  The title of a single
+    panel is removed, since the caption replaces it.
+    """
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
+    flat = [] if figure.subfigs else panels  # those of subfigures have the scale of a map
+    limit = figure.get_figheight()
+    _resize(figure, panels)
+    _join_labels(figure, flat)
+    for legend in figure.findobj(Legend):
+        _fold_legend(figure, legend)
+    figure.draw_without_rendering()
+    _fold_texts(figure, panels)
+    figure.draw_without_rendering()
+    _turn(figure, [axes.xaxis for axes in flat if _named(axes.xaxis)])
+    for axes in flat:
+        _thin_out(figure, axes.xaxis)
+    _grow(figure, flat, limit)
+    for axes in panels:
+        _fold(axes.yaxis.label, _SLACK * axes.bbox.height)
+    figure.draw_without_rendering()
+    for axes in flat:
+        _thin_out(figure, axes.yaxis)
+
+
+def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
+    """Set the size of a figure, and those of its letters, marks and lines."""
+    columns = max((axes.get_subplotspec().get_gridspec().ncols for axes in panels), default=1)  # type: ignore[union-attr]
+    width, height = figure.get_size_inches()
+    target = COLUMN if columns <= _PANELS and not figure.subfigs else PAGE
+    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _SHORTEST)))
+    _shrink(figure, max(_SCALE, target / width))
+    if len(panels) == 1:
+        panels[0].set_title("", loc="left")
+
+
+def _join_labels(figure: Figure, panels: Sequence[Axes]) -> None:
+    """Replace equal labels below all panels by one: those of narrow panels would overlap."""
+    labels = {axes.get_xlabel() for axes in panels}
+    if len(labels) == 1 and "" not in labels:
+        for axes in panels:
+            axes.set_xlabel("")
+        figure.supxlabel(labels.pop(), fontsize=LETTERS)
+
+
+def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
+    """Wrap titles and horizontal labels to the width of their panel, figure or subfigure."""
+    for axes in panels:
+        _fold(axes.xaxis.label, _SLACK * axes.bbox.width)
+        _fold(axes._left_title, axes.bbox.width)  # type: ignore[attr-defined]
+    for part in (figure, *figure.subfigs):
+        for text in (part._suptitle, part._supxlabel):  # type: ignore[attr-defined]
+            if text is not None:
+                _fold(text, part.bbox.width)  # type: ignore[attr-defined]
+
+
+def _shrink(figure: Figure, scale: float) -> None:
+    """Set the sizes of letters, and scale marks and lines."""
+    for text in figure.findobj(Text):
+        text.set_fontsize(SMALL if text.get_fontproperties().get_size_in_points() < LETTERS else LETTERS)
+    for line in figure.findobj(Line2D):
+        line.set_markersize(scale * line.get_markersize())
+        line.set_linewidth(scale * line.get_linewidth())
+        line.set_markeredgewidth(scale * line.get_markeredgewidth())
+    for bars in figure.findobj(LineCollection):
+        bars.set_linewidth(list(scale * np.atleast_1d(bars.get_linewidth())))
+
+
+def _fold_legend(figure: Figure, legend: Legend) -> None:
+    """Replace a legend by one above the panels, with as many columns as fit; the figure grows by its height."""
+    labels = [text.get_text() for text in legend.get_texts()]
+    handles = [handle for handle in legend.legend_handles if handle is not None]
+    legend.remove()
+    for columns in range(len(labels), 0, -1):
+        made = figure.legend(
+            handles, labels, loc="outside upper left", ncols=columns, fontsize=LETTERS, frameon=False, handlelength=1.6,
+            columnspacing=1.0, borderpad=0.2, labelspacing=0.3,
+        )  # fmt: skip
+        extent = made.get_window_extent()
+        if columns == 1 or extent.width < figure.bbox.width:
+            figure.set_figheight(figure.get_figheight() + extent.height / figure.dpi)
+            return
+        made.remove()
+
+
+def _grow(figure: Figure, panels: Sequence[Axes], limit: float) -> None:
+    """Increase the height of a figure, up to a limit (in), until its panels have theirs and names of rows fit."""
+    figure.draw_without_rendering()
+    while figure.get_figheight() * _GROWTH < limit and any(
+        axes.bbox.height < _LEAST * figure.dpi or (_named(axes.yaxis) and _overlap(figure, axes.yaxis))
+        for axes in panels
+    ):
+        figure.set_figheight(figure.get_figheight() * _GROWTH)
+        figure.draw_without_rendering()
+
+
+def _named(axis: Axis) -> bool:
+    """Whether an axis has names at its ticks, not numbers."""
+    return isinstance(axis.get_major_locator(), FixedLocator)
+
+
+def _fold(text: Text, space: float) -> None:
+    """Wrap a text that is longer than its space (pixels)."""
+    extent = text.get_window_extent()
+    lines, needed = text.get_text().splitlines(), max(extent.width, extent.height)
+    if needed > space:
+        letters = max(_LETTERS_IN_LINE, int(max(map(len, lines)) * space / needed))
+        text.set_text("\n".join(part for line in lines for part in wrap(line, letters, break_long_words=False)))
+
+
+def _turn(figure: Figure, axes: Sequence[Axis]) -> None:
+    """Turn the names below all panels if they overlap below one; the figure grows by the longest."""
+    if any(_overlap(figure, axis) for axis in axes):
+        labels = [label for axis in axes for label in axis.get_ticklabels()]
+        figure.set_figheight(figure.get_figheight() + max(box.width for box in _boxes(labels)) / figure.dpi)
+        for label in labels:
+            label.set_rotation(90.0)
+        figure.draw_without_rendering()
+
+
+def _thin_out(figure: Figure, axis: Axis) -> None:
+    """Take fewer ticks of numbers if their labels overlap."""
+    for intervals in () if _named(axis) else _TICKS:
+        if not _overlap(figure, axis):
+            return
+        axis.set_major_locator(MaxNLocator(intervals, steps=[1, 2, 5, 10]))
+        figure.draw_without_rendering()
+
+
+def _overlap(figure: Figure, axis: Axis) -> bool:
+    """Whether neighbouring tick labels of an axis overlap or nearly touch."""
+    boxes = list(_boxes(axis.get_ticklabels()))
+    gap = _GAP * figure.dpi / 72.0
+    return any(
+        one.padded(gap / 2).overlaps(other.padded(gap / 2)) for one, other in zip(boxes, boxes[1:], strict=False)
+    )
+
+
+def _boxes(texts: Sequence[Text]) -> Iterator[Bbox]:
+    """Extents of visible texts (pixels)."""
+    for text in texts:
+        if text.get_text() and text.get_visible():
+            yield Bbox(text.get_window_extent())

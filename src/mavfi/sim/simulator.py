@@ -17,8 +17,7 @@ from mavfi.sim.camera import Camera
 from mavfi.sim.cascade import Cascade, advance
 from mavfi.sim.controller import Controller, Start, find_controller
 from mavfi.sim.environments.world import World
-from mavfi.sim.imu import Imu
-from mavfi.sim.positioning import Positioning
+from mavfi.sim.imu import Imu, Positioning
 from mavfi.sim.scene import ACCELEROMETER, STEP_US, build_model
 from mavfi.sim.vehicle import Body, airframe_of, hover_thrusts, turn_rotors
 from mavfi.sim.wind import Weather, Wind

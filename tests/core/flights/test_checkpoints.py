@@ -13,11 +13,10 @@ from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight import checkpoints
-from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import detector_for, new_loop, watch
 from mavfi.flight.fly import fly
 from mavfi.flight.loop import Loop
 from mavfi.flight.recovery import DetectorTap
-from mavfi.flight.watching import detector_for
 from mavfi.pipeline.memory import Memory
 from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES

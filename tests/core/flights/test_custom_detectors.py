@@ -8,13 +8,12 @@ import pytest
 
 import mavfi
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
-from mavfi.faults.spec import InstructionRequest
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
+from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.plugins import allow_typed
 from mavfi.record import CRASHED, End
 from mavfi.report.explain import alarm_lines

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 import mavfi
-from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.faults.fault import MemoryFault
-from mavfi.faults.spec import MemoryRequest
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import detector_for, new_loop
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
+from mavfi.flight.host import ArmSetup
 from mavfi.flight.memory_faults import DetectorMemory, MemoryInjector, flip_bit
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
+from mavfi.levels.memory import MemoryRequest
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
@@ -143,14 +142,14 @@ def test_a_kernel_that_raises_dies_with_its_node(monkeypatch, policy, status):
 
 
 def test_draws_are_those_of_the_instant_and_words_that_do_not_exist_are_named():
-    fault, flown = draw_memory(mission(), MemoryRequest("waypoint", "now.epoch", None, AT), 3)
+    fault, flown = MemoryRequest("waypoint", "now.epoch", None, AT).draw(ArmSetup(mission()), 3)
     assert (fault.kernel, fault.field, fault.index, fault.time_us) == ("waypoint", "now.epoch", None, AT)
     assert flown.log.digest() == golden().log.digest()
-    assert draw_memory(mission(), MemoryRequest("waypoint", "now.epoch", None, AT), 3)[0] == fault
-    assert draw_memory(mission(), MemoryRequest("pid"), 0)[0].kernel == "pid"
+    assert MemoryRequest("waypoint", "now.epoch", None, AT).draw(ArmSetup(mission()), 3)[0] == fault
+    assert MemoryRequest("pid").draw(ArmSetup(mission()), 0)[0].kernel == "pid"
     for request in (MemoryRequest("pid", "nothing"), MemoryRequest("pid", "fresh", 5)):
         with pytest.raises(BadInputError, match=r"memory:pid.*no such word.*allowed: law, remaining"):
-            draw_memory(mission(), request, 0)
+            request.draw(ArmSetup(mission()), 0)
 
 
 def test_python_takes_it_as_text():
@@ -254,12 +253,12 @@ def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
 
 def test_faults_in_detectors_are_drawn_from_flights_with_them():
     watching = detector("acceptance")
-    fault, flown = draw_memory(mission(), MemoryRequest("acceptance", "last_command", None, AT), 3, watching)
+    fault, flown = MemoryRequest("acceptance", "last_command", None, AT).draw(ArmSetup(mission(), lambda: watching), 3)
     assert fault.kernel == "acceptance" and fault.field.startswith("last_command.") and fault.time_us == AT
     assert flown.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
     with pytest.raises(BadInputError, match=r"memory:acceptance.nothing: no such word.*allowed: .*last_command.vx"):
-        draw_memory(mission(), MemoryRequest("acceptance", "nothing"), 3, watching)
+        MemoryRequest("acceptance", "nothing").draw(ArmSetup(mission(), lambda: watching), 3)
     gated = r"autoencoder \(profile tuned\), gaussian \(profile tuned\)"
     for target, allowed in (("gaussian", "gaussian"), ("physics_gate", gated)):
         with pytest.raises(BadInputError, match=f"{target}.*is not part of this mission; allowed: with {allowed}"):
-            draw_memory(mission(), MemoryRequest(target), 3, watching)
+            MemoryRequest(target).draw(ArmSetup(mission(), lambda: watching), 3)

@@ -20,10 +20,10 @@ import mavfi
 from pathlib import Path
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.program import run_program
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.extras.airsim.host import run_program
+from mavfi.levels.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
-from mavfi.faults.spec import InstructionRequest
+from mavfi.levels.instruction import InstructionRequest
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from mavfi.extras.airsim.boundary import Boundary
-from mavfi.extras.airsim.clock import Real, Steps
 from mavfi.extras.airsim.frames import LEVEL, geo_point, pose, vector
-from mavfi.extras.airsim.program import make_api
-from mavfi.extras.airsim.server import Server
+from mavfi.extras.airsim.host import make_api
+from mavfi.extras.airsim.server import Real, Server, Steps
 from mavfi.extras.airsim.table import CALLS
 from mavfi.mission import MissionSpec
 from mavfi.sim.environments import build_world

@@ -14,8 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.airsim import host as module
 from mavfi.extras.airsim.boundary import Boundary, Passed
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.host import AirsimProgramHost, record_of_program
-from mavfi.extras.airsim.program import Ended
+from mavfi.extras.airsim.host import AirsimProgramHost, Ended, record_of_program
 from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import ArmSetup, find_host
 from mavfi.mission import MissionSpec

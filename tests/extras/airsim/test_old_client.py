@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.extras.airsim.boundary import Boundary
 from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.program import run_program
+from mavfi.extras.airsim.host import run_program
 from mavfi.mission import MissionSpec
 from tests.clients import python_of
 from tests.core.architecture.source import ROOT

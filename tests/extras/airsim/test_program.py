@@ -11,10 +11,9 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Boundary, parse_fault
-from mavfi.extras.airsim.cameras import SKY, view
+from mavfi.extras.airsim.cameras import PERSPECTIVE, SKY, view
 from mavfi.extras.airsim.config import ProgramConfig, pixels
-from mavfi.extras.airsim.pictures import PERSPECTIVE
-from mavfi.extras.airsim.program import client_version, effect_on, make_api, run_program
+from mavfi.extras.airsim.host import client_version, effect_on, make_api, run_program
 from mavfi.mission import MissionSpec
 from mavfi.record import Injection
 

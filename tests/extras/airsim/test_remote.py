@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.airsim.clock import Steps
-from mavfi.extras.airsim.program import make_api, world_address
+from mavfi.extras.airsim.host import make_api, world_address
 from mavfi.extras.airsim.remote import Remote
-from mavfi.extras.airsim.server import Server
+from mavfi.extras.airsim.server import Server, Steps
 from mavfi.extras.airsim.table import CALLS, Call
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 
@@ -125,7 +123,7 @@ def test_a_server_of_another_mission_is_refused():
 
 
 def test_a_server_that_reports_nothing_is_trusted(monkeypatch):
-    monkeypatch.setattr("mavfi.extras.airsim.scene.KEY", "AnotherKey")
+    monkeypatch.setattr("mavfi.extras.airsim.remote.reported", lambda settings: {})  # as of AirSim itself
     with served() as port:
         first(port, seed=8).close()
         with pytest.raises(BadInputError, match="--wind: 3: the server has its own wind"):

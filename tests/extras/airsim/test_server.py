@@ -7,9 +7,8 @@ import socket
 
 import pytest
 
-from mavfi.extras.airsim.clock import Steps
-from mavfi.extras.airsim.program import make_api
-from mavfi.extras.airsim.server import Server
+from mavfi.extras.airsim.host import make_api
+from mavfi.extras.airsim.server import Server, Steps
 from mavfi.mission import MissionSpec
 
 PLANAR = {

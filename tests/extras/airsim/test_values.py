@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim import values
+from mavfi.extras.airsim import boundary as values
 
 LEAF = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text(max_size=3) | st.binary(max_size=4)
 DATA = st.recursive(

@@ -15,17 +15,8 @@ from mavfi.detectors.registry import figures_of
 from mavfi.detectors.scoring import Threshold
 from mavfi.detectors.training import join
 from mavfi.errors import BadInputError
-from mavfi.extras.bench import half_space_trees, library
+from mavfi.extras.bench import library, trees
 from mavfi.extras.bench.field_codes import MONITORED, FieldCodes, sample_of
-from mavfi.extras.bench.forest import Branch, Trees, forest_of, limit_of
-from mavfi.extras.bench.gradient_boosting import (
-    GradientBoostingDetector,
-    Regressor,
-    regressor,
-    regressors,
-    tables_of,
-)
-from mavfi.extras.bench.half_space_trees import HalfSpaceTreesDetector, half_spaces
 from mavfi.extras.bench.library import Inputs, LibraryDetector, columns_of, rates, scaled
 from mavfi.extras.bench.matrix_profile import (
     BLOCK,
@@ -44,6 +35,19 @@ from mavfi.extras.bench.outliers import (
     PcaDetector,
     path_length,
     single_limit,
+)
+from mavfi.extras.bench.trees import (
+    Branch,
+    GradientBoostingDetector,
+    HalfSpaceTreesDetector,
+    Regressor,
+    Trees,
+    forest_of,
+    half_spaces,
+    limit_of,
+    regressor,
+    regressors,
+    tables_of,
 )
 from mavfi.faults import strata
 from mavfi.flight.memory_faults import DetectorMemory, flip_bit
@@ -281,7 +285,7 @@ def test_half_spaces_score_what_the_library_scores():
     (rows, slots), (others, _) = correlated(5), correlated(6)
     codes, others = coded(others[:200])
     found = rates(codes, slots[:200], half_spaces(rows, slots, COLUMNS, INPUTS))
-    forests = [half_space_trees.fitted(rows[slots == slot][:, own]) for slot, own in enumerate(COLUMNS)]
+    forests = [trees.fitted(rows[slots == slot][:, own]) for slot, own in enumerate(COLUMNS)]
     wanted = [
         forests[slot].score_one(dict(enumerate(row[COLUMNS[slot]].tolist())))
         for row, slot in zip(others, slots[:200], strict=True)

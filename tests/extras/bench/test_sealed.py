@@ -5,8 +5,7 @@ from hypothesis import strategies as st
 
 from mavfi.detectors import load_detector
 from mavfi.errors import BadInputError
-from mavfi.extras.bench.random_alarms import RandomAlarms
-from mavfi.extras.bench.sealed import ALL, SMALL, Checksum, Duplicate, Oracle
+from mavfi.extras.bench.sealed import ALL, SMALL, Checksum, Duplicate, Oracle, RandomAlarms
 from mavfi.states import STATES, new_state
 from tests.core.unit.detectors.streams import command, flight
 from tests.core.unit.detectors.test_registry import FITS

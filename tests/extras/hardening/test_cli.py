@@ -12,7 +12,7 @@ from mavfi.config import config_root
 from mavfi.extras.hardening import certification
 from mavfi.extras.hardening.certification import Certification
 from mavfi.extras.hardening.certify import Certificate
-from mavfi.extras.hardening.golden import GoldenCheck
+from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 from mavfi.extras.hardening.study import Study
 

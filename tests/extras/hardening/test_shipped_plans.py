@@ -6,17 +6,16 @@ from mavfi.analysis import Runs
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.config import names, parse
-from mavfi.extras.hardening.golden import check_golden
+from mavfi.extras.hardening.observed import check_golden
 from mavfi.extras.hardening.plan import load_plan, save_plan, signature_text
 from mavfi.extras.hardening.protected import SOURCE
-from mavfi.faults.spec import InstructionRequest
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.ir.build import name_of
 from mavfi.ir.sources import cached_shape
+from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import record_of

@@ -8,8 +8,7 @@ import pytest
 from mavfi.analysis.statistics import EventRate
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError
-from mavfi.extras.logs.report import Rates, rate_text
-from mavfi.extras.logs.watch import Judged, LogAlarm, LogWatch, Recording, read_recording, select
+from mavfi.extras.logs.watch import Judged, LogAlarm, LogWatch, Rates, Recording, rate_text, read_recording, select
 from mavfi.flight.log_readers import open_flight_log
 
 

@@ -11,9 +11,9 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
-from mavfi.cli.progress import StudyBar
-from mavfi.extras.paper import overheads
+from mavfi.extras.paper import overhead_views
 from mavfi.extras.paper.cli import FLIGHTS
+from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.report import study_report
 from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP
 from mavfi.extras.paper.steps import Steps
@@ -93,7 +93,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
     def never(*_, **__):
         raise AssertionError("trained or timed again")
 
-    assert overheads.load(out)["missions"] == 1
+    assert overhead_views.load(out)["missions"] == 1
     written = (out / "study.md").read_text(encoding="utf-8")
     assert "one process on " in written, "measured, not modelled alone"
     flights = ["training flights", "fitting of detectors", FLIGHTS_STEP]

@@ -3,8 +3,8 @@
 import polars as pl
 import pytest
 
+from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
-from mavfi.campaign.telling import with_flights
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.cases import path_cases
 from mavfi.report import figures

@@ -4,7 +4,10 @@ Cameras are pinholes, so that of lens, film and focus only the field of view cha
 """
 
 import math
+import struct
+import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import product
 from typing import Any
@@ -13,11 +16,11 @@ import numpy as np
 
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
-from mavfi.extras.airsim import pictures
 from mavfi.extras.airsim.frames import Data, geo_point, looking, mount, pose, pose_numbers, quaternion, vector
 from mavfi.extras.airsim.frames import rotation as rotated
 from mavfi.extras.airsim.table import (
     FILM_MM,
+    GROUND,
     NARROWEST,
     WIDEST,
     Api,
@@ -27,10 +30,146 @@ from mavfi.extras.airsim.table import (
     camera_call,
     vehicle_call,
 )
-from mavfi.numerics.elementary import atan2, tan
+from mavfi.numerics.elementary import atan2, exp, tan
 from mavfi.numerics.frames import Triple, flipped, turned
 from mavfi.numerics.rotations import rotation_matrix
 
+# ---- images, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG --------------------
+SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED = 0, 1, 2, 3, 4, 5, 7
+_KINDS = (SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED)
+DEPTH = (PLANAR, PERSPECTIVE, VISUAL, DISPARITY)
+_WHITE_M = 100.0
+"""Distance shown in white in a depth picture (m)."""
+_BASELINE_M = 0.25
+"""Between the two cameras of a disparity (m)."""
+_SURFACE_M = 0.01
+"""Tolerance of points on the surface of a box (m)."""
+FOG, DUST = 7, 6
+"""AirSim's numbers of the weather parameters that are drawn."""
+_THICKNESS = 0.1
+"""Extinction of fog with parameter 1 (1/m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a camera sees.
+
+    Attributes:
+        ranges: Along the rays (m), infinity = sky. Shape (height * width,), float32.
+        rays: Unit vectors, camera frame, x forward. Shape (height * width, 3).
+        width: Pixels.
+        height: Pixels.
+        pose: Of the camera in the world: position (m), quaternion w x y z. Shape (7,).
+    """
+
+    ranges: np.ndarray
+    rays: np.ndarray
+    width: int
+    height: int
+    pose: list[float]
+
+    def planar(self) -> np.ndarray:
+        """Distance of each pixel from the image plane (m). Shape (height * width,), float32."""
+        found: np.ndarray = self.ranges * self.rays[:, 0].astype(np.float32)
+        return found
+
+    def points(self) -> np.ndarray:
+        """Points in the world (m), infinite for the sky. Shape (height * width, 3)."""
+        matrix = np.empty((3, 3))
+        rotation_matrix(np.array(self.pose[3:]), matrix)
+        found: np.ndarray = np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
+        return found
+
+
+def check_kind(kind: int) -> None:
+    """Raise a `BadInputError` for a kind of image that is not drawn."""
+    if kind not in _KINDS:
+        raise BadInputError(f"image type {kind}: not drawn; allowed: {', '.join(map(str, _KINDS))}")
+
+
+def floats(view: View, kind: int, sky: float) -> list[float]:
+    """An image of numbers: depth (m), or the disparity."""
+    check_kind(kind)
+    if kind not in (PLANAR, PERSPECTIVE, DISPARITY):
+        raise BadInputError(f"image type {kind} as floats: not drawn; allowed: {PLANAR}, {PERSPECTIVE}, {DISPARITY}")
+    depth = view.ranges if kind == PERSPECTIVE else view.planar()
+    if kind == DISPARITY:
+        depth = np.where(np.isfinite(depth), np.float32(_BASELINE_M) / np.maximum(depth, np.float32(1e-3)), 0.0)
+    found: list[float] = np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
+    return found
+
+
+def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
+    """A picture as PNG, or as bytes R G B."""
+    check_kind(kind)
+    picture = _picture(api, view, kind)
+    return png(picture) if compress else picture.tobytes()
+
+
+def _picture(api: Api, view: View, kind: int) -> np.ndarray:
+    """Shape (height, width, 3), uint8."""
+    if kind in (SEGMENTATION, INFRARED):
+        return _segments(api, view, kind)
+    planar: np.ndarray = np.where(np.isfinite(view.ranges), view.planar(), _WHITE_M).reshape(view.height, view.width)
+    if kind == SCENE:
+        grey = _shaded(api, planar)
+    elif kind == DISPARITY:
+        grey = 255.0 * np.minimum(1.0, _BASELINE_M / np.maximum(planar, 1e-3))
+    else:
+        grey = 255.0 / _WHITE_M * planar
+    return np.repeat(np.clip(grey, 0.0, 255.0).astype(np.uint8)[:, :, None], 3, axis=2)
+
+
+def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
+    """Brightness by nearness and slope, veiled by fog and dust. Shape (height, width)."""
+    slope = np.abs(np.gradient(planar, axis=1)) + np.abs(np.gradient(planar, axis=0))
+    grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
+    haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST)) if api.weather_on else 0.0
+    clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
+    veiled: np.ndarray = clear * grey + (1.0 - clear) * 200.0
+    return veiled
+
+
+def owners(api: Api, view: View) -> np.ndarray:
+    """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
+    points, world = view.points(), api.vehicle.sim.world
+    found = np.where(np.isfinite(view.ranges), -1, -2)
+    for place in range(len(api.objects)):
+        lower, upper = world.lower[place] - _SURFACE_M, world.upper[place] + _SURFACE_M
+        found[((points >= lower) & (points <= upper)).all(axis=1)] = place
+    return found
+
+
+def _segments(api: Api, view: View, kind: int) -> np.ndarray:
+    """Colours by segmentation id: 0 = sky, 1 = ground, then the boxes. Shape (height, width, 3), uint8."""
+    segments = [*map(api.segment, api.objects), 0, api.segment(GROUND)]
+    ids = np.array(segments, np.int64)[owners(api, view)]
+    if kind == INFRARED:
+        return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)
+    picture: np.ndarray = _colours()[ids % 256].reshape(view.height, view.width, 3)
+    return picture
+
+
+def _colours() -> np.ndarray:
+    """A colour for each id; 0 is black. Shape (256, 3), uint8."""
+    number = np.arange(256)
+    return np.stack([(number * 97) % 256, (number * 57) % 256, (number * 181) % 256], axis=1).astype(np.uint8)
+
+
+def png(picture: np.ndarray) -> bytes:
+    """An 8-bit RGB picture as a PNG file. Shape (height, width, 3)."""
+    height, width, channels = picture.shape
+    rows = picture.reshape(height, width * channels)
+    data = np.concatenate([np.zeros((height, 1), np.uint8), rows], axis=1).tobytes()
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data, 1)) + chunk(b"IEND", b"")
+
+
+# ---- cameras ---------------------------------------------------------------------------------------------------------
 CAMERA_RANGE = 100.0
 """Beyond it a depth image shows the sky (m)."""
 SKY = 65504.0
@@ -58,15 +197,15 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
     return api.cameras[known]
 
 
-def view(api: Api, name: Any, kind: int) -> pictures.View:  # noqa: ANN401 - a client's
+def view(api: Api, name: Any, kind: int) -> View:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
     found, (width, height) = find_camera(api, name), api.pixels
     config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
     placed = mount(found.position, found.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, placed)
-    if kind in pictures.DEPTH:
+    if kind in DEPTH:
         ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return pictures.View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
+    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
 
 
 def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
@@ -77,7 +216,7 @@ def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
 
 @call("simGetImage")
 def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = "") -> bytes:
-    return pictures.encoded(api, view(api, camera_name, image_type), image_type)
+    return encoded(api, view(api, camera_name, image_type), image_type)
 
 
 @camera_call("simGetImages")
@@ -95,8 +234,8 @@ def _response(api: Api, request: Any) -> Data:
     seen = view(api, name, kind)
     position, orientation = _camera_pose(api, name)
     return {
-        "image_data_uint8": b"" if as_float else pictures.encoded(api, seen, kind, compress),
-        "image_data_float": pictures.floats(seen, kind, SKY) if as_float else [],
+        "image_data_uint8": b"" if as_float else encoded(api, seen, kind, compress),
+        "image_data_float": floats(seen, kind, SKY) if as_float else [],
         "camera_position": vector(position), "camera_name": str(name), "camera_orientation": rotated(orientation),
         "time_stamp": api.vehicle.stamp, "message": "", "pixels_as_float": as_float, "compress": compress,
         "width": seen.width, "height": seen.height, "image_type": kind, "annotation_name": "",
@@ -264,7 +403,7 @@ def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
         BadInputError: There is no such camera, or its pictures of this kind are not drawn.
     """
     find_camera(api, camera_name)
-    pictures.check_kind(kind)
+    check_kind(kind)
     return api.detected.setdefault((str(camera_name), int(kind)), Wanted())
 
 
@@ -290,7 +429,7 @@ def _(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
     wanted = _wanted(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
-    owner, world = pictures.owners(api, seen).reshape(seen.height, seen.width), api.vehicle.sim.world
+    owner, world = owners(api, seen).reshape(seen.height, seen.width), api.vehicle.sim.world
     found = []
     for place, name in enumerate(api.objects):
         centre = 0.5 * (world.lower[place] + world.upper[place])
@@ -303,7 +442,7 @@ def _(api: Api, camera_name: str, image_type: int) -> list[Data]:
 
 
 def _detection(
-    api: Api, seen: pictures.View, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
+    api: Api, seen: View, name: str, box: tuple[np.ndarray, np.ndarray], rows: np.ndarray, columns: np.ndarray
 ) -> Data:
     """DetectionInfo of a box, lower and upper corner in the world (m), that is seen in these pixels."""
     matrix = np.empty((3, 3))

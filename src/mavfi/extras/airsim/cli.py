@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mavfi.extras.airsim.boundary import Boundary, BoundaryFault, Recording
-    from mavfi.extras.airsim.program import Ended
+    from mavfi.extras.airsim.host import Ended
     from mavfi.extras.airsim.server import Server
     from mavfi.faults.levels.sensor.fault import SensorFault
     from mavfi.flight.mission_flights import LocalHost
@@ -67,7 +67,7 @@ class WorldOption:
         world, fault = values["world"], values["fault"] or ""
         if world is None:
             return None, None
-        from mavfi.extras.airsim.program import world_address
+        from mavfi.extras.airsim.host import world_address
         from mavfi.extras.airsim.remote import Remote
         from mavfi.flight.mission_flights import LocalHost
 
@@ -142,9 +142,8 @@ def serve(  # noqa: PLR0913 - one parameter per option
     msgpack()
     planned = _planned(fault, fault_seed)
     with compiling():
-        from mavfi.extras.airsim.clock import Real, Steps
-        from mavfi.extras.airsim.program import make_api
-        from mavfi.extras.airsim.server import Server
+        from mavfi.extras.airsim.host import make_api
+        from mavfi.extras.airsim.server import Real, Server, Steps
 
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
     with _recording(save) as recording:
@@ -258,7 +257,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     msgpack()
     with compiling():
         from mavfi.extras.airsim.boundary import Boundary, Recording
-        from mavfi.extras.airsim.program import run_program
+        from mavfi.extras.airsim.host import run_program
 
         recording = Recording() if detector != "none" else None
         golden = run_program(program, mission, Boundary(recording=recording))
@@ -281,7 +280,7 @@ def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
 
 def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_json: bool) -> None:
     """Print how a program ended, the effect of a fault first."""
-    from mavfi.extras.airsim.program import effect_on, shown
+    from mavfi.extras.airsim.host import effect_on, shown
 
     faulty = injected is not None and injected.boundary.faulty
     effect = effect_on(golden, injected) if faulty and injected is not None else None

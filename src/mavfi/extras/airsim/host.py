@@ -4,26 +4,284 @@ A mission consists of error-free runs, which must be the same, followed by runs 
 program's calls.  Simulated time passes in calls only, so a run is a function of program, seed and fault.
 """
 
+import asyncio
 import hashlib
 import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, cast
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.extras.airsim.boundary import Boundary
-from mavfi.extras.airsim.config import ProgramConfig
-from mavfi.extras.airsim.program import Ended, client_version, run_program
-from mavfi.extras.airsim.server import msgpack
+from mavfi.extras.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
+from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
+from mavfi.extras.airsim.server import HOST, Server, Steps, msgpack
+from mavfi.extras.airsim.table import Api
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.host import ArmSetup, Recorded, RunResult, one_by_one
-from mavfi.mission import MissionSpec
+from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
+from mavfi.flight.piloted import PilotedVehicle
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
 from mavfi.record import End, FlightRecord, KernelEffect
+from mavfi.sim.scene import STEP_US
+
+# ---- one run of a program --------------------------------------------------------------------------------------------
+V_MAX = 12.0
+"""Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
+_RUNNER = Path(__file__).with_name("runner.py")
+_PATIENCE_S = 5.0
 
 
+def make_api(
+    spec: MissionSpec, image: str = "", name: str = VEHICLE, version: int = 1, *, on_ground: bool = True
+) -> Api:
+    """The vehicle of a mission behind the API.
+
+    Args:
+        spec: The mission.
+        image: Size of images; "" = AirSim's default, or without a ground start that of the mission's camera.
+        name: Of the vehicle.
+        version: Of the API.
+        on_ground: See `PilotedVehicle`.
+
+    Raises:
+        BadInputError: The mission cannot be flown.
+    """
+    if on_ground and spec.v_max is None:
+        spec = spec.model_copy(update={"v_max": V_MAX})
+    vehicle = PilotedVehicle(spec, on_ground=on_ground)
+    own = vehicle.scenario.camera
+    size = pixels(image or (IMAGE if on_ground else f"{own.width}x{own.height}"))
+    return Api(vehicle, name, size, version, paused=not on_ground)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A program that ran.
+
+    Attributes:
+        how: "ended", "time is up", "program crash" or "hang".
+        code: Its exit code; None = it hangs.
+        reason: Its exception, or the last line that it wrote to stderr, or the exit code; "" if it ended.
+        collided: Whether its vehicle touched an obstacle.
+        digest: Of the vehicle's states and of how the program ended.
+        seconds: Simulated time (s).
+        calls: Number of calls by name.
+        errors: Number of refused calls by message.
+        output: What it wrote to stdout.
+        boundary: Calls, injection and alarms at the boundary.
+    """
+
+    how: str
+    reason: str
+    collided: bool
+    digest: str
+    seconds: float
+    calls: dict[str, int]
+    errors: dict[str, int]
+    output: str
+    boundary: Boundary = field(repr=False)
+    code: int | None = 0
+
+    def ends_like(self, other: "Ended") -> bool:
+        """Whether both ended in the same way, e.g. with the same exit code."""
+        return (self.how, self.code) == (other.how, other.code)
+
+    @property
+    def status(self) -> MissionStatus:
+        """Status of the mission: a collision, otherwise a success, however the program ended."""
+        return MissionStatus.COLLISION if self.collided else MissionStatus.SUCCESS
+
+
+def effect_on(golden: Ended, injected: Ended) -> str:
+    """What a fault did to a program: masked, deviates, collision, program crash, hang, or not activated."""
+    if injected.boundary.injected is None:
+        return "not activated"
+    if injected.how not in ("ended", "time is up") and not injected.ends_like(golden):
+        return injected.how
+    if injected.how == "time is up" and golden.how == "ended":
+        return "hang"
+    if injected.collided and not golden.collided:
+        return "collision"
+    return "masked" if injected.digest == golden.digest else "deviates"
+
+
+def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> Ended:
+    """Run a program to its end, with its own vehicle and port.
+
+    Args:
+        program: The program.
+        spec: The mission.
+        boundary: The boundary that its calls pass.
+
+    Raises:
+        BadInputError: There is no such program, Python, client library or world.
+    """
+    program.check()
+    return asyncio.run(_Run(program, spec, boundary).run())
+
+
+class _Run:
+    """One run of a program."""
+
+    def __init__(self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> None:
+        self._program, self._boundary = program, boundary
+        version = program.version or client_version(program.python, program.script)
+        self._api = make_api(spec, program.image, program.vehicle, version)
+        clock = Steps(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
+        self._server = Server(self._api, clock, boundary)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    async def run(self) -> Ended:
+        """Serve the program until it ends."""
+        with tempfile.TemporaryDirectory(prefix="mavfi-airsim-") as folder:
+            output, errors = Path(folder, "stdout"), Path(folder, "stderr")
+
+            def start(port: int) -> None:
+                with output.open("wb") as out, errors.open("wb") as err:
+                    self._process = subprocess.Popen(
+                        [self._program.python or sys.executable, str(_RUNNER), str(port), self._program.script,
+                         *self._program.arguments],
+                        stdin=subprocess.DEVNULL, stdout=out, stderr=err, env=_environment(),
+                    )  # fmt: skip
+
+            serving = asyncio.create_task(self._server.run(0, start))
+            try:
+                code = await self._wait(serving)
+            finally:
+                serving.cancel()
+                await asyncio.wait({serving})
+                if self._process is not None and self._process.poll() is None:
+                    self._process.kill()
+                    self._process.wait(_PATIENCE_S)
+                self._api.vehicle.sim.close()
+            return self._ended(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
+
+    async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
+        """Exit code of the program; None = it hangs."""
+        end = time.monotonic() + self._program.wall_s
+        while time.monotonic() < end:
+            if serving.done():
+                serving.result()  # raises what ended it
+            code = None if self._process is None else self._process.poll()
+            if code is not None:
+                if self._server.calls:  # its last calls may not have been served yet
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(self._server.finished.wait(), _PATIENCE_S)
+                return code
+            await asyncio.sleep(0.01)
+        return None
+
+    def _ended(self, code: int | None, output: str, errors: str) -> Ended:
+        vehicle = self._api.vehicle
+        reason = _exception_line(errors)
+        if not self._server.calls and code == EXIT_CRASH:
+            raise BadInputError(f"{self._program.script}: made no call ({reason or 'without a message'})")
+        if code is None:
+            how, reason = "hang", f"still running after {self._program.wall_s:g} s of wall-clock time"
+        elif code == EXIT_TIME_IS_UP:
+            how, reason = "time is up", ""
+        elif code == 0:
+            how, reason = "ended", ""
+        else:
+            how, reason = "program crash", reason or f"exit code {code}"
+        digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
+        return Ended(
+            how, reason, vehicle.has_ever_collided, digest, 1e-6 * vehicle.now_us,
+            dict(self._server.calls), dict(self._server.errors), output, self._boundary, code,
+        )  # fmt: skip
+
+
+def _exception_line(errors: str) -> str:
+    """The exception of the last traceback in what a program wrote to stderr; without one, the last line."""
+    lines = [line for line in errors.splitlines() if line.strip()]
+    start = max((place for place, line in enumerate(lines) if line.startswith("Traceback ")), default=len(lines))
+    return next((line for line in lines[start + 1 :] if not line[0].isspace()), lines[-1] if lines else "")
+
+
+def _environment() -> dict[str, str]:
+    """Variables of the program: mavfi's, without its own Python path."""
+    return {**{k: v for k, v in os.environ.items() if k != "PYTHONPATH"}, "PYTHONHASHSEED": "0"}
+
+
+_VERSION = """
+import sys
+sys.path[0] = sys.argv[1]
+try:
+    import airsim
+    from airsim import VehicleClient
+except ImportError:
+    import cosysairsim as airsim
+print(airsim.VehicleClient.getClientVersion(airsim.VehicleClient) if "cosys" not in airsim.__name__
+      else airsim.VehicleClient.getClientVersion())
+"""
+"""Modules are looked for where the runner looks: in the program's folder first, never in the working directory."""
+_VERSIONS: dict[tuple[str, str], int] = {}
+
+
+def client_version(python: str, script: str) -> int:
+    """Version of the API of the AirSim client that a program imports, which the server reports as its own.
+
+    Args:
+        python: Interpreter; "" = this one.
+        script: File of the program.
+
+    Raises:
+        BadInputError: It has no such client.
+    """
+    chosen = python, str(Path(script).absolute().parent)
+    if chosen not in _VERSIONS:
+        program = python or sys.executable
+        try:
+            done = subprocess.run(
+                [program, "-c", _VERSION, chosen[1]], capture_output=True, text=True, check=False, env=_environment(),
+                stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        except OSError as error:
+            raise BadInputError(f"--python: {program}: {error.strerror}; allowed: a Python interpreter") from None
+        with suppress(ValueError):
+            _VERSIONS[chosen] = int(done.stdout)
+        if chosen not in _VERSIONS:
+            last = (done.stderr.strip().splitlines() or ["no version"])[-1]
+            raise BadInputError(
+                f"--python: {program}: has no AirSim client ({last}); allowed: with the package airsim or cosysairsim"
+            )
+    return _VERSIONS[chosen]
+
+
+def world_address(text: str) -> tuple[str, int]:
+    """Host and port of "airsim://127.0.0.1:41451".
+
+    Raises:
+        BadInputError: Another form, or not on loopback.
+    """
+    host, _, port = text.removeprefix("airsim://").partition(":")
+    if text.startswith("airsim://") and host in (HOST, "localhost") and port.isdigit() and 0 < int(port) < 65536:
+        return HOST, int(port)
+    raise BadInputError(f"--world: {text!r}: allowed: airsim://127.0.0.1:PORT, on this machine")
+
+
+def shown(ended: Ended) -> dict[str, Any]:
+    """A run as plain data."""
+    injection, watch = ended.boundary.injected, ended.boundary.watch
+    return {
+        "how": ended.how, "reason": ended.reason, "collision": ended.collided, "digest": ended.digest,
+        "seconds": round(ended.seconds, 6), "calls": ended.calls, "errors": ended.errors,
+        "injection": None if injection is None else injection.to_json(),
+        "alarms": [] if watch is None else [alarm.to_json() for alarm in watch.alarms],
+    }  # fmt: skip
+
+
+# ---- the host --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, slots=True)
 class ProgramMission:
     """A program and the mission that its vehicle flies in, in place of a `Scenario`."""
@@ -40,14 +298,14 @@ class ProgramMission:
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
 
-class AirsimProgramHost:
+class AirsimProgramHost(Host):
     """Runs of a client program."""
 
     name = "airsim_program"
     levels = frozenset({"message", "sensor"})
-    deterministic = True
     flies = False
-    in_process = False
+    config = ProgramConfig
+    config_key = "program"
 
     def __init__(self, program: ProgramConfig | None = None) -> None:
         if program is None:
@@ -57,6 +315,12 @@ class AirsimProgramHost:
     def resolve(self, spec: MissionSpec) -> ProgramMission:
         """Program and mission, in place of a scenario."""
         return ProgramMission(self._program, spec)
+
+    def check_stored(self, scenario: Mapping[str, Any]) -> None:
+        """See `Host.check_stored`."""
+        if self._program.to_json()["sha256"] != scenario["program"]["sha256"]:
+            script = self._program.script
+            raise SpecMismatchError(f"{script}: is absent, or another program than that of the campaign")
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "ProgramRuns":
         """The runs of a mission, without fast-forward: a program cannot be rewound."""

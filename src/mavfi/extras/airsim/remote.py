@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.airsim.cameras import PERSPECTIVE
 from mavfi.extras.airsim.frames import pose, pose_numbers, triple
-from mavfi.extras.airsim.identity import difference, identity, reported
-from mavfi.extras.airsim.pictures import PERSPECTIVE
+from mavfi.extras.airsim.scene import difference, identity, reported
 from mavfi.extras.airsim.server import msgpack
 from mavfi.mission import Scenario
 from mavfi.numerics.elementary import atan2, cos, sin

@@ -11,12 +11,13 @@ import numpy as np
 
 from mavfi.config import names
 from mavfi.errors import BadInputError
+from mavfi.extras.airsim.cameras import DUST, FOG
 from mavfi.extras.airsim.frames import LEVEL, Data, from_geo_point, geo_point, pose, pose_numbers, triple, vector
-from mavfi.extras.airsim.identity import KEY, identity
-from mavfi.extras.airsim.pictures import DUST, FOG
 from mavfi.extras.airsim.table import DESTROYED, GROUND, Api, add_readings, call, vehicle_call
 from mavfi.flight.piloted import TICK_US
+from mavfi.mission import Scenario
 from mavfi.numerics.frames import Triple, flipped
+from mavfi.sim.environments.world import World
 from mavfi.sim.scene import STEP_US
 
 _DRAWN = {FOG: "Fog", DUST: "Dust", 8: "Enabled"}
@@ -278,3 +279,116 @@ def _nothing(api: Api, *arguments: Any) -> None:
 
 for _name in _NOTHING:
     call(_name)(_nothing)
+
+
+# ---- calls that are refused ------------------------------------------------------------------------------------------
+
+_GAINS = "gains are those of the vehicle's file (--vehicle)"
+_PAINT = "objects have no material, texture or light"
+_STRAIGHT = "pictures have no distortion"
+_SENSOR = "this sensor does not exist here"
+_ONE_PLACE = "the sensor sits at the vehicle's centre"
+_OF_COSYS = "annotations and instances are not drawn; simGetImages returns segmentation"
+
+REFUSED = {
+    "simAddVehicle": "one vehicle flies here",
+    "simSetExtForce": "external forces are not applied; wind is (simSetWind)",
+    "simRunConsoleCommand": "there is no Unreal Engine here",
+    "simCreateVoxelGrid": "no file is written",
+    "simGetMeshPositionVertexBuffers": "obstacles have no mesh; simGetObjectPose and simGetObjectScale give the boxes",
+    **dict.fromkeys(("setCarControls", "getCarState", "getCarControls"), "the vehicle is a multirotor"),
+    "getComputerVisionState": "the vehicle is a multirotor",
+    **dict.fromkeys(
+        ("setVelocityControllerGains", "setPositionControllerGains", "setAngleLevelControllerGains",
+         "setAngleRateControllerGains"),
+        _GAINS,
+    ),
+    **dict.fromkeys(
+        ("simSetObjectMaterial", "simSetObjectMaterialFromTexture", "simSwapTextures", "simSetLightIntensity",
+         "simSetVehicleLightIntensity", "simSetVehicleLightVisibility", "simSetWorldLightIntensity",
+         "simSetWorldLightVisibility"),
+        _PAINT,
+    ),
+    **dict.fromkeys(("simSetDistortionParam", "simSetDistortionParams"), _STRAIGHT),
+    **dict.fromkeys(
+        ("getEchoData", "getGPULidarData", "getUWBData", "getUWBSensorData", "getWifiData", "getWifiSensorData"),
+        _SENSOR,
+    ),
+    **dict.fromkeys(
+        ("simSetDistanceSensorPose", "simSetLidarPose", "simSetGPULidarPose", "simSetEchoPose"), _ONE_PLACE
+    ),
+    **dict.fromkeys(
+        ("simListAnnotationObjects", "simListAnnotationPoses", "simListInstanceSegmentationObjects",
+         "simListInstanceSegmentationPoses", "simListSceneObjectsTags", "simGetAnnotationObjectID",
+         "simSetAnnotationObjectID", "simGetAnnotationObjectColor", "simSetAnnotationObjectColor",
+         "simGetAnnotationObjectValue", "simSetAnnotationObjectValue", "simGetAnnotationObjectTexturePath",
+         "simSetAnnotationObjectTextureByPath", "simEnableAnnotationObjectTextureByPath"),
+        _OF_COSYS,
+    ),
+    **dict.fromkeys(
+        ("simGetPhysicsRawKinematics", "simSetPhysicsRawKinematics"),
+        "raw states are not exchanged; simGetGroundTruthKinematics and simSetKinematics are",
+    ),
+}  # fmt: skip
+"""The reason by name of the call."""
+
+
+def _refuse(name: str, reason: str) -> None:
+    def refused(api: Api, *arguments: Any) -> None:
+        raise BadInputError(f"{name}: {reason}")
+
+    call(name)(refused)
+
+
+for _name, _reason in REFUSED.items():
+    _refuse(_name, _reason)
+
+
+# ---- identity of world and vehicle -----------------------------------------------------------------------------------
+
+KEY = "Mavfi"
+"""Key of the report in the settings that `getSettingsString` returns; AirSim's own settings have none."""
+
+
+def identity(scenario: Scenario, world: World, *, in_flight: bool = True) -> dict[str, Any]:
+    """What must be the same for a flight on a server to be the flight without one.
+
+    Args:
+        scenario: The mission.
+        world: Its world.
+        in_flight: Whether the vehicle starts in the air; one on the ground has a height and a speed limit of its own.
+
+    Returns:
+        Environment and vehicle by name, seed, wind (m/s, amplitude of gusts), start (x, y, m), goal (m), height of the
+        start (m), speed limit (m/s).
+    """
+    found = {
+        "environment": scenario.environment.name, "seed": scenario.seed, "vehicle": scenario.vehicle.name,
+        "wind": scenario.wind.gust, "start": world.start[:2].tolist(), "goal": world.goal.tolist(),
+    }  # fmt: skip
+    return {**found, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else found
+
+
+def reported(settings: Any) -> dict[str, Any]:  # noqa: ANN401 - a server's
+    """The report in a server's settings (JSON); empty if there is none, as from AirSim itself."""
+    try:
+        found = json.loads(settings)[KEY]
+    except (KeyError, TypeError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
+    """In what a server's report differs from the flight's identity, in words; "" = in nothing."""
+    keys = [key for key in here if key in there and there[key] != here[key]]
+    if not keys:
+        return ""
+    theirs, ours = (", ".join(f"{key} {_text(one[key])}" for key in keys) for one in (there, here))
+    return f"it has {theirs}; this flight has {ours}"
+
+
+def _text(value: Any) -> str:  # noqa: ANN401 - a server's
+    """A name, a number, or a place."""
+    if isinstance(value, list):
+        return " ".join(map(_text, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

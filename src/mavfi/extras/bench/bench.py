@@ -22,13 +22,13 @@ from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped
 from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
 from mavfi.files import is_file
-from mavfi.flight.watching import detector_for
+from mavfi.flight.compose import detector_for
 
 FOLDER = "bench"
 SCORES = "scores"
 """Name of the table of detection at any threshold."""
-SCORED = ("state",)
-"""Fault levels that corrupt publications."""
+SCORED = "state"
+"""The fault level that corrupts publications."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
 """Columns of a fault list."""
 ROWS = ".rows.csv"
@@ -63,8 +63,8 @@ class Bench(Config):
                 raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")
         for name, part in self.parts.items():
             level = level_of(load_campaign(part.campaign))
-            if part.scores and level not in SCORED:
-                raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {', '.join(SCORED)}")
+            if part.scores and level != SCORED:
+                raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {SCORED}")
         return self
 
 

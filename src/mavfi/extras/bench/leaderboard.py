@@ -1,16 +1,26 @@
-"""The leaderboard of a bench: a Markdown page and a figure."""
+"""The leaderboard of a bench: flights, tables, a Markdown page and a figure."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from mavfi.analysis import Runs, table
 from mavfi.analysis.table import Table
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
-from mavfi.extras.bench.scores import Scores
+from mavfi.campaign.run import run_campaigns
+from mavfi.cli.progress import Bar
+from mavfi.errors import write_text
+from mavfi.extras.bench.bench import SCORES, Bench, Entry, checksum, faults_of, frozen_faults, published_rows
+from mavfi.extras.bench.scores import Scores, scores, unscored
+from mavfi.extras.bench.scores import table as table_of_scores
+from mavfi.files import is_file
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
 
@@ -18,6 +28,91 @@ _COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, styl
 _DASHES = ("-", "--", ":")
 _MOST_ALARMS = 1e4
 """Right limit of the figure (alarms per hour): about three per second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """Selected parts of a bench at a scale, and the folder of their ledgers.
+
+    Attributes:
+        bench: The bench.
+        parts: The selected parts.
+        scale: Size of its campaigns.
+        folder: Contains a folder for each part.
+    """
+
+    bench: Bench
+    parts: Mapping[str, Entry]
+    scale: str
+    folder: Path
+
+    def fly(self, workers: int, models: Path | None) -> None:
+        """Fly the parts together: those that fly the same missions share their golden flights."""
+        title = f"{len(self.parts)} parts" if len(self.parts) > 1 else next(iter(self.parts))
+        campaigns = {self.folder / name: entry.campaign for name, entry in self.parts.items()}
+        with Bar(f"bench: {title}", "runs") as bar:
+            run_campaigns(
+                campaigns, executor=LocalExecutor(workers), models_dir=models, progress=bar.show_campaigns
+            )  # fmt: skip
+
+    @property
+    def scored(self) -> dict[str, Campaign]:
+        """Campaigns of the parts with `scores` enabled."""
+        return {name: entry.campaign for name, entry in self.parts.items() if entry.part.scores}
+
+    def scores(self, workers: int, models: Path | None) -> dict[str, Scores]:
+        """Scores of the detectors, in the parts with `scores` enabled."""
+        if not self.scored:
+            return {}
+        with Bar("bench: scores of all detectors", "missions") as bar:
+            return scores([self.folder / name for name in self.scored], LocalExecutor(workers), models, bar.show)
+
+    def tables(self, scored: Mapping[str, Scores]) -> dict[str, Table]:
+        """The table of each part, and that of the scores: detection at fixed rates of false alarms."""
+        tables = {name: self._table(name, entry) for name, entry in self.parts.items()}
+        if scored:
+            tables[SCORES] = table_of_scores(scored, list(self.scored), unscored(self.scored.values(), scored))
+        return tables
+
+    def _table(self, name: str, entry: Entry) -> Table:
+        """The table of a part, with notes on agreement with the frozen faults and on omitted schemes."""
+        ledger = self.folder / name
+        faults = faults_of(ledger)
+        write_text(ledger / "faults.csv", faults)
+        frozen = frozen_faults(self.bench, name, self.scale)
+        same = {None: "no list of them is published", faults: f"as published in {self.bench.name}"}
+        drawn = f"{faults.count(chr(10)) - 1} faults, sha256 {checksum(faults)[:16]}…: "
+        drawn += same.get(frozen, f"NOT those published in {self.bench.name} (sha256 {checksum(frozen or '')[:16]}…)")
+        arms_of_reason = defaultdict[str, list[str]](list)
+        for arm, reason in entry.left_out.items():
+            arms_of_reason[reason].append(arm)
+        left_out = [f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items()]
+        made = table(Runs.read(ledger), entry.part.view)
+        return replace(made, name=name, title=entry.part.title, notes=(drawn, *left_out, *made.notes))
+
+    def beside_published(self, name: str, own: Table) -> Table:
+        """The table of a part with the published rows, if its faults are the published ones."""
+        faults = self.folder / name / "faults.csv"
+        frozen = frozen_faults(self.bench, name, self.scale)
+        if not is_file(faults) or faults.read_text(encoding="utf-8") != frozen:
+            return own
+        return beside_published(own, published_rows(self.bench, name, self.scale), self.bench.name)
+
+
+def write_leaderboard(
+    flown: Flown, own: Mapping[str, Table], shown: Mapping[str, Table], scored: Mapping[str, Scores], command: str
+) -> None:
+    """Write page, tables and curves of a bench to its folder; `shown`: the tables beside published rows.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
+    texts = {"leaderboard.md": leaderboard(shown, flown.bench.name, flown.scale, command)}
+    texts |= {f"{name}.csv": table.to_csv() for name, table in own.items()}
+    if scored:
+        draw_curves(scored, flown.folder / "curves.png")
+    for name, content in texts.items():
+        write_text(flown.folder / name, content)
 
 
 def leaderboard(tables: Mapping[str, Table], bench: str, scale: str, command: str) -> str:

@@ -17,8 +17,16 @@ from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
 from mavfi.detectors.model import Model
 from mavfi.detectors.training import Sample, regime_limits
 from mavfi.errors import NotInstalledError
-from mavfi.extras.bench.all_fields import AllFieldsDetector, Holding, hold
-from mavfi.extras.bench.code_scorer import CodeScorer, Judged, StateScorer, conclude, state_peaks
+from mavfi.extras.bench.all_fields import (
+    AllFieldsDetector,
+    CodeScorer,
+    Holding,
+    Judged,
+    StateScorer,
+    conclude,
+    hold,
+    state_peaks,
+)
 from mavfi.extras.bench.field_codes import FieldCodes
 from mavfi.extras.bench.residual_state import REGIME, SLOT, ResidualState
 from mavfi.numerics.jit import kernel_jit

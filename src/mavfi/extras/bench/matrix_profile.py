@@ -15,8 +15,7 @@ from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
 from mavfi.detectors.training import Sample
-from mavfi.extras.bench.all_fields import AllFieldsDetector
-from mavfi.extras.bench.code_scorer import CodeScorer, Judged, StateScorer, conclude
+from mavfi.extras.bench.all_fields import AllFieldsDetector, CodeScorer, Judged, StateScorer, conclude
 from mavfi.extras.bench.field_codes import FieldCodes
 from mavfi.extras.bench.library import LibraryDetector, require, scaled
 from mavfi.extras.bench.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.extras.bench.field_codes import FieldCodes
-from mavfi.extras.bench.forest import Branch, Tree, Trees, forest_of
 from mavfi.extras.bench.library import RATES, Inputs, LibraryDetector, input_of
+from mavfi.extras.bench.trees import Branch, Tree, Trees, forest_of
 from mavfi.numerics.elementary import log
 from mavfi.numerics.jit import kernel_jit
 

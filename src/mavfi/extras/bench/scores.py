@@ -18,16 +18,15 @@ from mavfi.analysis.statistics import Rate, wilson
 from mavfi.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
+from mavfi.campaign.ledger import ORDERED
 from mavfi.campaign.plan import FI, Arm, arms_of
-from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.outcomes import quality_of_flight
 from mavfi.states import State
@@ -73,21 +72,19 @@ class Scores:
 
     def area(self) -> float | None:
         """Area under the ROC curve of harmful corrupted publications against golden ones; None without both."""
-        from sklearn.metrics import roc_auc_score
-
-        return self._rated(roc_auc_score)
+        return self._rated("roc_auc_score")
 
     def precision(self) -> float | None:
         """Average precision: area under the curve of precision over recall, harmful corrupted publications to find.
 
         Precision depends on the share of corrupted publications, here one per harmful fault among the golden ones.
         """
-        from sklearn.metrics import average_precision_score
+        return self._rated("average_precision_score")
 
-        return self._rated(average_precision_score)
+    def _rated(self, metric: str) -> float | None:
+        """A metric of the scores as a classifier of harmful publications; None without both kinds."""
+        from sklearn import metrics
 
-    def _rated(self, rating: Callable[..., float]) -> float | None:
-        """Rating of the scores as a classifier of harmful publications; None without both kinds."""
         own = self.corrupted[self.harmful]
         if not len(own) or not self.judged:
             return None
@@ -95,7 +92,7 @@ class Scores:
         weights = np.ones(len(scores))
         weights[-1] = self.judged - len(self.golden)  # the last sample stands for all golden scores of 0
         labels = np.arange(len(scores)) < len(own)
-        return float(rating(labels, np.minimum(scores, np.finfo(float).max), sample_weight=weights))
+        return float(getattr(metrics, metric)(labels, np.minimum(scores, np.finfo(float).max), sample_weight=weights))
 
     def curve(self) -> list[tuple[float, float, float]]:
         """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""

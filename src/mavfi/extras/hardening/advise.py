@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +18,10 @@ from mavfi.analysis.statistics import Rate, clustered_rate, weighted_rate
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.extras.hardening.choose import NOTHING, Choice, Chooser
+from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.extras.hardening.duplicate import protect
-from mavfi.extras.hardening.learned import Injected, Learn, injections_in
-from mavfi.extras.hardening.measure import Timed, compare
 from mavfi.extras.hardening.plan import Site
-from mavfi.extras.hardening.target import Judged, Target
+from mavfi.extras.hardening.target import Injected, Judged, Learn, Target
 from mavfi.ir.build import environment_of
 
 FRACTIONS = tuple(place / 20 for place in range(1, 21))
@@ -148,14 +148,15 @@ def choices_of(target: Target) -> Ladder:
 
     The others would be built and timed in vain.
     """
-    found: Ladder = []
+    ladder: Ladder = []
     most = -1
-    for fraction, choice, judged in every_choice(target):
+    for step in every_choice(target):
+        fraction, _, judged = step
         removed = sum(hit for _, hit in judged)
         if removed > most or fraction == FRACTIONS[-1]:
-            found.append((fraction, choice, judged))
+            ladder.append(step)
         most = max(most, removed)
-    return found
+    return ladder
 
 
 def _share_of(fraction: float, chooser: Chooser) -> Choice:
@@ -165,8 +166,7 @@ def _share_of(fraction: float, chooser: Chooser) -> Choice:
     return chooser.within(fraction * chooser.full.cost)
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
+class Prepared(NamedTuple):
     """What can be said of a function before its time is measured.
 
     Attributes:
@@ -180,22 +180,10 @@ class Prepared:
     codes: list[bytes]
 
 
+Tell = Callable[[str], None]
+"""Is told each piece of work."""
 Choices = Callable[[Target], Ladder]
 """Makes the steps of a function, as `choices_of`."""
-
-
-def prepare(target: Target, choices: Choices = choices_of, learn: Learn = injections_in) -> Prepared:
-    """Inject faults in a function that has none, predict and build its steps."""
-    if not target.injections:
-        target.injections = learn(target.seen)
-    made = choices(target)
-    codes = codes_of(target, [target.sites(choice) for _, choice, _ in made[1:]])
-    return Prepared(target.injections, made, codes)
-
-
-def unprotected(target: Target) -> Prepared:
-    """The same for a function of which only the time of its plain code is of interest."""
-    return Prepared([], [(0.0, NOTHING, [])], codes_of(target, []))
 
 
 def codes_of(target: Target, duplicated: Sequence[Collection[Site]]) -> list[bytes]:
@@ -210,33 +198,16 @@ def times_of(target: Target, codes: Sequence[bytes], seconds: float = TIMED_S) -
     environment = environment_of(target.seen.function, target.seen.signature)
     base, *others = (Timed(target.source, code, environment).ticks for code in codes)
     clocks = {str(place): clock for place, clock in enumerate(others)}
-    timing = compare(base, clocks, target.seen.calls, enough_for(seconds))
+    end = monotonic() + seconds
+    timing = compare(
+        base, clocks, target.seen.calls, lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end
+    )  # fmt: skip
     return timing.ticks, [max(timing.ratios[name], 1.0) for name in clocks]
 
 
-def enough_for(seconds: float) -> Callable[[int], bool]:
-    """Whether a number of rounds of timing is enough; from now on, any is after so many seconds."""
-    end = monotonic() + seconds
-    return lambda rounds: rounds >= _ROUNDS * seconds or monotonic() > end
-
-
-def timed_steps(target: Target, own: Prepared, seconds: float = TIMED_S) -> tuple[float, tuple[Step, ...]]:
-    """Time the steps of a function for up to `seconds`; also returns the ticks of a plain call."""
-    ticks, times = times_of(target, own.codes, seconds)
-    return ticks, tuple(
-        Step(fraction, choice, time, judged)
-        for (fraction, choice, judged), time in zip(own.choices, (1.0, *times), strict=True)
-    )
-
-
 def prepare_all(
-    targets: Sequence[Target],
-    wanted: Collection[str],
-    tell: Callable[[str], None] = lambda _: None,
-    learn: Learn = injections_in,
-    workers: int = 1,
-    choices: Choices = choices_of,
-) -> list[Prepared]:
+    targets: Sequence[Target], wanted: Collection[str], tell: Tell, learn: Learn, workers: int, choices: Choices
+) -> list[Prepared]:  # fmt: skip
     """Inject, choose and build for the functions of some flights; the functions keep their injections.
 
     Args:
@@ -250,9 +221,12 @@ def prepare_all(
 
     def at(place: int) -> Prepared:
         target = targets[place]
-        if set(wanted).isdisjoint(target.kernels):
-            return unprotected(target)
-        return prepare(target, choices, learn)
+        if set(wanted).isdisjoint(target.kernels):  # only the time of its plain code is of interest
+            return Prepared([], [(0.0, NOTHING, [])], codes_of(target, []))
+        target.injections = target.injections or learn(target.seen)
+        ladder = choices(target)
+        codes = codes_of(target, [target.sites(choice) for _, choice, _ in ladder[1:]])
+        return Prepared(target.injections, ladder, codes)
 
     longest = sorted(range(len(targets)), key=lambda place: -sum(targets[place].seen.variant.table.sizes()))
     ready: dict[int, Prepared] = {}
@@ -263,12 +237,8 @@ def prepare_all(
 
 
 def curves_of(
-    targets: Sequence[Target],
-    ready: Sequence[Prepared],
-    other_ticks: float = 0.0,
-    tell: Callable[[str], None] = lambda _: None,
-    seconds: float = TIMED_S,
-) -> tuple[Curve, ...]:
+    targets: Sequence[Target], ready: Sequence[Prepared], other_ticks: float, tell: Tell, seconds: float
+) -> tuple[Curve, ...]:  # fmt: skip
     """Time the steps of the functions of a flight.
 
     Args:
@@ -281,8 +251,12 @@ def curves_of(
     rows = []
     for target, own in zip(targets, ready, strict=True):
         tell(f"timing {target.name}")
-        ticks, steps = timed_steps(target, own, seconds)
-        rows.append((target, ticks * target.seen.total, steps))
+        ticks, times = times_of(target, own.codes, seconds)
+        steps = [
+            Step(fraction, choice, time, judged)
+            for (fraction, choice, judged), time in zip(own.choices, (1.0, *times), strict=True)
+        ]
+        rows.append((target, ticks * target.seen.total, tuple(steps)))
     whole = other_ticks + sum(ticks for _, ticks, _ in rows)
     return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
 

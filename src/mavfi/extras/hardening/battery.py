@@ -1,22 +1,169 @@
-"""Injections into recorded calls of a function, plain or protected: uniform over dynamic instructions, then bits."""
+"""Injections into recorded calls of a function, plain or protected: uniform over dynamic instructions, then bits.
 
+Arguments are copied with the layout that selects the compiled signature.  An output is the result of a function or an
+argument that it changes, but no work array and no unused row.
+"""
+
+import ctypes
+import inspect
 import mmap
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.extras.hardening.outputs import outputs_of
-from mavfi.extras.hardening.recorded import copied, kept, same_bits
-from mavfi.extras.hardening.wrapper import MESSAGE
+from mavfi.extras.hardening.duplicate import MESSAGE
 from mavfi.faults.levels.instruction.plan import budget_for
 from mavfi.faults.levels.instruction.table import Site
 from mavfi.faults.levels.instruction.variant import Passes, Variant
 from mavfi.ir.forked import run_in_child
 from mavfi.outcomes import Effect
+
+_LIBC = ctypes.CDLL(None, use_errno=True)
+_KEPT_BYTES = 1 << 27
+"""Most memory of the recorded arguments of one function."""
+_LARGE_BYTES = 1 << 16
+"""Least size of an array that is worth a mapping of its own."""
+
+
+def copied(value: Any) -> Any:  # noqa: ANN401 - numbers, arrays and tuples of these
+    """A deep copy; arrays keep strides, access and common memory, since Numba compiles by these."""
+    return _copied(value, {}, read_only=False)
+
+
+def kept(value: Any) -> Any:  # noqa: ANN401
+    """The same, to be copied again before use: large arrays are in memory that nothing can write.
+
+    Forks share it. They do not copy its page tables, which for all recorded calls takes two thirds of a fork, and a
+    fault in one of them cannot reach it.
+    """
+    return _copied(value, {}, read_only=True)
+
+
+def _copied(value: Any, known: dict[int, tuple[int, np.ndarray]], *, read_only: bool) -> Any:
+    """A copy; `known`: lowest address and copy of the memory of arrays that own some, by their id."""
+    if isinstance(value, tuple):
+        parts = [_copied(part, known, read_only=read_only) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    if not isinstance(value, np.ndarray) or value.dtype.hasobject:
+        return value
+    root = value
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    if id(root) not in known:
+        known[id(root)] = _memory(root, read_only=read_only)
+    start, memory = known[id(root)]
+    moved: np.ndarray = np.ndarray(value.shape, value.dtype, memory.data, value.ctypes.data - start, value.strides)
+    moved.flags.writeable = value.flags.writeable
+    return moved
+
+
+def _memory(root: np.ndarray, *, read_only: bool) -> tuple[int, np.ndarray]:
+    """Lowest address of an array, and a copy of its memory."""
+    low, high = np.lib.array_utils.byte_bounds(root) if root.size else (root.ctypes.data, root.ctypes.data)
+    size = high - low
+    if not read_only or size < _LARGE_BYTES:
+        memory = np.empty(max(size, 1), np.uint8)
+        ctypes.memmove(memory.ctypes.data, low, size)
+        return low, memory
+    memory = np.frombuffer(mmap.mmap(-1, size), np.uint8)
+    ctypes.memmove(memory.ctypes.data, low, size)
+    if _LIBC.mprotect(ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(size), mmap.PROT_READ):
+        raise OSError(ctypes.get_errno(), "mprotect")
+    return low, memory
+
+
+def same_bits(one: Any, other: Any) -> bool:  # noqa: ANN401
+    """Whether numbers, arrays and tuples of these are equal bit for bit, with types and shapes."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(same_bits, one, other))
+    if isinstance(one, np.ndarray):
+        return one.dtype == other.dtype and one.shape == other.shape and _same_memory(one, other)
+    if isinstance(one, float | complex | np.generic):
+        return np.asarray(one).tobytes() == np.asarray(other).tobytes()
+    return bool(one == other)
+
+
+def _same_memory(one: np.ndarray, other: np.ndarray) -> bool:
+    left, right = np.ascontiguousarray(one), np.ascontiguousarray(other)
+    # without temporary arrays, which large outputs would need
+    places = (ctypes.c_void_p(array.ctypes.data) for array in (left, right))
+    return int(_LIBC.memcmp(*places, ctypes.c_size_t(left.nbytes))) == 0
+
+
+def size_of(value: Any) -> int:  # noqa: ANN401
+    """Bytes of the arrays in a value."""
+    if isinstance(value, tuple):
+        return sum(map(size_of, value))
+    return value.nbytes if isinstance(value, np.ndarray) else 0
+
+
+class Recording:
+    """Arguments of some calls of a function, evenly spread over all of them.
+
+    Attributes:
+        total: Number of calls so far.
+        kept: Arguments before the call, by its number.
+
+    Args:
+        most: At most twice as many calls are kept, fewer if they need more than `_KEPT_BYTES`.
+    """
+
+    def __init__(self, most: int = 12) -> None:
+        self._most, self._stride = most, 1
+        self.total = 0
+        self.kept: dict[int, tuple[Any, ...]] = {}
+
+    def note(self, args: tuple[Any, ...]) -> None:
+        """Count a call that is about to be made, and keep its arguments if it is its turn."""
+        call, self.total = self.total, self.total + 1
+        if call % self._stride:
+            return
+        self.kept[call] = kept(args)
+        while len(self.kept) > 1 and (
+            len(self.kept) * size_of(args) > _KEPT_BYTES or len(self.kept) > 2 * self._most
+        ):  # fmt: skip
+            self._stride *= 2
+            self.kept = {number: own for number, own in self.kept.items() if number % self._stride == 0}
+
+
+# ---- outputs --------------------------------------------------------------------------------------------------------
+
+_WORK = {
+    "plan_rrt": ("tree",), "plan_rrt_connect": ("trees",), "plan_rrt_star": ("tree",), "shortcut_random": ("buffer",),
+}  # fmt: skip
+"""Arguments that are written before they are read, by function."""
+_COUNTED = {
+    "insert_scan": ("touched", "before"), "collect": ("touched",),
+    "apply_updates": ("journal_voxels", "journal_cells"),
+    **dict.fromkeys(("plan_rrt", "plan_rrt_connect", "plan_rrt_star", "shortcut_greedy", "shortcut_random"), ("path",)),
+}  # fmt: skip
+"""Arguments whose rows beyond the resulting number are undefined."""
+
+
+def outputs_of(entry: str, function: Any, result: Any, args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Result and changed arguments of a call; all of them for a function that is not the pipeline's."""
+    names = tuple(inspect.signature(function.py_func).parameters)
+    work, counted = _WORK.get(entry, ()), _COUNTED.get(entry, ())
+    rows = _rows(result)
+    own = []
+    for name, value in zip(names, args, strict=True):
+        if name not in work:
+            own.append(value[:rows] if name in counted else value)
+    return result, *own
+
+
+def _rows(result: Any) -> int:
+    """The resulting number of rows: the last one of several numbers; a corrupted one must not be an error."""
+    last = result[-1] if isinstance(result, tuple) else result
+    return max(int(last), 0) if isinstance(last, (int, np.integer)) else 0
+
+
+# ---- injections -----------------------------------------------------------------------------------------------------
 
 _SURVIVED = (Effect.MASKED, Effect.SDC, Effect.DETECTED, Effect.EXCEPTION, Effect.NOT_ACTIVATED)
 """Effects that do not end the process."""
@@ -24,8 +171,7 @@ MASKED, SDC, DETECTED, EXCEPTION, NOT_ACTIVATED = _KNOWN = tuple(effect.label fo
 _TIMEOUT = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(NamedTuple):
     """A bit of the result of one dynamic instruction.
 
     Attributes:

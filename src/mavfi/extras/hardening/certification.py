@@ -1,7 +1,10 @@
-"""From a plan to its certificate: fresh missions, fresh faults, and what they say of the plan as a whole."""
+"""From a plan to its certificate: fresh missions, fresh faults, and what they say of the plan as a whole.
+
+The time that the plan adds to these flights is computed from times that were measured in them.
+"""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +14,7 @@ import numpy as np
 from mavfi.analysis.statistics import TAIL, Rate, holm
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError, write_text
+from mavfi.extras.hardening.advise import Tell, codes_of, times_of
 from mavfi.extras.hardening.certify import (
     REFUTED,
     Certificate,
@@ -18,20 +22,80 @@ from mavfi.extras.hardening.certify import (
     certify,
     foreseen,
     observe_plain,
+    p_value_below,
     pairs_of,
     together,
     unprotected,
     verdict_of,
 )
-from mavfi.extras.hardening.golden import GoldenCheck, check_golden
-from mavfi.extras.hardening.observed import Seen, entries_of, observe
-from mavfi.extras.hardening.plan import Plan
+from mavfi.extras.hardening.observed import GoldenCheck, Seen, check_golden, entries_of, observe
+from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
 from mavfi.extras.hardening.protected import Protection, check_plan
-from mavfi.extras.hardening.ratio import p_value_below
-from mavfi.extras.hardening.spending import Key, Spending, key_of, spending_of, ticks_of
-from mavfi.extras.hardening.study import Study, Tell, stated
+from mavfi.extras.hardening.study import Study, stated
+from mavfi.extras.hardening.target import Target
 from mavfi.ir.build import name_of
 from mavfi.states import INJECTABLE
+
+TOLERANCE = 0.02
+"""Share of a flight's kernel time by which a plan may exceed its budget: the time of a function that takes most of a
+flight is measured within a few per cent."""
+_SECONDS = 0.25
+"""For how long a plain function is timed, for its share of a flight (s)."""
+Key = tuple[str, str]
+"""Function and signature, as in a plan."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spending:
+    """Time that a plan adds to the flights of a planner, as a share of their kernel time.
+
+    Attributes:
+        planner: Of the flights.
+        measured: With the time ratios that the certificate measured.
+        planned: With those of the plan, in the same flights.
+        budget: That of the plan; None = not known.
+    """
+
+    planner: str
+    measured: float
+    planned: float
+    budget: float | None = None
+
+    @property
+    def refuted(self) -> bool:
+        """Whether more is added than the budget, or without one than planned, by more than `TOLERANCE`."""
+        return self.measured > (self.planned if self.budget is None else self.budget) + TOLERANCE
+
+
+def ticks_of(seen: Seen) -> float:
+    """Ticks of the time stamp counter per plain call of a function."""
+    target = Target(("",), seen)
+    ticks, _ = times_of(target, codes_of(target, []), _SECONDS)
+    return ticks
+
+
+def spending_of(
+    planner: str, flown: Sequence[Seen], ticks: Mapping[Key, float], certificates: Sequence[Certificate],
+    budget: float | None,
+) -> Spending:  # fmt: skip
+    """What a plan adds to flights.
+
+    Args:
+        planner: Of the flights.
+        flown: All functions of their kernels.
+        ticks: As of `ticks_of`, for each of these.
+        certificates: Of the functions that the plan protects; those without a measured time count as planned.
+        budget: That of the plan.
+    """
+    spent = {seen.key: seen.total * ticks[seen.key] for seen in flown}
+    whole = sum(spent.values())
+    own = [(spent.get((one.function, one.signature), 0.0) / whole, one) for one in certificates]
+    planned = sum(share * (one.planned_time - 1) for share, one in own)
+    measured = sum(share * ((one.time or one.planned_time) - 1) for share, one in own)
+    return Spending(planner, measured, planned, budget)
+
+
+# ---- the certificate of a plan --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +186,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
         done = {(one.function, one.signature) for one in (*certificates, *others)}
         every = merged(flown)
         known = [one for one in every if one.entry in entries_of(study.kernels)]
-        fresh = [one for one in known if key_of(one) not in done]
+        fresh = [one for one in known if one.key not in done]
         pairs = pairs_of(fresh, plan)
         for pair in pairs:
             tell(f"injecting {3 * faults} faults in {pair.planned.function}")
@@ -132,7 +196,7 @@ def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: N
             kernel = next(kernel for kernel in kernels if one.entry in INJECTABLE[kernel])
             others.append(observe_plain(kernel, one, faults, plan.digest))
         tell(f"timing the functions of flights with {planner}")
-        ticks |= {key_of(one): ticks_of(one) for one in every if key_of(one) not in ticks}
+        ticks |= {one.key: ticks_of(one) for one in every if one.key not in ticks}
         spending.append(spending_of(planner, every, ticks, certificates, plan.budget))
     if not certificates:
         raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
@@ -177,21 +241,22 @@ def merged(seen: Sequence[Seen]) -> list[Seen]:
 
 def with_certified(plan: Plan, other: Plan) -> Plan:
     """The plan with the certified coverage that another one states for the same protected code."""
-    known = {(one.function, one.signature, one.kind, Protection(one).key): one.certified for one in other.functions}
-    functions = tuple(
-        one.model_copy(update={"certified": known.get((one.function, one.signature, one.kind, Protection(one).key))})
-        for one in plan.functions
-    )
-    return plan.model_copy(update={"functions": functions})
+    known = {_code_of(one): one.certified for one in other.functions}
+    return _stating(plan, lambda one: known.get(_code_of(one)))
 
 
 def certified_plan(plan: Plan, certification: Certification) -> Plan:
     """The plan with the coverage that its certificate states."""
     measured = {(one.function, one.signature): stated(one.coverage) for one in certification.certificates}
-    functions = tuple(
-        one.model_copy(update={"certified": measured.get((one.function, one.signature), one.certified)})
-        for one in plan.functions
-    )
+    return _stating(plan, lambda one: measured.get((one.function, one.signature), one.certified))
+
+
+def _code_of(planned: FunctionPlan) -> tuple[str, str, str, bytes]:
+    return planned.function, planned.signature, planned.kind, Protection(planned).key
+
+
+def _stating(plan: Plan, certified: Callable[[FunctionPlan], Coverage | None]) -> Plan:
+    functions = tuple(one.model_copy(update={"certified": certified(one)}) for one in plan.functions)
     return plan.model_copy(update={"functions": functions})
 
 
@@ -210,7 +275,7 @@ def certification_json(certification: Certification) -> dict[str, Any]:
     """A certificate as plain data."""
     return {
         "plan": certification.plan, "faults": certification.faults, "missions": list(certification.missions),
-        "refuted": certification.refuted, "golden": certification.golden.to_json(),
+        "refuted": certification.refuted, "golden": certification.golden._asdict(),
         "coverage": asdict(certification.coverage), "predicted": asdict(certification.predicted),
         "verdict": certification.verdict, "cpu": certification.cpu, "kernels": list(certification.scope) or "all",
         "functions": [one.to_json() for one in certification.certificates],

@@ -2,32 +2,95 @@
 
 Faults are drawn over the dynamic instructions of the protected program, so shadows, copies and comparisons can be hit.
 The same calls are injected without protection, and these faults once more, instruction by instruction, with it.
+
+Coverage is the share of silent corruptions per call that protection removes, with its interval.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from math import hypot
+from dataclasses import asdict, astuple, dataclass
+from functools import cached_property
+from math import hypot, inf, sqrt
+from statistics import NormalDist
 from typing import Any
 
 from mavfi.analysis.pairs import Paired, mcnemar
-from mavfi.analysis.statistics import Rate, wilson
-from mavfi.extras.hardening.advise import times_of
+from mavfi.analysis.statistics import TAIL, Rate, wilson
+from mavfi.extras.hardening.advise import codes_of, times_of
 from mavfi.extras.hardening.battery import SDC, Battery, Place, counts_of
-from mavfi.extras.hardening.learned import affordable
-from mavfi.extras.hardening.measure import Timed
 from mavfi.extras.hardening.observed import Seen
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
 from mavfi.extras.hardening.protected import Protection
-from mavfi.extras.hardening.ratio import bounds_of, coverage, difference, ratio_bounds
-from mavfi.extras.hardening.target import Target
+from mavfi.extras.hardening.target import Target, affordable
 from mavfi.faults.levels.instruction.build import cached_build
 from mavfi.faults.levels.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
 from mavfi.ir.build import name_of
 from mavfi.ir.module import Module
-from mavfi.ir.parser import parse_module
-from mavfi.ir.sources import cached_source
+
+_NORMAL = NormalDist()
+
+
+def coverage(before: Rate, after: Rate, growth: float) -> Rate:
+    """1 - growth x rate after / rate before, with MOVER's interval for a ratio (Donner and Zou 2012).
+
+    Args:
+        before: Rate of silent corruption per injection in plain code.
+        after: The same in protected code, over all of its instructions.
+        growth: Dynamic instructions of protected code / plain code: if each instruction is equally likely to be hit,
+            added instructions are hit, too.  Without it each one would dilute the rate and seem to protect.
+
+    Returns:
+        Negative if the protection does harm; all None without injections or corruptions in plain code.
+    """
+    if not before.rate or after.rate is None:
+        return Rate(after.n, None, None, None)
+    low, high = ratio_bounds(after, before)
+    return Rate(after.n, 1 - growth * after.rate / before.rate, 1 - growth * high, 1 - growth * low)
+
+
+def ratio_bounds(above: Rate, below: Rate) -> tuple[float, float]:
+    """Interval of the ratio of two independent rates, from their own intervals."""
+    p, low_p, high_p = bounds_of(above)
+    q, low_q, high_q = bounds_of(below)
+    lower = (p * q) ** 2 - low_p * high_q * (2 * p - low_p) * (2 * q - high_q)
+    upper = (p * q) ** 2 - high_p * low_q * (2 * p - high_p) * (2 * q - low_q)
+    bottom, top = high_q * (2 * q - high_q), low_q * (2 * q - low_q)
+    low = (p * q - sqrt(max(lower, 0.0))) / bottom if bottom > 0 else 0.0
+    return max(low, 0.0), (p * q + sqrt(max(upper, 0.0))) / top if top > 0 else inf
+
+
+def difference(measured: Rate, predicted: Rate) -> tuple[float, float]:
+    """Interval of measured - predicted coverage (MOVER for a difference); infinite if one is not known."""
+    if measured.rate is None or predicted.rate is None:
+        return -inf, inf
+    one, low, high = bounds_of(measured)
+    other, other_low, other_high = bounds_of(predicted)
+    gap = one - other
+    return gap - hypot(one - low, other_high - other), gap + hypot(high - one, other - other_low)
+
+
+def p_value_below(measured: Rate, predicted: Rate) -> float | None:
+    """Two-sided p of equal coverages: below 0.05 where the interval of `difference` is below 0; None if not known.
+
+    A normal approximation on the side of its upper bound; 1 if the measured coverage is not lower.
+    """
+    if measured.rate is None or predicted.rate is None:
+        return None
+    gap = measured.rate - predicted.rate
+    if gap >= 0:
+        return 1.0
+    half = difference(measured, predicted)[1] - gap
+    return 2 * _NORMAL.cdf(_NORMAL.inv_cdf(1 - TAIL) * gap / half) if half > 0 else 0.0
+
+
+def bounds_of(found: Rate) -> tuple[float, float, float]:
+    """Rate, and its bounds."""
+    assert found.rate is not None and found.low is not None and found.high is not None  # as with any injection
+    return found.rate, found.low, found.high
+
+
+# ---- the certificate of a function ----------------------------------------------------------------------------------
 
 CONFIRMED, REFUTED, BETTER, UNDECIDED, UNKNOWN = "confirmed", "refuted", "better", "undecided", "unknown"
 _TIMED_S = 4.0
@@ -103,17 +166,15 @@ class Certificate(FunctionResult):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
+        same = (
+            "kernel", "function", "signature", "instructions", "verdict", "growth", "time", "planned_time", "before",
+            "after",
+        )  # fmt: skip
+        rates = ("coverage", "sdc_before", "sdc_after")
+        paired = zip(("n", "plain_only", "protected_only", "p"), astuple(self.paired), strict=True)
         return {
-            "kernel": self.kernel, "function": self.function, "signature": self.signature,
-            "instructions": self.instructions, "verdict": self.verdict, "growth": self.growth,
-            "time": self.time, "planned_time": self.planned_time,
-            "before": self.before, "after": self.after, "coverage": asdict(self.coverage),
-            "sdc_before": asdict(self.sdc_before), "sdc_after": asdict(self.sdc_after),
-            "predicted": None if self.predicted is None else self.predicted.model_dump(),
-            "paired": {
-                "n": self.paired.n, "plain_only": self.paired.first_only, "protected_only": self.paired.second_only,
-                "p": self.paired.p_value,
-            },
+            **{key: getattr(self, key) for key in same}, **{key: asdict(getattr(self, key)) for key in rates},
+            "predicted": None if self.predicted is None else self.predicted.model_dump(), "paired": dict(paired),
         }  # fmt: skip
 
 
@@ -139,9 +200,7 @@ class Unprotected(FunctionResult):
 
 def rate_of(predicted: Coverage | None) -> Rate:
     """A prediction as a rate; all None without one."""
-    return (
-        Rate(0, None, None, None) if predicted is None else Rate(0, predicted.estimate, predicted.low, predicted.high)
-    )
+    return Rate(0, predicted.estimate, predicted.low, predicted.high) if predicted else Rate(0, None, None, None)
 
 
 def verdict_of(measured: Rate, predicted: Rate) -> str:
@@ -177,6 +236,11 @@ class Pair:
         batteries = (Battery(seen.entry, seen.function, variant, seen.calls) for variant in (seen.variant, guarded))
         return Pair(seen, planned, *batteries)
 
+    @cached_property
+    def target(self) -> Target:
+        """The function."""
+        return Target((self.planned.kernel,), self.seen, addresses=self.planned.addresses)
+
     @property
     def growth(self) -> float:
         """Dynamic instructions of protected code / plain code, over the recorded calls."""
@@ -184,21 +248,18 @@ class Pair:
 
     def time(self) -> float:
         """Protected / plain execution time, measured on the recorded calls."""
-        target = Target((self.planned.kernel,), self.seen)
-        modules = target.module, Protection(self.planned)(target.module)
-        _, (time,) = times_of(target, [Timed.code_of(target.source, module) for module in modules], _TIMED_S)
+        _, (time,) = times_of(self.target, codes_of(self.target, [self.planned.sites]), _TIMED_S)
         return time
 
     def counterparts(self, places: Sequence[Place]) -> list[Place]:
         """The same instructions, executions and bits in protected code: original instructions keep their names."""
-        source = cached_source(self.seen.function, self.seen.signature)
-        module = parse_module(source.text, source.kernel)
-        names, own = _names(module), _names(Protection(self.planned)(module))
-        there = {name: place for place, name in own.items()}
+        module = self.target.module
+        names = _names(module)
+        protected = {name: position for position, name in _names(Protection(self.planned)(module)).items()}
         found = []
         for place in places:
-            block, offset = there[names[place.block, place.offset]]
-            found.append(Place(place.call, block, place.number, offset, place.bit))
+            block, offset = protected[names[place.block, place.offset]]
+            found.append(place._replace(block=block, offset=offset))
         return found
 
 
@@ -230,10 +291,9 @@ def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
 def observe_plain(kernel: str, seen: Seen, faults: int, *address: Any) -> Unprotected:
     """Inject at most `faults` faults in a function that is not protected, fewer in long calls."""
     battery = Battery(seen.entry, seen.function, seen.variant, seen.calls)
-    function = name_of(seen.function)
-    random = stream(0, "certificate", function, seen.signature_text, *map(str, address))
+    random = stream(0, "certificate", *seen.key, *map(str, address))
     effects = battery.run(battery.draw(random, min(faults, affordable(battery))))
-    return Unprotected(kernel, function, seen.signature_text, seen.instructions, counts_of(effects))
+    return Unprotected(kernel, *seen.key, seen.instructions, counts_of(effects))
 
 
 def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] = ()) -> Rate:
@@ -281,8 +341,7 @@ def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
 
 def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
     """The observed functions that the plan protects; `BadInputError` if it is of other code."""
-    named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
-    found = [(one, planned) for one, planned in named if planned is not None and planned.sites]
+    found = [(one, planned) for one in seen if (planned := _planned(one, plan)) is not None]
     with ThreadPoolExecutor(2) as ahead:  # each build waits for a process of its own
         for one, planned in found:
             ahead.submit(cached_build, one.function, one.signature, Protection(planned))
@@ -291,5 +350,10 @@ def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
 
 def unprotected(seen: Sequence[Seen], plan: Plan) -> list[Seen]:
     """The observed functions that are not among `pairs_of`."""
-    named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
-    return [one for one, planned in named if planned is None or not planned.sites]
+    return [one for one in seen if _planned(one, plan) is None]
+
+
+def _planned(seen: Seen, plan: Plan) -> FunctionPlan | None:
+    """What the plan duplicates in a function; None = nothing."""
+    planned = plan.find(name_of(seen.function), seen.signature)
+    return planned if planned is not None and planned.sites else None

@@ -1,25 +1,288 @@
 """Which values to duplicate within a number of added instructions: by minimum cuts.
 
+The cost of a set of values is the number of simple dynamic instructions that it adds: shadows, opaque copies of
+operands, and comparisons where a value leaves the set (see `mavfi.extras.hardening.duplicate`).  A single instruction
+costs three to five others, one inside a duplicated slice little more than itself.  Slow instructions count several
+times.
+
+So whole slices must be chosen at once: the set that maximises benefit - price x cost is the source side of a minimum
+cut (project selection, Picard 1976), in which a comparison is one hyperedge: it is paid once if any use lies outside.
 `Chooser.within` takes the best minimum cut that the budget allows, and fills the rest greedily: a minimum cut exists
 only at the corners of the convex hull of cost and benefit.
 """
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from mavfi.extras.hardening.cut import Cuts
-from mavfi.extras.hardening.flow import Value, cost, total_cost
+from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
+from mavfi.extras.hardening.plan import Site
+from mavfi.ir.flow import back_edges
+from mavfi.ir.module import Instruction, Module, is_floating
+
+_DIVISIONS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
+_ROUNDING = re.compile(r"@(?:llvm\.)?(?:sqrt|floor|ceil|trunc|rint|nearbyint|round|roundeven)f?(?:\.|$)")
+_CALL = 6.0
+"""Costs of slow instructions, in simple ones.  Divisions occupy their unit for several cycles (A. Fog, Instruction
+tables); rounding is a call of libm in code for every x86-64 processor.  Rough: times are measured afterwards."""
+OUTSIDE = -1
+"""Index of a value that cannot be duplicated: a parameter, a constant, the result of most calls."""
+
+
+class Use(NamedTuple):
+    """A use of a value.
+
+    Attributes:
+        user: Index of the using value, or `OUTSIDE` (store, call, return, another function).
+        block: Label of the block in which it is needed; for a phi, the block before.
+        executions: Executions of this block; None = not counted.
+        compared: Whether the value is compared there although the user is duplicated (the address of a load).
+    """
+
+    user: int
+    block: str
+    executions: float | None
+    compared: bool = False
+
+
+class Entry(NamedTuple):
+    """An incoming value of a phi: its index or `OUTSIDE`, executions of the edge's block, whether it closes a loop."""
+
+    value: int
+    executions: float
+    closes_loop: bool
+
+
+@dataclass(slots=True)
+class Value:
+    """A value that can be duplicated.
+
+    Attributes:
+        site: Where it is computed.
+        opcode: Of its instruction.
+        kind: LLVM type.
+        executions: Number of executions.
+        operands: Indices of its operands that can be duplicated, without repetition.
+        uses: Its uses, except as condition of a branch with two targets, of which both edges check the shadow.
+        entries: Incoming values of a phi.
+        weight: Cost of its instruction, in simple ones.
+    """
+
+    site: Site
+    opcode: str
+    kind: str
+    executions: float
+    operands: tuple[int, ...] = ()
+    uses: list[Use] = field(default_factory=list)
+    entries: tuple[Entry, ...] = ()
+    weight: float = 1.0
+
+    @property
+    def own_memory(self) -> bool:
+        """Whether its shadow needs no copy of an operand (a volatile load)."""
+        return self.opcode == "load"
+
+    @property
+    def comparison(self) -> int:
+        """Instructions of one comparison: with two casts, except for integers and pointers."""
+        return 3 if is_floating(self.kind) or self.kind.startswith("<") else 1
+
+    @property
+    def in_loop_header(self) -> bool:
+        """Whether it is a phi at the start of a loop."""
+        return any(entry.closes_loop for entry in self.entries)
+
+
+def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, addresses: bool = False) -> list[Value]:
+    """Values that can be duplicated, in text order.
+
+    Args:
+        module: The kernel.
+        executions: Executions by function and block; blocks that are absent were not counted.
+        addresses: Whether addresses are compared before loads, too.
+    """
+    values: list[Value] = []
+    allowed = set(candidates(module))
+    for number, function in enumerate(module.functions):
+        counts = {block.label: executions.get((number, place)) for place, block in enumerate(function.blocks)}
+        back = back_edges(function)
+        # Values first: an operand of a phi may be computed later.
+        index: dict[str, int] = {}
+        made: list[tuple[Value, Instruction, str]] = []
+        for place, block in enumerate(function.blocks):
+            for offset, instruction in enumerate(block.sites):
+                site = Site(number, place, offset)
+                if site in allowed:
+                    index[str(instruction.result)] = len(values) + len(made)
+                    value = Value(site, instruction.opcode, instruction.kind, counts[block.label] or 0.0)
+                    made.append((value, instruction, block.label))
+        values += [value for value, _, _ in made]
+        for value, instruction, header in made:
+            value.weight = weight_of(instruction)
+            used = [name for name, _ in instruction.incoming] or instruction.uses()
+            value.operands = tuple(dict.fromkeys(index[name] for name in used if name in index))
+            value.entries = tuple(
+                Entry(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
+                for name, label in instruction.incoming
+            )
+        for block in function.blocks:
+            for instruction in block.all():
+                if is_fork(instruction):
+                    continue
+                user = index.get(str(instruction.result), OUTSIDE)
+                needed = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
+                for name, label in needed:
+                    if name in index:
+                        compared = addresses and reads_memory(instruction) and name in instruction.addresses
+                        values[index[name]].uses.append(Use(user, label, counts.get(label), compared))
+    return values
+
+
+def weight_of(instruction: Instruction) -> float:
+    """Cost of an instruction, in simple ones."""
+    if instruction.callee is not None:
+        return _CALL if _ROUNDING.match(instruction.callee) else 1.0
+    return _DIVISIONS.get(instruction.opcode, 1.0)
+
+
+def cost(values: Sequence[Value], index: int, chosen: Set[int]) -> float:
+    """Dynamic instructions added by one value of a chosen set, by weight."""
+    value = values[index]
+    return value.weight * value.executions + _copies(value, chosen) + _comparisons(value, chosen)
+
+
+def total_cost(values: Sequence[Value], chosen: Set[int]) -> float:
+    """Dynamic instructions added by a chosen set, by weight."""
+    return sum(cost(values, index, chosen) for index in chosen)
+
+
+def added(values: Sequence[Value], chosen: Set[int]) -> float:
+    """Number of dynamic instructions added by a chosen set."""
+    heavier = sum((values[index].weight - 1.0) * values[index].executions for index in chosen)
+    return total_cost(values, chosen) - heavier
+
+
+def _copies(value: Value, chosen: Set[int]) -> float:
+    """A shadow needs an operand that differs from the original's, or code generation would merge the two."""
+    if value.in_loop_header:
+        plain = (entry for entry in value.entries if entry.value not in chosen and not entry.closes_loop)
+        return sum(entry.executions for entry in plain)
+    if value.own_memory or any(operand in chosen for operand in value.operands):
+        return 0.0
+    return min((entry.executions for entry in value.entries), default=value.executions)
+
+
+def _comparisons(value: Value, chosen: Set[int]) -> float:
+    """Compared where it is made, or where it leaves the set, whichever is executed less often."""
+    exits = {use.block: use.executions for use in value.uses if use.compared or use.user not in chosen}
+    return value.comparison * least_executed(value, exits.values()) if exits else 0.0
+
+
+def least_executed(value: Value, exits: Iterable[float | None]) -> float:
+    """Executions of a value's comparisons, from those of the blocks in which it leaves the chosen set."""
+    there = 0.0
+    for executions in exits:
+        if executions is None:
+            return value.executions
+        there += executions
+    return min(value.executions, there)
+
+
+# ---- minimum cuts ---------------------------------------------------------------------------------------------------
+
+_SOURCE, _SINK, _FIRST = 0, 1, 2
+_SCALE = 2**29
+"""SciPy's capacities are 32-bit integers; more than the sum of all finite ones is infinite."""
+
+
+class Cuts:
+    """Minimum cuts of a kernel for a given benefit.
+
+    The copy of an operand, needed if no operand is chosen, is charged in equal parts to the operands that are not: a
+    condition on several operands is not representable in a cut.
+
+    Args:
+        values: See `values_of`.
+        benefit: Of choosing each value, not negative. Shape (values,).
+    """
+
+    def __init__(self, values: Sequence[Value], benefit: np.ndarray) -> None:
+        self._n = len(values)
+        self._nodes = _FIRST + self._n
+        self._edges: list[tuple[int, int, float]] = []  # from, to, cost
+        self._tied: list[tuple[int, int]] = []
+        self._benefit = np.asarray(benefit, np.float64)
+        for index, value in enumerate(values):
+            self._add(_FIRST + index, value)
+
+    def _add(self, node: int, value: Value) -> None:
+        pay = value.weight * value.executions
+        if value.in_loop_header:
+            for entry in value.entries:
+                if not entry.closes_loop:
+                    pay += self._pay(node, entry.value, entry.executions)
+        elif not value.own_memory:
+            copy = min((entry.executions for entry in value.entries), default=value.executions)
+            for operand in value.operands or (OUTSIDE,):
+                pay += self._pay(node, operand, copy / max(len(value.operands), 1))
+        exits = {use.block: use.executions for use in value.uses}
+        if exits:
+            pay += self._compare(node, value, value.comparison * least_executed(value, exits.values()))
+        self._edges.append((node, _SINK, pay))
+
+    def _pay(self, node: int, other: int, price: float) -> float:
+        """Charge a price if a node is chosen and another value is not; returns what is due in any case."""
+        if other == OUTSIDE:
+            return price
+        self._edges.append((node, _FIRST + other, price))
+        return 0.0
+
+    def _compare(self, node: int, value: Value, price: float) -> float:
+        if any(use.compared or use.user == OUTSIDE for use in value.uses):
+            return price
+        anywhere = self._nodes
+        self._nodes += 1
+        self._edges.append((node, anywhere, price))
+        self._tied += [(anywhere, _FIRST + use.user) for use in value.uses]
+        return 0.0
+
+    def at(self, price: float) -> frozenset[int]:
+        """The set that maximises benefit - price x cost, by index of value."""
+        wanted = np.flatnonzero(self._benefit > 0)
+        if not len(wanted):
+            return frozenset()
+        start, end, costs = (np.array(part) for part in zip(*self._edges, strict=True))
+        tied = np.array(self._tied, np.int64).reshape(-1, 2)
+        finite = np.concatenate([self._benefit[wanted], price * costs])
+        scaled = np.rint(finite * (_SCALE / max(self._benefit.sum(), 1e-300))).clip(max=_SCALE)
+        starts = np.concatenate([np.full(len(wanted), _SOURCE), start, tied[:, 0]])
+        ends = np.concatenate([_FIRST + wanted, end, tied[:, 1]])
+        weights = np.concatenate([scaled, np.full(len(tied), _SCALE)]).astype(np.int32)
+        graph = csr_array((weights, (starts, ends)), shape=(self._nodes, self._nodes))
+        graph.sum_duplicates()
+        graph.data = graph.data.clip(max=_SCALE).astype(np.int32)
+        residual = graph - maximum_flow(graph, _SOURCE, _SINK).flow
+        residual.data = np.maximum(residual.data, 0)
+        residual.eliminate_zeros()
+        reached = breadth_first_order(residual, _SOURCE, return_predecessors=False)
+        own = reached[(reached >= _FIRST) & (reached < _FIRST + self._n)]
+        return frozenset((own - _FIRST).tolist())
+
+
+# ---- choices --------------------------------------------------------------------------------------------------------
 
 _PRICES = np.geomspace(50.0, 1e-3, 48)
 """Prices of the hull, relative to benefit / cost of duplicating everything."""
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(NamedTuple):
     """A set of values to duplicate.
 
     Attributes:
@@ -40,7 +303,7 @@ class Chooser:
     """Choices for a kernel.
 
     Args:
-        values: See `flow.values_of`.
+        values: See `values_of`.
         benefit: Expected failures that duplicating each value removes, e.g. executions x SDC rate. Shape (values,).
     """
 
@@ -77,7 +340,8 @@ class Chooser:
 
     def within(self, budget: float) -> Choice:
         """The best known choice that adds at most `budget` dynamic instructions: a larger one never covers less."""
-        return max((step for step in self._steps if step.cost <= budget), key=lambda step: step.benefit).choice(self)
+        step = max((step for step in self._steps if step.cost <= budget), key=lambda step: step.benefit)
+        return self.choice([*step.corner.chosen, *step.added[: step.taken]])
 
     @cached_property
     def _steps(self) -> list["_Step"]:
@@ -133,18 +397,14 @@ class Chooser:
         return after - before
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """A corner of the hull with the first `count` of some additions."""
+class _Step(NamedTuple):
+    """A corner of the hull with the first `taken` of some additions."""
 
     corner: Choice
     added: list[int]
-    count: int
+    taken: int
     cost: float
     benefit: float
-
-    def choice(self, chooser: Chooser) -> Choice:
-        return chooser.choice([*self.corner.chosen, *self.added[: self.count]])
 
 
 def upper_hull(choices: Iterable[Choice]) -> list[Choice]:

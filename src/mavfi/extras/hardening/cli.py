@@ -89,13 +89,12 @@ def _advise(
     from rich.text import Text
 
     from mavfi.extras.hardening.certification import with_certified
-    from mavfi.extras.hardening.ledger import harm_of
     from mavfi.extras.hardening.page import write_page
     from mavfi.extras.hardening.plan import load_plan, save_plan
     from mavfi.extras.hardening.study import advise, plan_of
-    from mavfi.extras.hardening.summary import summary
+    from mavfi.extras.hardening.summary import harm_of, summary
     from mavfi.extras.hardening.text import advice_table, caveats, headline
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     harm = harm_of(study.runs)
     advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
@@ -131,7 +130,7 @@ def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_j
     from mavfi.extras.hardening.page import write_certificate
     from mavfi.extras.hardening.plan import load_plan, save_plan
     from mavfi.extras.hardening.text import certificate_table, verdict_line
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     plan = load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))

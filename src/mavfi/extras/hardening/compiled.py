@@ -1,13 +1,24 @@
-"""Machine code of a module, plain or protected, as a function of Python."""
+"""Machine code of a module, plain or protected, as a function of Python, and its time.
+
+Instructions are a poor guide to time: latency-bound code has free slots for shadows, throughput-bound code has none.
+Variants are timed by the processor's time stamp counter within the machine code, in turn, and compared within rounds,
+so that a slow phase of the machine affects all of them.  It does not affect them alike: another program on the
+same core takes the free slots that shadows need
+(`time_to_collision` in full takes x1.25 alone, up to x1.37 on a shared core), so the fastest rounds count.
+"""
 
 import ctypes
-from collections.abc import Collection
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
+import numpy as np
 
-from mavfi.extras.hardening.candidates import callees
+from mavfi.extras.hardening.battery import copied
+from mavfi.extras.hardening.duplicate import callees
 from mavfi.ir.build import Rewrite, Source, environment_of, load_code, translate
 from mavfi.ir.module import Function, Module
 from mavfi.ir.parser import parse_module
@@ -118,3 +129,133 @@ def main_function(module: Module, wrapper: str) -> Function:
                 if f"{function.name} (" in text or f"{function.name}(" in text:
                     return function
     raise ValueError(f"{wrapper}: calls no function of its module")
+
+
+# ---- time -----------------------------------------------------------------------------------------------------------
+
+_REPETITIONS, _TICKS = "mavfi_repetitions", "mavfi_ticks"
+_LONG_ENOUGH = 60_000
+"""Ticks of a measured loop (about 20 us), far more than those of reading the counter."""
+_MOST_REPETITIONS = 200
+_SHORT = 3_000_000
+"""Ticks of a call (about 1 ms) that fills the caches in a small part of its time."""
+_WARM = 2
+"""Calls before that of a short one that is timed: after one, `plan_rrt_connect` takes x1.22, not x1.18 (Intel)."""
+_FEWEST_ROUNDS = 9
+_QUIET_SHARE, _FEWEST_QUIET = 0.25, 3
+"""Share of a call's rounds that count, the fastest ones, and their fewest number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Time of variants of a function over recorded calls.
+
+    Attributes:
+        ratios: Time of each variant / time of plain code, over all recorded calls: mean of the ratios of calls, each a
+            median over its fastest rounds, weighted by the time of plain code.
+        ticks: Ticks of the time stamp counter per plain call: mean over the recorded calls.
+    """
+
+    ratios: dict[str, float]
+    ticks: float
+
+
+class Timed(Compiled):
+    """Machine code of a function, run many times within one call from Python.
+
+    Args:
+        source, environment: See `Compiled`.
+        code: As of `code_of`.
+    """
+
+    def __init__(self, source: Source, code: bytes, environment: Any) -> None:
+        super().__init__(source, code, environment)
+        self._repetitions, self._ticks = self.word(_REPETITIONS), self.word(_TICKS)
+
+    @staticmethod
+    def code_of(source: Source, module: Module) -> bytes:
+        """Machine code of a variant of a function's module, with its loop."""
+        return code_of(module, looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
+
+    def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
+        """Ticks per repetition of a call; modifies the arguments as so many calls do."""
+        self._repetitions.value = repetitions
+        self(*args)
+        return self._ticks.value / repetitions
+
+
+def looping(text: str, wrapper: str, main: Function) -> str:
+    """IR in which the wrapper calls a function in a loop, and stores the ticks of the time stamp counter."""
+    name = main.name
+    parts = text.split("\ndefine ")
+    for place, part in enumerate(parts):
+        if wrapper in part.split("\n", 1)[0]:
+            parts[place] = part.replace(f"{name} (", "@mavfi_loop (").replace(f"{name}(", "@mavfi_loop(")
+    typed = ", ".join(f"{kind} {parameter}" for kind, parameter in main.parameters)
+    return (
+        "\ndefine ".join(parts)
+        + f"""
+@{_REPETITIONS} = global i64 1
+@{_TICKS} = global i64 0
+declare i64 @llvm.readcyclecounter()
+define internal i32 @mavfi_loop({typed}) noinline {{
+mavfi.entry:
+  %mavfi.n = load volatile i64, ptr @{_REPETITIONS}
+  %mavfi.start = call i64 @llvm.readcyclecounter()
+  br label %mavfi.loop
+mavfi.loop:
+  %mavfi.i = phi i64 [ 0, %mavfi.entry ], [ %mavfi.next, %mavfi.loop ]
+  %mavfi.status = call i32 {name}({typed})
+  %mavfi.next = add i64 %mavfi.i, 1
+  %mavfi.more = icmp ult i64 %mavfi.next, %mavfi.n
+  br i1 %mavfi.more, label %mavfi.loop, label %mavfi.done
+mavfi.done:
+  %mavfi.end = call i64 @llvm.readcyclecounter()
+  %mavfi.ticks = sub i64 %mavfi.end, %mavfi.start
+  store volatile i64 %mavfi.ticks, ptr @{_TICKS}
+  ret i32 %mavfi.status
+}}
+"""
+    )
+
+
+Clock = Callable[[tuple[Any, ...], int], float]
+"""Ticks per repetition of a call, as `Timed.ticks`."""
+
+
+def compare(
+    plain: Clock, variants: Mapping[str, Clock], calls: Sequence[tuple[Any, ...]], enough: Callable[[int], bool]
+) -> Timing:  # fmt: skip
+    """Time variants in turn on recorded calls, until `enough` of the number of rounds, each with one call.
+
+    The order of the variants changes from round to round; each runs on a copy of the arguments.  A short call follows
+    others that are not timed: between so many variants the caches hold none of its code.
+    """
+    clocks = {"": plain, **variants}
+    names = list(clocks)
+    rows: list[dict[str, float]] = []
+    first = min(plain(copied(calls[0]), 1) for _ in range(3))
+    repetitions = int(np.clip(_LONG_ENOUGH / max(first, 1.0), 1, _MOST_REPETITIONS))
+
+    def timed(clock: Clock, args: tuple[Any, ...]) -> float:
+        for _ in range(_WARM if first < _SHORT else 0):
+            clock(copied(args), 1)
+        return clock(copied(args), repetitions)
+
+    while len(rows) < max(_FEWEST_ROUNDS, len(calls)) or not enough(len(rows)):
+        place = len(rows) % len(names)
+        args = calls[len(rows) % len(calls)]
+        rows.append({name: timed(clocks[name], args) for name in names[place:] + names[:place]})
+    by_call = [quiet(rows[place :: len(calls)]) for place in range(len(calls))]
+    plainly = np.array([np.median([row[""] for row in own]) for own in by_call])
+    ratios = {
+        name: float(np.average([np.median([row[name] / row[""] for row in own]) for own in by_call], weights=plainly))
+        for name in variants
+    }
+    return Timing(ratios, float(plainly.mean()))
+
+
+def quiet(rounds: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
+    """The fastest rounds of a call by the time of all variants together, which prefers none of them."""
+    kept = max(_FEWEST_QUIET, math.ceil(_QUIET_SHARE * len(rounds)))
+    return sorted(rounds, key=lambda row: sum(row.values()))[:kept]

@@ -8,6 +8,8 @@ of the uses, whichever are in fewer loops.  Both edges of a branch check the sha
 
 On a difference the function returns `DETECTED`, which every caller in the module propagates.  Numba's wrapper then
 raises a SystemError, which no kernel does otherwise.
+
+The first part says which instructions can be duplicated, the last one changes the wrapper.
 """
 
 import re
@@ -16,20 +18,99 @@ from collections.abc import Collection
 from copy import copy
 from dataclasses import replace
 
-from mavfi.extras.hardening.candidates import (
-    callees,
-    can_copy,
-    candidates,
-    constraint_of,
-    kinds_of,
-    reads_memory,
-    reporting,
-)
 from mavfi.extras.hardening.plan import Site
-from mavfi.extras.hardening.wrapper import GLOBALS, raising
 from mavfi.ir.flow import back_edges, loop_depths, successors
-from mavfi.ir.grammar import VOLATILE_LOAD
 from mavfi.ir.module import Block, Function, Instruction, Module, width
+from mavfi.ir.parser import VOLATILE_LOAD
+
+_PURE = re.compile(
+    r"@llvm\.(?:[us](?:min|max)|abs|floor|ceil|trunc|rint|nearbyint|round|roundeven|fabs|sqrt|copysign|fma|"
+    r"min(?:num|imum)|max(?:num|imum)|fshl|fshr|ctpop|ctlz|cttz|bswap|bitreverse|is\.fpclass|masked\.(?:load|gather)|"
+    r"[us](?:add|sub)\.sat|vector\.reduce\.\w+)(?:\.|$)|@(?:sqrt|fabs|floor|ceil|trunc|rint)f?$"
+)
+_MEMORY = re.compile(r"@llvm\.masked\.(?:load|gather)\.")
+_WORD = re.compile(r"i(?:8|16|32|64)|ptr")
+_SMALL = re.compile(r"i[1-7]")
+_VECTOR = re.compile(r"<\d+ x (?:double|float|i64|i32|i16|i8|ptr)>")
+
+
+def candidates(module: Module) -> list[Site]:
+    """All sites that can be duplicated, in text order."""
+    able = reporting(module)
+    return [
+        Site(i, j, k)
+        for i, function in enumerate(module.functions)
+        if function.name in able
+        for kinds in [kinds_of(function)]
+        for j, block in enumerate(function.blocks)
+        for k, instruction in enumerate(block.sites)
+        if can_repeat(instruction) and _can_differ(instruction, kinds)
+    ]
+
+
+def reporting(module: Module) -> set[str]:
+    """Functions that can return a status, and are called only by such functions and by Numba's wrapper."""
+    able = {function.name for function in module.functions if function.kind == "i32"}
+    calls = [(function.name, called) for function in module.functions for called in callees(function)]
+    while True:
+        lost = {called for caller, called in calls if caller not in able} & able
+        if not lost:
+            return able
+        able -= lost
+
+
+def callees(function: Function) -> set[str]:
+    """Names of the functions that a function calls."""
+    return {
+        instruction.callee for block in function.blocks for instruction in block.body if instruction.callee is not None
+    }
+
+
+def can_repeat(instruction: Instruction) -> bool:
+    """Whether an instruction may be executed twice: it has a result, and no effect but that."""
+    if instruction.result is None or instruction.kind[0] in "{[" or instruction.opcode == "alloca":
+        return False
+    if instruction.opcode == "call":
+        return bool(_PURE.match(str(instruction.callee)))
+    return instruction.opcode not in ("extractvalue", "insertvalue")
+
+
+def _can_differ(instruction: Instruction, kinds: dict[str, str]) -> bool:
+    """Whether its shadow can be kept apart from it, if all its operands are duplicated or copied."""
+    if instruction.opcode == "phi":
+        return can_copy(instruction.kind)
+    return instruction.opcode == "load" or any(name in kinds for name in instruction.uses())
+
+
+def reads_memory(instruction: Instruction) -> bool:
+    """Whether an instruction is a load, of one or several elements."""
+    return instruction.opcode == "load" or bool(_MEMORY.match(str(instruction.callee)))
+
+
+def can_copy(kind: str) -> bool:
+    """Whether a value of a type can be copied through a register."""
+    return constraint_of(kind) is not None or bool(_SMALL.fullmatch(kind))
+
+
+def constraint_of(kind: str) -> str | None:
+    """Constraint of the assembly through which a value of a type is copied; None = no register takes it."""
+    if _WORD.fullmatch(kind):
+        return '"=r,0"'
+    if kind in ("double", "float") or (_VECTOR.fullmatch(kind) and width(kind) == 128):
+        return '"=x,0"'
+    return None
+
+
+def kinds_of(function: Function) -> dict[str, str]:
+    """Types of a function's values, by name."""
+    parameters = {name: kind.removesuffix(" signext").removesuffix(" zeroext") for kind, name in function.parameters}
+    made = {
+        str(one.result): one.kind for block in function.blocks for one in block.all() if one.result is not None
+    }  # fmt: skip
+    return parameters | made
+
+
+# ---- duplication ----------------------------------------------------------------------------------------------------
 
 DETECTED = -4
 """Status of a protected function in which a value and its shadow differ.
@@ -378,3 +459,46 @@ def _branch(condition: str, first: str, second: str, weights: str, like: Instruc
     tokens = ["br", "i1", condition, ",", "label", first, ",", "label", second]
     tokens += [",", "!prof", weights] if weights else []
     return Instruction("br", tokens, conditions=[condition], location=like.location)
+
+
+# ---- the wrapper ----------------------------------------------------------------------------------------------------
+
+MESSAGE = "a value and its shadow differ"
+"""Text of the error."""
+GLOBALS = [
+    "@PyExc_SystemError = external global ptr",
+    f'@mavfi_detected = private constant [{len(MESSAGE) + 1} x i8] c"{MESSAGE}\\00"',
+]
+_AFTER = re.compile(r"\s*(?:%\S+ = load |call void @(?:PyEval_RestoreThread|NRT_decref) )")
+"""What follows the call: results are read, the interpreter's lock is taken, arguments are released."""
+
+
+def raising(text: str, kernels: set[str], status: int) -> str:
+    """A function outside the fault space; if it is the wrapper that calls one of the kernels, it raises."""
+    lines = text.split("\n")
+    if "@_ZN7cpython" not in lines[0] and '@"_ZN7cpython' not in lines[0]:
+        return text
+    calls = [number for number, line in enumerate(lines) if _called(line) in kernels]
+    if len(calls) != 1:
+        return text
+    end = calls[0] + 1
+    while _AFTER.match(lines[end]):
+        end += 1
+    label = next(line[:-1] for line in lines[calls[0] :: -1] if re.fullmatch(r'(?:"[^"]*"|[-\w$.]+):', line))
+    result = lines[calls[0]].split()[0]
+    check = [
+        f"  %mavfi.found = icmp eq i32 {result}, {status}",
+        "  br i1 %mavfi.found, label %mavfi.raise, label %mavfi.fine",
+        "mavfi.raise:",
+        "  call void @PyErr_SetString(ptr @PyExc_SystemError, ptr @mavfi_detected)",
+        "  ret ptr null",
+        "mavfi.fine:",
+    ]
+    after = [line.replace(f"%{label} ]", "%mavfi.fine ]") if " = phi " in line else line for line in lines]
+    return "\n".join([*after[:end], *check, *after[end:]])
+
+
+def _called(line: str) -> str:
+    """Name of the function that a line calls for a status; "" = none."""
+    found = re.match(r'\s*%\S+ = call i32 (@(?:"[^"]*"|[-\w$.]+)) \(', line)
+    return "" if found is None else found[1]

@@ -1,16 +1,19 @@
-"""Golden flights in which the kernels' functions are counted, and the arguments of some of their calls kept."""
+"""Golden flights with other functions: counted, with some arguments kept, or with the protected code of a plan."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.extras.hardening.plan import signature_text
-from mavfi.extras.hardening.recorded import Recording
+from mavfi.extras.hardening.battery import Recording
+from mavfi.extras.hardening.compiled import Compiled, compiled
+from mavfi.extras.hardening.plan import Plan, signature_text
+from mavfi.extras.hardening.protected import protection_of
 from mavfi.faults.levels.instruction.variant import Variant, signature_of, variant_for
 from mavfi.flight.fly import fly
+from mavfi.ir.build import name_of
 from mavfi.ir.sources import cached_source
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -46,6 +49,11 @@ class Seen:
     def instructions(self) -> int:
         """Dynamic instructions of all calls."""
         return self.variant.written(self.executions)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Function and signature, as in a plan."""
+        return name_of(self.function), self.signature_text
 
     @property
     def signature_text(self) -> str:
@@ -106,3 +114,70 @@ def observe(scenario: Scenario, kernels: Sequence[str]) -> dict[str, list[Seen]]
         made = {name: Observing(name, getattr(PLAIN, name), ahead) for name in names}
         fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name]))
     return {kernel: [seen for name in INJECTABLE[kernel] for seen in made[name].seen()] for kernel in kernels}
+
+
+class GoldenCheck(NamedTuple):
+    """Flights without a fault, plain and protected.
+
+    Attributes:
+        flights: Number of pairs.
+        same: Pairs with equal digests.
+        calls: Calls of protected code.
+        alarms: Of these, detections: all false.
+    """
+
+    flights: int = 0
+    same: int = 0
+    calls: int = 0
+    alarms: int = 0
+
+    @property
+    def passed(self) -> bool:
+        """Whether protection changes nothing without a fault."""
+        return self.same == self.flights and self.alarms == 0
+
+    def plus(self, other: "GoldenCheck") -> "GoldenCheck":
+        """Both checks as one: the sums of all counts."""
+        return GoldenCheck(*map(sum, zip(self, other, strict=True)))
+
+
+class Guarded:
+    """A function of which planned signatures run protected code; after a detection the plain one runs.
+
+    Attributes:
+        calls: Calls of protected code.
+        alarms: Detections.
+    """
+
+    def __init__(self, function: Any, plan: Plan) -> None:
+        self._function, self._plan = function, plan
+        self._protected: dict[tuple[Any, ...], Compiled | None] = {}
+        self.calls = self.alarms = 0
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        signature = signature_of(args)
+        if signature not in self._protected:
+            protection = protection_of(self._plan, name_of(self._function), signature)
+            code = None if protection is None else compiled(self._function, signature, protection)[0]
+            self._protected[signature] = code
+        protected = self._protected[signature]
+        if protected is None:
+            return self._function(*args)
+        self.calls += 1
+        try:
+            return protected(*args)
+        except SystemError:
+            self.alarms += 1
+            return self._function(*args)
+
+
+def check_golden(scenario: Scenario, plan: Plan, kernels: Sequence[str]) -> GoldenCheck:
+    """Fly a mission plain and with protected functions, and compare."""
+    names = entries_of(kernels)
+    made = {name: Guarded(getattr(PLAIN, name), plan) for name in names}
+    with np.errstate(all="ignore"):
+        plain = fly(scenario).log.digest()
+        own = fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name])).log.digest()
+    calls, alarms = (sum(getattr(one, count) for one in made.values()) for count in ("calls", "alarms"))
+    return GoldenCheck(1, int(plain == own), calls, alarms)

@@ -24,9 +24,8 @@ import numpy as np
 
 from mavfi.config import parse
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.duplicate import protect
+from mavfi.extras.hardening.duplicate import MESSAGE, protect
 from mavfi.extras.hardening.plan import FunctionPlan, Plan, check_code, load_plan, signature_text
-from mavfi.extras.hardening.wrapper import MESSAGE
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.levels.instruction import budget_for
 from mavfi.faults.levels.instruction.api import apart

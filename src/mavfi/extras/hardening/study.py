@@ -1,7 +1,7 @@
 """From a ledger to a plan."""
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,8 +10,8 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import processor
+from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.mission import host_of
-from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import (
@@ -19,19 +19,18 @@ from mavfi.extras.hardening.advise import (
     Advice,
     Choices,
     Step,
+    Tell,
     choices_of,
     curves_of,
     prepare_all,
     settle,
 )
-from mavfi.extras.hardening.learned import Learn, injections_in
 from mavfi.extras.hardening.observed import observe
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
-from mavfi.extras.hardening.target import Target, targets_of
+from mavfi.extras.hardening.target import Learn, Target, injections_in, targets_of
 from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, PLANNERS
 
-Tell = Callable[[str], None]
 FRESH = 2
 """Missions, per environment of the campaign, with which a plan is certified."""
 
@@ -61,8 +60,7 @@ class Study:
         """
         with Store.open(directory) as store:
             campaign, digest = stored_campaign(store), store.digest()
-        known = tuple(getattr(campaign.sampling, "kernels", ()))  # detectors are not protected
-        known = tuple(kernel for kernel in known if kernel in INJECTABLE)
+        known = _sampled(campaign)
         if not known:
             raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
         for kernel in kernels:
@@ -85,8 +83,7 @@ class Study:
     @property
     def selected(self) -> tuple[str, ...]:
         """Its kernels, if they are not all of the ledger's; otherwise ()."""
-        sampled = (kernel for kernel in getattr(self.campaign.sampling, "kernels", ()) if kernel in INJECTABLE)
-        return () if set(sampled) == set(self.kernels) else self.kernels
+        return () if set(_sampled(self.campaign)) == set(self.kernels) else self.kernels
 
     @property
     def complete(self) -> bool:
@@ -124,6 +121,11 @@ class Study:
             for environment in self.campaign.environments
             for seed in self.next_seeds
         ]
+
+
+def _sampled(campaign: Campaign) -> tuple[str, ...]:
+    """Its kernels; detectors, of which it may sample instructions, too, are not protected."""
+    return tuple(kernel for kernel in getattr(campaign.sampling, "kernels", ()) if kernel in INJECTABLE)
 
 
 def advise(

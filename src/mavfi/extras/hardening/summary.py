@@ -1,18 +1,58 @@
-"""An advice in numbers, for the terminal, JSON and the page."""
+"""An advice in numbers, for the terminal, JSON and the page, and what the faults of its ledger did to missions."""
 
 from collections import defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from mavfi.analysis.statistics import Rate
+import polars as pl
+
+from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE
+from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import Rate, wilson
+from mavfi.campaign.plan import FI
+from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import Advice, Curve, Step, coverage_of, coverage_of_steps
-from mavfi.extras.hardening.candidates import candidates
 from mavfi.extras.hardening.certify import rate_of
-from mavfi.extras.hardening.flow import added
-from mavfi.extras.hardening.ledger import Harm
+from mavfi.extras.hardening.choose import added
+from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.plan import Plan, Site
 from mavfi.extras.hardening.study import Study
 from mavfi.extras.hardening.target import Target
+from mavfi.outcomes import Effect
+
+_SDC = Effect.SDC.label
+
+
+@dataclass(frozen=True, slots=True)
+class Harm:
+    """What the faults of a ledger did to missions that succeed without them: what protection cannot buy.
+
+    Attributes:
+        silent: Missions lost to a silent corruption.
+        dead: Missions lost to a crash, hang or exception of a kernel, whose node restarts.
+        dead_share: Crashes, hangs and exceptions per injection.
+    """
+
+    silent: Rate
+    dead: Rate
+    dead_share: Rate
+
+
+def harm_of(runs: Runs) -> Harm:
+    """Missions lost in a ledger, by effect on the kernel; bits and instructions as drawn.
+
+    Raises:
+        BadInputError: No flight with a fault in an instruction is done.
+    """
+    own = runs.injected.where("judged", "golden_success", level="instruction", setting=FI, site_outcome=ACTIVATED)
+    if not len(own):
+        raise BadInputError("no flight with a fault in an instruction is done (level: instruction)")
+    silent, dead = own.where(kernel_effect=_SDC), own.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
+    lost = [wilson(part["success"].count(False), len(part)) for part in (silent, dead)]
+    return Harm(lost[0], lost[1], wilson(len(dead), len(own)))
+
+
+# ---- the advice -----------------------------------------------------------------------------------------------------
 
 PROTECTED = "protected"
 """Key of the removed share among the `escapes` of a function."""

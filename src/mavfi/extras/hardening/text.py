@@ -3,9 +3,8 @@
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import Table
-from mavfi.extras.hardening.certification import Certification
+from mavfi.extras.hardening.certification import TOLERANCE, Certification
 from mavfi.extras.hardening.certify import CONFIRMED, REFUTED, RESOLVED, UNDECIDED, UNKNOWN, Certificate, Unprotected
-from mavfi.extras.hardening.spending import TOLERANCE
 from mavfi.extras.hardening.summary import AdviceSummary
 from mavfi.report.text import ABSENT, percent
 

@@ -15,8 +15,7 @@ from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.extras.logs.live import LiveView
-    from mavfi.extras.logs.report import Rates
-    from mavfi.extras.logs.watch import Judged, LogWatch
+    from mavfi.extras.logs.watch import Judged, LogWatch, Rates
 
 _MOST_FLIPS = 100_000
 _MOST_LISTED = 10
@@ -76,7 +75,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     from mavfi.detectors.preprocess import PROFILES
     from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.extras.logs.report import Rates
+    from mavfi.extras.logs.watch import Rates
 
     check_name("--detector", detector, of_monitored_fields())
     check_name("--profile", profile, PROFILES)
@@ -157,7 +156,7 @@ def _summary(rates: Rates) -> list[str]:
 
 
 def _table(judged: list[Judged]) -> Table:
-    from mavfi.extras.logs.report import delay_text
+    from mavfi.extras.logs.watch import delay_text
 
     table = titled_table("Recordings")
     for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.flight.loop import Loop
-from mavfi.flight.observe import Item
+from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS
 from mavfi.report.export.files import Maker
@@ -78,7 +77,7 @@ class LiveView:
         BadInputError: The library is not installed, or the port is in use.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int = PORT) -> None:
         try:
             import foxglove
         except ImportError:

@@ -13,8 +13,8 @@ from mavfi.cli.stopping import stoppable
 from mavfi.mission import OF_THE_PIPELINE, MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.extras.mavlink.running import Telemetry
     from mavfi.extras.mavlink.server import Server
+    from mavfi.extras.mavlink.tlog import Telemetry
 
 _LONGEST_S = 7 * 86_400.0
 _LAST_PORT = 65_535
@@ -39,7 +39,7 @@ class GroundStationOption:
     @staticmethod
     def build(values: dict[str, Any]) -> tuple[Telemetry, str]:
         """The observer, and a line of text that says where the flight can be seen."""
-        from mavfi.extras.mavlink.running import HOST, Telemetry
+        from mavfi.extras.mavlink.tlog import HOST, Telemetry
 
         port = values["mavlink"]
         return Telemetry(port), f"sending the flight to udp://{HOST}:{port}"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.training import RecordedFlights
-    from mavfi.cli.progress import StudyBar
+    from mavfi.extras.paper.cli_report import StudyBar
     from mavfi.extras.paper.steps import Steps
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
@@ -56,8 +56,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.run import run_campaigns
     from mavfi.campaign.training import record
     from mavfi.campaign.warm_up import compile_ahead
-    from mavfi.cli.progress import StudyBar
-    from mavfi.extras.paper.cli_report import show_study_report, write_study_report
+    from mavfi.extras.paper.cli_report import StudyBar, show_study_report, write_study_report
     from mavfi.extras.paper.overheads import measure, save
     from mavfi.extras.paper.report import check_names
     from mavfi.extras.paper.steps import FLIGHTS as FLIGHTS_STEP

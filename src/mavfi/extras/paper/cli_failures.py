@@ -27,7 +27,7 @@ def failures(
     from mavfi.analysis import Runs
     from mavfi.extras.paper.failure_rate import find_upsets
     from mavfi.extras.paper.failure_views import failure_table, summary
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     chosen, runs = find_upsets(upsets), Runs.read(directory)
     table = failure_table(runs, chosen)

@@ -31,7 +31,7 @@ def redundancy(
     from mavfi.extras.paper.redundancy_figure import redundancy as draw
     from mavfi.extras.paper.redundancy_views import redundancy_tables, summary
     from mavfi.report import style
-    from mavfi.report.terminal import show_table
+    from mavfi.report.text import show_table
 
     check_file("--picture", picture, PICTURES)
     designs = [find_design(name) for name in vehicle] if vehicle else shipped_designs()

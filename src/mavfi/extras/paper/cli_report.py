@@ -1,8 +1,9 @@
 """Reports of studies: write files and page, print the headline."""
 
 import re
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,13 +13,39 @@ from rich.text import Text
 
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.store import FILE, Store
 from mavfi.cli.console import console
-from mavfi.cli.progress import StudyBar
-from mavfi.cli.report_page import write_study_html
-from mavfi.extras.paper.report import StudyReport, write_study, write_texts
+from mavfi.cli.progress import Bar
+from mavfi.cli.report import Reported
+from mavfi.extras.paper.report import StudyReport, stored_study, write_study, write_texts
+from mavfi.extras.paper.steps import Steps
 from mavfi.extras.paper.study import Study
-from mavfi.report.campaign_report import write_report
-from mavfi.report.terminal import show_table
+from mavfi.files import check_folder
+from mavfi.report.campaign_report import Report, write_report
+from mavfi.report.figures import Drawn, drawn
+from mavfi.report.html.report_page import Headline, Part, Section, write_page
+from mavfi.report.text import show_table
+
+
+class StudyBar(Bar):
+    """Progress bar of a study, which takes one step after the other.
+
+    Args:
+        study: Name of the study.
+        steps: To which the wall times of the steps are added.
+    """
+
+    def __init__(self, study: str, steps: Steps) -> None:
+        super().__init__(study)
+        self.steps = steps
+        self._study = study
+
+    @contextmanager
+    def timed(self, step: str, unit: str = "flights") -> Iterator[Bar]:
+        """Show a step, counted in units, and add its wall time to those of the study."""
+        self.begin(f"{self._study}, {step}", unit)
+        with self.steps.timed(step):
+            yield self
 
 
 def write_study_report(  # noqa: PLR0913 - what the command was given
@@ -47,17 +74,32 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         partial(write_study, study, scale, folder),  # the longest first
         *(partial(write_report, directory) for directory in campaigns),
     ]
-    show = None if bar is None else bar.show
     with nullcontext() if bar is None else bar.timed("tables and figures", "reports"):
+        show = None if bar is None else bar.show
         written, *found = _written(tasks, 1 if _polars_has_threads() else workers, show)
     if bar is not None:
         written = replace(written, steps=bar.steps)
     reports = dict(zip(campaigns, found, strict=True))
-    with nullcontext() if bar is None else bar.timed("report.html and its flights"):
-        count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers, show)
+    count = 0
+    if page is not None:
+        with bar.timed("report.html and its flights") if bar else Bar("flights of the page") as shown:
+            count = write_study_html(page, folder, written, scale, reports, flights, workers, shown.show)
     if bar is not None:
         write_texts(written, scale, folder)
     return written, count
+
+
+def report_study(directory: Path, html: Path | None, flights: int | None, workers: int) -> Reported | None:
+    """Write the report of the study in a folder; None if it holds none.  See `mavfi.cli.report.report_campaign`."""
+    stored = stored_study(directory)
+    if stored is None:
+        return None
+    study, scale = stored
+    for folder in study.campaigns:
+        Store.open(directory / folder).close()  # fails before writing
+    check_folder(directory)
+    written, count = write_study_report(study, scale, directory, html, flights, workers)
+    return Reported(written, count, partial(drawn_of_study, written), partial(show_study_report, written))
 
 
 def _polars_has_threads() -> bool:
@@ -99,3 +141,76 @@ def show_study_report(written: StudyReport, show_all: bool) -> None:
         terminal.print(Text(title, "bold"))
         for line in lines:
             terminal.print(Text(f"· {line}"))
+
+
+# ---- the page --------------------------------------------------------------------------------------------------------
+def sections_of_study(study: StudyReport) -> list[Section]:
+    """Sections of a study: the headline, then all sections in order, then the times."""
+    found = [
+        Section(one.section.title, one.tables, drawn(one.runs, one.section.figures) if one.runs else (),
+                one.section.text)
+        for one in study.sections
+    ]  # fmt: skip
+    leading = [found[study.sections.index(one)] for one in study.headline]
+    first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
+    return [*first, *found, Section("Where the time goes", study.times)]
+
+
+def drawn_of_study(study: StudyReport) -> list[Drawn]:
+    """Figures of a study; their names begin with that of the campaign."""
+    return [
+        replace(found, name=f"{one.runs.campaign['name']}_{found.name}")
+        for one in study.sections
+        if one.runs is not None
+        for found in drawn(one.runs, one.section.figures)
+    ]
+
+
+def headline_of_study(study: StudyReport) -> Headline:
+    """Headline of a study: environments, number of runs by level, provenance; the remarks describe each campaign."""
+    campaigns = [runs.campaign for runs in study.campaigns.values()]
+    done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
+    levels = Counter[str]()
+    for runs in study.campaigns.values():
+        levels.update(runs.injected["level"])
+    golden = sum(len(runs.golden) for runs in study.campaigns.values())
+    counts = [f"{golden:,} without a fault", *(f"{n:,} with one at {level} level" for level, n in levels.most_common())]
+    nulls = sum(len(runs.where(kind="null")) for runs in study.campaigns.values())
+    counts += [f"{nulls:,} as with a fault, but without one (null)"] if nulls else []
+    places = dict.fromkeys(
+        campaign.get("parts", {}).get(name, {}).get("environment") or name
+        for campaign in campaigns for name in campaign["environments"]
+    )  # fmt: skip
+    lines = [
+        f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
+        f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
+        *study.provenance,
+    ]
+    return Headline("study", f"Study {study.study.name}", lines, study.findings)
+
+
+def write_study_html(  # noqa: PLR0913 - what the command was given
+    path: Path, root: Path, study: StudyReport, scale: str, reports: Mapping[Path, Report], flights: int | None,
+    workers: int, show: Callable[[int, int], None],
+) -> int:  # fmt: skip
+    """Write the page of a study.
+
+    Args:
+        path: File to write.
+        root: Folder of the study.
+        study: Its results.
+        scale: Its scale.
+        reports: Reports of its campaigns, by folder of the ledger.
+        flights: Maximum number of flights; None = as many as fit.
+        workers: Number of processes.
+        show: See `write_page`.
+
+    Returns:
+        Number of flights in the page.
+    """
+    parts = [Part(directory, report) for directory, report in reports.items()]
+    repeat = [
+        ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
+    ]
+    return write_page(path, parts, sections_of_study(study), repeat, flights, workers, show, headline_of_study(study))

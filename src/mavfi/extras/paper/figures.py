@@ -12,9 +12,8 @@ from mavfi.analysis.measures import rate_of
 from mavfi.analysis.runs import Runs
 from mavfi.extras.paper.views import GOLDEN_ROW, by_bits, by_kernel, by_state, distribution, value_at_risk
 from mavfi.plugins import Chapter
-from mavfi.report import style
-from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing
+from mavfi.report import links, style
+from mavfi.report.figures import Drawing
 
 _ROW = 0.3
 """Height of a row (in)."""

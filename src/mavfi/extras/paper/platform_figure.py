@@ -8,9 +8,8 @@ from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import GOLDEN
 from mavfi.extras.paper.platform_views import compared, platforms
 from mavfi.plugins import Chapter
-from mavfi.report import style
-from mavfi.report.figures import links
-from mavfi.report.figures.registry import Drawing
+from mavfi.report import links, style
+from mavfi.report.figures import Drawing
 
 
 def flight_times(runs: Runs) -> Figure | None:

@@ -11,7 +11,7 @@ from mavfi.extras.paper.redundancy import DesignConfig, energy_ratio, performanc
 from mavfi.extras.paper.redundancy_views import AUTOENCODER, band, ratio, schemes
 from mavfi.plugins import Chapter
 from mavfi.report import style
-from mavfi.report.figures.registry import Drawing
+from mavfi.report.figures import Drawing
 
 _LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PURPLE, "D"))
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from mavfi.analysis import VIEWS, table, views_for
 from mavfi.analysis.findings import findings
+from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import Table
-from mavfi.campaign.telling import with_flights
 from mavfi.config import parse
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, write_text, writing

@@ -6,9 +6,9 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from mavfi.campaign.config import Campaign, Scale, load_campaign
-from mavfi.campaign.sampling import check_distinct, check_known
 from mavfi.config import Config, Name, shipped
 from mavfi.errors import BadInputError
+from mavfi.levels.level import check_distinct, check_known
 
 
 class Section(Config):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -54,7 +53,7 @@ def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, i
     return node, round(1e6 * time_s)
 
 
-@partial(options.with_extra_options, group=PROCESSES)
+@options.with_extra_options(PROCESSES)
 def inject(  # noqa: PLR0913 - one parameter per option
     pid: Annotated[int | None, typer.Option(help="Process to inject; one of your own.")] = None,
     symbol: Annotated[
@@ -109,8 +108,8 @@ def _process(pid: int | None, others: dict[str, Any]) -> int:
         raise BadInputError(f"{names}: allowed: one of them")
     if pid is not None:
         return pid
-    found = (extra.pid_of(others) for extra in extensions(PROCESSES).values())
-    return next(number for number in found if number is not None)
+    numbers = (extra.pid_of(others) for extra in extensions(PROCESSES).values())
+    return int(next(number for number in numbers if number is not None))
 
 
 def _report(injection: Injection) -> None:

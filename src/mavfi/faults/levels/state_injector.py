@@ -10,6 +10,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.injector import Injector
 from mavfi.faults.levels.transit import is_length, with_length
 from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
@@ -124,7 +125,7 @@ class CounterWatch:
         return []
 
 
-class StateInjector:
+class StateInjector(Injector):
     """A tap that injects one fault, once or while it lasts; all other publications pass unchanged."""
 
     def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
@@ -148,8 +149,8 @@ class StateInjector:
         return other
 
     @property
-    def spent(self) -> bool:
-        """Whether all further publications will pass unchanged."""
+    def spent(self) -> bool:  # type: ignore[override] # known at any time
+        """See `Injector.spent`."""
         return not self._armed
 
     def __call__(self, state: State, time_us: int) -> State | None:

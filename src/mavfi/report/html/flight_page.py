@@ -1,15 +1,133 @@
 """The page of a flight: an interactive 3-D scene, time lines around the fault, the explanation, and commands."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mavfi.campaign.divergence import Publication, departure, first_difference, spread
+from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
+from mavfi.campaign.store import Store
 from mavfi.errors import write_text
-from mavfi.report.explain import Lines
+from mavfi.faults.fault import Fault
+from mavfi.flight.decide import Recovery
+from mavfi.flight.host import ArmSetup, Flight
+from mavfi.mission import MissionSpec, MissionStatus, Scenario
+from mavfi.record import FlightLog
+from mavfi.report.explain import Lines, around, detector_name, end_of, lines, published_field, steps, verdict
+from mavfi.report.flight_result import FlightResult
 from mavfi.report.html import page
-from mavfi.report.html.flight_data import Course, flight_data
+from mavfi.report.html.page import encoded
+from mavfi.report.html.time_lines import time_lines
 from mavfi.sim.environments import World
+
+GOLDEN, INJECTED, RECOVERED = "golden", "injected", "recovered"
+"""Roles of flights on a page."""
+SAMPLES = 400
+"""Approximate maximum number of samples per path."""
+MOST_ALARMS = 60
+"""Maximum number of alarms marked per flight."""
+NEAR = 8.0
+"""Distance from the paths within which voxels of a scan are shown (m)."""
+MOST_VOXELS = 20_000
+_STEP = 5  # stride over the rows of a log: 10 Hz
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One of the flights of a page.
+
+    Attributes:
+        role: "golden", "injected" or "recovered".
+        label: Label in the legend.
+        log: The flight.
+        published: Its publications, in order; empty = not recorded.
+    """
+
+    role: str
+    label: str
+    log: FlightLog
+    published: Sequence[Publication] = ()
+
+
+def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict[str, Any]:
+    """World, paths and time lines of flights of one mission.
+
+    Args:
+        courses: The flights, with each role at most once; the golden run first.
+        world: World of the mission.
+        site: Site of the fault, as text; if it is a state field, it is the first time line.
+    """
+    paths = [course_data(course) for course in courses]
+    at = next((path["fault"] for path in paths if path["fault"] is not None), None)
+    return {
+        "world": world_data(world, courses), "paths": paths, "fault": at,
+        "lines": [] if at is None else time_lines(
+            {course.role: course.published for course in courses}, at, site, _first_wrong(courses)
+        ),
+    }  # fmt: skip
+
+
+def _first_wrong(courses: Sequence[Course]) -> str:
+    """The first field that differs in the output of the injected kernel; "" = none, or no kernel was injected."""
+    effects = [course.log.kernel for course in courses if course.log.kernel is not None]
+    found = next((effect.first_difference for effect in effects if effect.first_difference), None)
+    return "" if found is None else published_field(found)
+
+
+def course_data(course: Course) -> dict[str, Any]:
+    """Data of a flight: time, position and speed as float32, attitude as int8, end, fault, alarms."""
+    log = course.log
+    rows = log.rows[np.isfinite(log.columns("x", "y", "z", "vx", "vy", "vz")).all(axis=1)]
+    step = max(_STEP, -(-len(rows) // SAMPLES))
+    rows = rows[np.unique(np.append(np.arange(0, len(rows), step), len(rows) - 1))]
+    speed = np.linalg.norm(rows[:, 4:7], axis=1)
+    near, _ = around(log)
+    near_times = {alarm.time_s for alarm in near}
+    injected = [injection.time_s for injection in log.injections if injection.activated]
+    return {
+        "role": course.role, "label": course.label, "n": len(rows),
+        "rows": encoded(np.column_stack([rows[:, :4], speed]), "f4"),
+        "attitude": encoded(np.clip(127 * np.nan_to_num(rows[:, 7:11]), -127, 127).round(), "i1"),
+        "success": log.status is MissionStatus.SUCCESS, "status": log.status.words,
+        "end": round(float(log.column("time")[-1]), 3), "fault": injected[0] if injected else None,
+        "alarms": [
+            [round(alarm.time_s, 3), int(alarm.time_s in near_times), f"{alarm.source}: {alarm.action} {alarm.stage}"]
+            for alarm in log.alarms[:MOST_ALARMS]
+        ],
+    }  # fmt: skip
+
+
+def world_data(world: World, courses: Sequence[Course]) -> dict[str, Any]:
+    """Data of a world: start, goal, arena, boxes as float32 corners; for scans, surface voxels as int16 indices."""
+    data: dict[str, Any] = {
+        "start": world.start.tolist(), "goal": world.goal.tolist(),
+        "arena": [*world.arena_lower.tolist(), *world.arena_upper.tolist()],
+        "boxes": encoded(np.hstack([world.lower, world.upper]), "f4"),
+    }  # fmt: skip
+    if world.is_voxels:
+        cells = _surface_near(world, np.concatenate([course.log.columns("x", "y", "z") for course in courses]))
+        data |= {"voxels": encoded(cells, "i2"), "origin": world.origin.tolist(), "edge": world.resolution}
+    return data
+
+
+def _surface_near(world: World, points: np.ndarray) -> np.ndarray:
+    """Indices of solid voxels with a free neighbour, ordered by distance from the paths. Shape (n, 3)."""
+    solid = np.pad(world.occupied, 1, constant_values=True)
+    buried = np.ones_like(world.occupied)
+    for axis in range(3):
+        for shift in (-1, 1):
+            buried &= np.roll(solid, shift, axis)[1:-1, 1:-1, 1:-1]
+    cells = np.argwhere(world.occupied & ~buried)
+    path = points[np.isfinite(points).all(axis=1)][::_STEP]
+    distance = cKDTree(path).query(world.origin + (cells + 0.5) * world.resolution)[0]
+    order = np.argsort(distance, kind="stable")[: int((distance < NEAR).sum())]
+    found: np.ndarray = cells[order[:MOST_VOXELS]]
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,3 +169,108 @@ def write_flight_page(path: Path, flight: FlightPage) -> Path:
     """Write the page of one flight; `BadInputError` if the file cannot be written."""
     write_text(path, page.render("flight.html.j2", flight=flight.to_json()))
     return path
+
+
+# ---- of a flight, and of a run of a ledger, with all publications recorded -------------------------------------------
+
+FAULT, NO_FAULT = "with the fault", "golden run"
+
+
+def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, command: str) -> FlightPage:
+    """Build the page of a flight requested by `mavfi fly`.
+
+    Args:
+        result: The flight.
+        setup: Its mission, detector and recovery.
+        bare: The mission without the detector.
+        command: The command that repeats it.
+    """
+    mission = result.scenario
+    context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.autopilot.name}"
+    commands = [("fly it again", command)]
+    if result.golden is None or result.effect is None:
+        story: Lines = [("verdict", end_of(result.log)), ("flight", f"without a fault; {end_of(result.log)}")]
+        course = Course(GOLDEN, NO_FAULT, result.log)
+        return FlightPage.of(context, story, commands, [course], result.flight.world)
+    watched = _course(RECOVERED, f"{FAULT} and detector {result.detector}", setup, result.fault, result.flight)
+    alone = Course(INJECTED, FAULT, result.log, watched.published)
+    if result.unwatched is not None:
+        alone = _course(INJECTED, FAULT, ArmSetup(bare, None, Recovery()), result.fault, result.unwatched)
+    elif result.detector:
+        alone = watched
+    golden = _course(GOLDEN, NO_FAULT, setup, None, result.golden)
+    courses = [golden, alone] if result.unwatched is None else [golden, alone, watched]
+    seen, logs = (golden.published, watched.published), (result.golden.log, result.log)
+    first = first_difference(*seen)
+    judged = verdict(result.effect, result.log, result.golden.log)
+    if result.unwatched is not None:
+        judged = f"with detector {result.detector}, {judged}; without it: {result.unwatched.log.status.value.lower()}"
+    story = [("verdict", judged.removesuffix("."))]
+    story += steps(
+        result.log, result.golden.log, result.fault, result.detector, first, departure(*logs),
+        spread(*seen),
+    )  # fmt: skip
+    if result.unwatched is not None:
+        story.append(("without the detector", end_of(result.unwatched.log)))
+    return FlightPage.of(context, story, commands, courses, result.flight.world, _site(result.fault))
+
+
+def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight: Flight) -> Course:
+    """A flight with its publications."""
+    return Course(role, label, flight.log, fly_recorded(setup, fault)[1])
+
+
+def _site(fault: Fault | None) -> str:
+    return "" if fault is None else fault.site
+
+
+def page_of_explanation(directory: Path, found: Explanation, partner: str | None, shown: Path) -> FlightPage:
+    """Build the page of an injected run, with its golden run and the same fault in another setting.
+
+    Args:
+        directory: Folder of the ledger.
+        found: The run and its golden run.
+        partner: Id of a run with the same fault, see `campaign.telling.partner`; None = none.
+        shown: Folder to print in commands.
+    """
+    spec = found.spec
+    own = Course(*_role(spec.detector, detector_name(spec)), found.flight.log, found.published)
+    courses = [Course(GOLDEN, NO_FAULT, found.golden.log, found.golden_published), own]
+    story = lines(found)
+    if partner is not None:
+        with Store.open(directory) as store:
+            other = store.run(partner).spec
+            log = flight_again(store, other).log
+        role, label = _role(other.detector, detector_name(other))
+        courses.append(Course(role, label, log))
+        what = f"with {detector_name(other)}" if other.detector else "without a detector"
+        story.append((what, f"{end_of(log)}, run {partner}"))
+    courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
+    commands = [
+        ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}"),
+        ("explain it step by step", f"mavfi explain {shown} {spec.run_id}"),
+        ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png"),
+    ]
+    context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
+    return FlightPage.of(context, story, commands, courses, found.flight.world, _site(spec.fault))
+
+
+def _role(detector: str, name: str) -> tuple[str, str]:
+    return (RECOVERED, f"{FAULT} and detector {name}") if detector else (INJECTED, FAULT)
+
+
+def fly_command(
+    mission: MissionSpec, fault: str | None, fault_seed: int | None, detector: str, profile: str | None,
+    models: Path | None,
+) -> str:  # fmt: skip
+    """The command line of a flight, with the options that were set."""
+    given: dict[str, object] = {"environment": mission.environment, "seed": mission.seed}
+    given |= mission.model_dump(mode="json", exclude_unset=True)
+    given |= {"fault": fault, "fault_seed": fault_seed, "detector": None if detector == "none" else detector}
+    given |= {"profile": profile, "models": models}
+    words = [f"--{name.replace('_', '-')} {_word(value)}" for name, value in given.items() if value is not None]
+    return " ".join(["mavfi fly", *words])
+
+
+def _word(value: object) -> str:
+    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else shlex.quote(str(value))

@@ -1,41 +1,34 @@
 """The report of one or more campaigns as one HTML file: headline, sections, runs, flights."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import polars as pl
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from mavfi.analysis.runs import Runs
+from mavfi.analysis.listing import ordered, partner
 from mavfi.analysis.table import Table
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.ledger import stored_campaign
+from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, write_text
-from mavfi.extras.paper.report import StudyReport
-from mavfi.report import style
 from mavfi.report.campaign_report import REMARKS, Report
-from mavfi.report.figures import FIGURES
+from mavfi.report.figures import Drawn, drawn
 from mavfi.report.html import page
-from mavfi.report.html.figure_svg import svg_of
-from mavfi.report.html.flight_page import FlightPage
-from mavfi.report.html.run_list import run_list
-from mavfi.report.html.table_data import RunSets, table_data
+from mavfi.report.html.report_data import RunSets, run_list, svg_of, table_data
 from mavfi.report.text import checks, header
+
+if TYPE_CHECKING:
+    from mavfi.report.html.flight_page import FlightPage
 
 LARGEST = 15_000_000
 """Maximum size of a page (bytes)."""
 _LONG = 30
 """Tables with more rows than this are collapsed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """A figure of a section."""
-
-    name: str
-    figure: Figure
-    caption: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,41 +39,6 @@ class Section:
     tables: Sequence[Table] = ()
     figures: Sequence[Drawn] = ()
     text: str = ""
-
-
-def drawn(runs: Runs) -> list[Drawn]:
-    """All general figures that are applicable to these runs."""
-    if not runs.has_missions:
-        return []
-    return _drawn(runs, [name for name, found in FIGURES.items() if found.general])
-
-
-def _drawn(runs: Runs, names: Iterable[str]) -> list[Drawn]:
-    with style.house_style():
-        made = [(name, FIGURES[name].draw(runs)) for name in names]
-    return [Drawn(name, figure, FIGURES[name].caption_of(runs)) for name, figure in made if figure is not None]
-
-
-def sections_of_study(study: StudyReport) -> list[Section]:
-    """Sections of a study: the headline, then all sections in order, then the times."""
-    found = [
-        Section(one.section.title, one.tables, _drawn(one.runs, one.section.figures) if one.runs else (),
-                one.section.text)
-        for one in study.sections
-    ]  # fmt: skip
-    leading = [found[study.sections.index(one)] for one in study.headline]
-    first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
-    return [*first, *found, Section("Where the time goes", study.times)]
-
-
-def drawn_of_study(study: StudyReport) -> list[Drawn]:
-    """Figures of a study; their names begin with that of the campaign."""
-    return [
-        replace(found, name=f"{one.runs.campaign['name']}_{found.name}")
-        for one in study.sections
-        if one.runs is not None
-        for found in _drawn(one.runs, one.section.figures)
-    ]
 
 
 def sections_of(report: Report) -> list[Section]:
@@ -116,32 +74,9 @@ def headline_of(report: Report) -> Headline:
     return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], {"": report.findings})
 
 
-def headline_of_study(study: StudyReport) -> Headline:
-    """Headline of a study: environments, number of runs by level, provenance; the remarks describe each campaign."""
-    campaigns = [runs.campaign for runs in study.campaigns.values()]
-    done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
-    levels = Counter[str]()
-    for runs in study.campaigns.values():
-        levels.update(runs.injected["level"])
-    golden = sum(len(runs.golden) for runs in study.campaigns.values())
-    counts = [f"{golden:,} without a fault", *(f"{n:,} with one at {level} level" for level, n in levels.most_common())]
-    nulls = sum(len(runs.where(kind="null")) for runs in study.campaigns.values())
-    counts += [f"{nulls:,} as with a fault, but without one (null)"] if nulls else []
-    places = dict.fromkeys(
-        campaign.get("parts", {}).get(name, {}).get("environment") or name
-        for campaign in campaigns for name in campaign["environments"]
-    )  # fmt: skip
-    lines = [
-        f"Missions of an autonomous quadrotor in {', '.join(places)}: at most one flipped bit per mission",
-        f"{done:,} of {total:,} runs done in {len(campaigns)} campaigns: {', '.join(counts)}",
-        *study.provenance,
-    ]
-    return Headline("study", f"Study {study.study.name}", lines, study.findings)
-
-
 def write_report_page(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
-    flights: Iterable[tuple[str, FlightPage]] = (), *, headline: Headline | None = None, largest: int = LARGEST,
+    flights: Iterable[tuple[str, "FlightPage"]] = (), *, headline: Headline | None = None, largest: int = LARGEST,
 ) -> int:  # fmt: skip
     """Write the page of one or more campaigns.
 
@@ -194,7 +129,7 @@ def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[s
         }  # fmt: skip
 
 
-def _as_fit(flights: Iterable[tuple[str, FlightPage]], left: int) -> Mapping[str, Markup]:
+def _as_fit(flights: Iterable[tuple[str, "FlightPage"]], left: int) -> Mapping[str, Markup]:
     """JSON of flights by run id, up to the first one that does not fit; stops iterating there."""
     stored: dict[str, Markup] = {}
     for run_id, flight in flights:
@@ -204,3 +139,124 @@ def _as_fit(flights: Iterable[tuple[str, FlightPage]], left: int) -> Mapping[str
             break
         stored[run_id] = text
     return stored
+
+
+# ---- with flights, flown again for it --------------------------------------------------------------------------------
+
+Case = tuple[Path, str, str | None]
+"""Folder of a ledger, id of a run, and id of the run with the same fault in another setting (None = none)."""
+
+Progress = Callable[[int, int], None]
+
+_SMALLEST = 30_000
+"""Approximate minimum size of a page of a flight with its golden run (bytes)."""
+
+
+def write_page(
+    path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
+    flights: int | None, workers: int, show: Progress, headline: Headline | None = None,
+) -> int:  # fmt: skip
+    """Write the page of one or more campaigns, with replayed runs.
+
+    Args:
+        path: File to write.
+        parts: The campaigns.
+        sections: Sections in order, the headline first.
+        commands: Commands that reproduce the results, with their descriptions.
+        flights: Maximum number of flights; None = as many as fit.
+        workers: Number of processes.
+        show: Called with the numbers of flights done and in all.
+        headline: See `write_report_page`.
+
+    Returns:
+        Number of flights in the page.
+    """
+    cases = _cases(parts, LARGEST // _SMALLEST if flights is None else flights)
+    with closing(_flown(cases, workers, show)) as pages:
+        return write_report_page(path, parts, sections, commands, pages, headline=headline)
+
+
+def write_html(
+    path: Path, directory: Path, report: Report, flights: int | None, workers: int,
+    show: Progress = lambda done, total: None,
+) -> int:  # fmt: skip
+    """Write the page of the campaign whose ledger is in `directory`; other arguments: see `write_page`."""
+    parts = [Part(directory, report)]
+    return write_page(path, parts, sections_of(report), _commands(directory, path), flights, workers, show)
+
+
+def _cases(parts: Sequence[Part], most: int) -> list[Case]:
+    """Select runs for the page: campaigns in turn, most illustrative runs first; only those that can be explained."""
+    from mavfi.campaign.mission import host_of
+    from mavfi.campaign.replay import explained_levels
+
+    chosen = []
+    for part in parts:
+        frame = part.report.runs.frame
+        with Store.open(part.directory) as store:
+            levels = explained_levels(host_of(stored_campaign(store)))
+        ids = ordered(frame.filter(pl.col("level").is_in(levels)))[:most]
+        chosen.append([(part.directory, run_id) for run_id in ids])
+    folders: dict[str, Path] = {}  # by run: the same one may be in several campaigns
+    for directory, run_id in (case for turn in zip_longest(*chosen) for case in turn if case is not None):
+        folders.setdefault(run_id, directory)
+    frames = {part.directory: part.report.runs.frame for part in parts}
+    return [
+        (directory, run_id, partner(frames[directory], run_id)) for run_id, directory in islice(folders.items(), most)
+    ]
+
+
+def _flown(
+    cases: Sequence[Case], workers: int, show: Progress
+) -> Generator[tuple[str, "FlightPage"], None, None]:  # fmt: skip
+    """Yield run ids and pages in the order of the cases, independent of the order of completion."""
+    from mavfi.campaign.executors.executor import map_each
+    from mavfi.campaign.executors.local import LocalExecutor
+
+    executor = LocalExecutor(min(workers, max(1, len(cases))))
+    done: dict[Case, Any] = {}
+    waiting = iter(cases)
+    case = next(waiting, None)
+    for count, (flown, flight_page) in enumerate(map_each(executor, _page, cases), start=1):
+        done[flown] = flight_page
+        show(count, len(cases))
+        while case is not None and case in done:
+            yield case[1], done.pop(case)
+            case = next(waiting, None)
+
+
+def _page(case: Case) -> "FlightPage":
+    from mavfi.campaign.replay import explain
+    from mavfi.report.html.flight_page import page_of_explanation
+
+    directory, run_id, other = case
+    return page_of_explanation(directory, explain(directory, run_id), other, directory)
+
+
+def _commands(directory: Path, path: Path) -> list[tuple[str, str]]:
+    """Commands that reproduce a campaign and its report, with their descriptions."""
+    return [
+        *_flying(directory),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
+        ("Write this page", f"mavfi report {directory} --html {path}"),
+    ]
+
+
+def _flying(directory: Path) -> list[tuple[str, str]]:
+    """The command that flies a campaign; empty unless it is a shipped one at one of its scales."""
+    with Store.open(directory) as store:
+        held = stored_campaign(store)
+    try:
+        shipped = load_campaign(held.name)
+    except BadInputError:
+        return []
+    for scale in ("quick", *shipped.scales):
+        if _same(shipped.at_scale(scale), held):
+            command = f"mavfi campaign run {held.name} --scale {scale} --out {directory}"
+            return [("Fly the campaign, or what is left of it", command)]
+    return []
+
+
+def _same(first: Campaign, second: Campaign) -> bool:
+    """Whether two campaigns fly the same missions, ignoring their alternative scales."""
+    return first.model_dump(exclude={"scales"}) == second.model_dump(exclude={"scales"})

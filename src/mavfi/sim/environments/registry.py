@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mavfi.config import EnvironmentConfig, Vector
+from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.mission import ARRIVAL_RADIUS
@@ -26,7 +26,6 @@ ENTRY_POINT_GROUP = "mavfi.environments"
 _GENERATED = ("cuboids", "factory", "farm", "clutter", "training")
 _BUILT_IN = {name: f"mavfi.sim.environments.generated:{name}" for name in _GENERATED}
 _BUILT_IN["octomap_file"] = "mavfi.sim.environments.octomap_file:octomap_file"
-SCAN_ENDINGS = (".bt", ".ot")
 
 
 def build_world(

@@ -7,11 +7,10 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.levels.instruction import MismatchError
-from mavfi.faults.spec import InstructionRequest
 from mavfi.flight.compose import resolve
 from mavfi.flight.forks import fly_instruction_faults
+from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import code_folder
 from tests.core.architecture.source import ROOT

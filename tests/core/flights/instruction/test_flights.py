@@ -8,20 +8,19 @@ import pytest
 
 from mavfi.campaign import divergence
 from mavfi.campaign.divergence import Publication
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels import instruction
 from mavfi.faults.levels.instruction import MismatchError
 from mavfi.faults.levels.instruction.plan import stratum_of
 from mavfi.faults.levels.instruction.variant import variant_for
-from mavfi.faults.spec import InstructionRequest
 from mavfi.flight.case import Output, first_difference
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.recorded import fly_recorded
 from mavfi.ir.forked import WILD
+from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import kernel_jit
 from mavfi.record import plain

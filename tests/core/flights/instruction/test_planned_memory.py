@@ -2,12 +2,13 @@
 
 import pytest
 
-from mavfi.campaign.config import Campaign, InstructionSampling, load_campaign
+from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.mission import MissionPlan, model_hashes, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.warm_up import warm_up
 from mavfi.faults.levels.instruction import variant
 from mavfi.faults.levels.instruction.build import Built, cached_build
+from mavfi.levels.instruction import InstructionSampling
 
 
 def only(detector: str, kernel: str) -> Campaign:

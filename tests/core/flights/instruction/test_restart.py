@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.faults.spec import InstructionRequest
 from mavfi.flight.compose import resolve
 from mavfi.flight.forks import fly_instruction_faults
+from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 
 pytestmark = pytest.mark.slow

@@ -2,12 +2,11 @@
 
 import json
 
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.fault import fault_from_json
 from mavfi.faults.levels.instruction import budget_for
-from mavfi.faults.spec import InstructionRequest
 from mavfi.flight.compose import resolve
 from mavfi.flight.forks import fly_instruction_faults
+from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 
 

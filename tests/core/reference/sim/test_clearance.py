@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mavfi.sim.contact import sphere_touches_voxels
 from mavfi.sim.environments.generated import clutter
 from mavfi.sim.environments.world import World
+from mavfi.sim.vehicle import sphere_touches_voxels
 
 
 def to_boxes(points, lower, upper):

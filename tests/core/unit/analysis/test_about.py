@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign
 def described(**changes):
     content = {"name": "tiny", "environments": ["sparse"], "missions": 9, "faults": 9, **changes}
     campaign = Campaign.model_validate(content)
-    return drawn(campaign.sampling, campaign)
+    return drawn(campaign)
 
 
 def test_states():

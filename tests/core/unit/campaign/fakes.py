@@ -23,7 +23,7 @@ from mavfi.detectors import Detector
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight.compose import resolve
-from mavfi.flight.host import ArmSetup, Flight
+from mavfi.flight.host import ArmSetup, Flight, Host
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
 from mavfi.states import Stage, new_state, states_with
@@ -71,17 +71,12 @@ class FakeDetector(Detector):
     """Watches nothing; `FakeFlights` raises its alarms."""
 
 
-class FakeHost:
+class FakeHost(Host):
     name = "fake"
     levels = frozenset({"state", "instruction"})
-    deterministic = True
-    flies = True
-    in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         return resolve(spec)
-
-    def check(self) -> None: ...
 
     def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> "FakeFlights":
         return FakeFlights(arms, fast_forward)

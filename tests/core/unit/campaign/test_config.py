@@ -161,7 +161,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ),
         # hosts
         ({"host": "node"}, "the key node goes with host node"),
-        ({"node": {"name": "/x"}}, "key 'node"),
+        ({"node": {"name": "/x"}}, "the key node goes with host node"),
     ],
 )
 def test_mistakes_are_named_when_the_file_is_read(changes, message):

@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavfi.campaign.plan import Plan, RunSpec, arms_of, model_of
-from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import NULL, Sampled
 from mavfi.campaign.shard import Shard
 from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.flight.host import Flight
+from mavfi.levels.level import NULL, Sampled, sampler_for
 from mavfi.record import Profile
 from mavfi.states import STATES
 from tests.core.unit.campaign.fakes import DETECTOR, golden_profile, small

@@ -8,6 +8,7 @@ import sqlite3
 import time
 from collections import Counter
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,7 +18,8 @@ from mavfi.campaign import run as run_module
 from mavfi.campaign import session as session_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign, status, stored_campaign
+from mavfi.campaign.ledger import status, stored_campaign
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, MachineError, SpecMismatchError
 from mavfi.record import End
@@ -299,7 +301,8 @@ def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_pat
     for name, campaign in (("state", small()), ("instruction", instructions)):
         with pytest.raises(KeyboardInterrupt):
             flown_into(tmp_path / name, campaign, progress=stop_at(3))
-    monkeypatch.setattr("mavfi.campaign.samplers.instruction.python", lambda: "3.99")
+    later = SimpleNamespace(python_version_tuple=lambda: ("3", "99", "0"))
+    monkeypatch.setattr("mavfi.levels.instruction.platform", later)
     mission_module._SAMPLERS.clear()
     assert flown_into(tmp_path / "state").complete
     with pytest.raises(BadInputError, match=r"was begun with python 3\.\d+, here is 3.99; runs cannot be mixed"):

@@ -7,16 +7,15 @@ import pytest
 from mavfi.analysis import Runs
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.samplers.request import text_of
-from mavfi.campaign.samplers.smaller import change_of
 from mavfi.campaign.shrink import Shrunk, Trial, shrink
 from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.cli.runs import command
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
-from mavfi.faults.spec import parse
 from mavfi.faults.strata import WORD_BITS
+from mavfi.levels.level import parse, text_of
+from mavfi.levels.state import change_of
 from mavfi.states import STATES
 from tests.core.unit.campaign.fakes import fly, small
 

@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from mavfi.campaign.samplers.request import text_of
 from mavfi.cli import run
 from mavfi.faults.fault import fault_from_json
+from mavfi.levels.level import text_of
 from mavfi.states import INJECTABLE
 
 pytestmark = pytest.mark.slow

@@ -1,10 +1,11 @@
 import pytest
 from rich.console import Console
 
-from mavfi.campaign.session import Progress
+from mavfi.campaign.ledger import Progress
 from mavfi.cli import progress
-from mavfi.cli.progress import Bar, StudyBar, compiling
+from mavfi.cli.progress import Bar, compiling
 from mavfi.errors import BadInputError
+from mavfi.extras.paper.cli_report import StudyBar
 from mavfi.extras.paper.steps import Steps
 
 

@@ -64,7 +64,7 @@ def test_several_processes_write_the_same_reports_of_a_study(flown, tmp_path):
     study = Study(name="two", campaigns={"states": "table1"})
     write = (
         "import sys; from pathlib import Path\n"
-        "from mavfi.extras.paper.study import Study; from mavfi.cli import study_report\n"
+        "from mavfi.extras.paper.study import Study; from mavfi.extras.paper import cli_report as study_report\n"
         "assert not study_report._polars_has_threads()\n"
         "study = Study.model_validate_json(sys.argv[1])\n"
         "study_report.write_study_report(study, 'quick', Path(sys.argv[2]), None, 0, 2)"

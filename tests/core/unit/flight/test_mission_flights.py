@@ -9,10 +9,10 @@ from mavfi.detectors.detector import NoDetector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, StateFault
 from mavfi.flight import mission_flights
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.forks import InjectedRuns
 from mavfi.flight.host import ArmSetup, Flight
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.record import Profile
 
 SITE = FaultSite("control.command", "vx")

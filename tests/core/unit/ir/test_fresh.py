@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from mavfi.errors import MachineError
-from mavfi.extras.ros.ros1.roll_call import is_alive
+from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.ir import fresh
 from mavfi.ir.build import BuildError, build_apart
 from mavfi.ir.forked import run_in_child

@@ -4,8 +4,8 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.ir import object_cache
-from mavfi.ir.object_cache import ObjectCache
+from mavfi.ir import sources as object_cache
+from mavfi.ir.sources import ObjectCache
 from tests.core.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)

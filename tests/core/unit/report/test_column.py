@@ -6,8 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from mavfi.report.column import COLUMN, PAGE, fit_to_column, write_figure
 from mavfi.report.html.report_page import drawn
+from mavfi.report.style import COLUMN, PAGE, fit_to_column, write_figure
 
 
 def width_of(path):

@@ -7,13 +7,12 @@ import polars as pl
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
+from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
-from mavfi.campaign.telling import with_flights
 from mavfi.extras.paper import views as v
 from mavfi.extras.paper.cases import path_cases
 from mavfi.extras.paper.platform_views import compared
-from mavfi.report import figures
-from mavfi.report.figures import links
+from mavfi.report import figures, links
 from tests.core.unit.report.test_figures import golden, runs
 
 ARM = {"setting": "dr_gaussian", "arm": "gaussian", "detector": "gaussian"}

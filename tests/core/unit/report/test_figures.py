@@ -3,8 +3,8 @@ import pytest
 
 from mavfi.analysis.rows import SCHEMA
 from mavfi.analysis.runs import Runs
+from mavfi.report import campaign_figures as figures
 from mavfi.report import style
-from mavfi.report.figures import campaign as figures
 
 COMMON = {
     "kind": "injected", "setting": "fi", "arm": "", "detector": "", "detector_profile": "", "environment": "dense",

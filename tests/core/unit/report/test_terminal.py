@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from mavfi.analysis.table import Table
-from mavfi.report.terminal import rendered
+from mavfi.report.text import rendered
 
 RUN = "sparse-10016-fi-collision_check-16-1f14e4b6"
 TABLE = Table.of_text(

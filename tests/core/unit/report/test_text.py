@@ -5,7 +5,7 @@ import pytest
 
 from mavfi.analysis.statistics import EventRate, Rate
 from mavfi.analysis.table import Column, Table
-from mavfi.report import text
+from mavfi.report import numbers, text
 from tests.core.unit.analysis.handmade import ABOUT, GOLDEN, UNKNOWN, flown, golden, injected, null, runs
 
 
@@ -19,13 +19,13 @@ def test_weighted_rate_has_no_count():
 
 def test_absent_figures():
     nothing = Rate(0, None, None, None, 0)
-    assert text.rate(None) == text.rate(nothing) == text.percent(None) == text.number(None) == text.ABSENT
+    assert text.rate(None) == text.rate(nothing) == numbers.percent(None) == text.number(None) == text.ABSENT
 
 
 def test_changes_carry_a_sign():
-    assert text.signed_percent(0.5) == "+50.0 %"
-    assert text.signed_percent(-0.015) == "-1.5 %"
-    assert text.signed_percent(-0.0001) == "+0.0 %"
+    assert numbers.signed_percent(0.5) == "+50.0 %"
+    assert numbers.signed_percent(-0.015) == "-1.5 %"
+    assert numbers.signed_percent(-0.0001) == "+0.0 %"
 
 
 @pytest.mark.parametrize(
@@ -62,17 +62,17 @@ def test_hidden_columns_are_for_files():
     ],
 )
 def test_as_short_as_shows_the_difference(before, after, expected):
-    assert text.change(before, after) == expected
+    assert numbers.change(before, after) == expected
 
 
 def test_digits_are_given_by_the_caller():
-    assert text.change(51.30162, 9.463487e20, digits=4) == ("51.3", "9.463e+20")
-    assert text.change(51.30162, 51.30163, digits=4) == ("51.30162", "51.30163")
+    assert numbers.change(51.30162, 9.463487e20, digits=4) == ("51.3", "9.463e+20")
+    assert numbers.change(51.30162, 51.30163, digits=4) == ("51.30162", "51.30163")
 
 
 def test_nans_are_shown_by_their_bits():
     (other,) = struct.unpack(">d", bytes.fromhex("7ff8000000000001"))
-    assert text.change(math.nan, other) == ("nan (0x7ff8000000000000)", "nan (0x7ff8000000000001)")
+    assert numbers.change(math.nan, other) == ("nan (0x7ff8000000000000)", "nan (0x7ff8000000000001)")
 
 
 def test_null_runs_are_reported_either_way():

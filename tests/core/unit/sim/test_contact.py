@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.sim.contact import sphere_touches_voxels
+from mavfi.sim.vehicle import sphere_touches_voxels
 
 
 def touches(centre, radius=0.3, solid=((5, 5, 5),)):

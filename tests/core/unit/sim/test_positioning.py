@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi.config import LocalizationConfig
-from mavfi.sim.positioning import Positioning
+from mavfi.sim.imu import Positioning
 from tests.core.unit.sim.flights import simulator
 
 TRUTH = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, math.cos(1.57), 0.0, 0.0, math.sin(1.57), 0.0, 0.0, 0.0])

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from mavfi.extras.hardening.battery import copied
 from mavfi.extras.hardening.observed import Seen
-from mavfi.extras.hardening.recorded import copied
 from mavfi.faults.levels.instruction.variant import signature_of, variant_for
 from mavfi.numerics.jit import kernel_jit
 

@@ -22,8 +22,8 @@ from mavfi.extras.hardening.advise import (
     settle,
 )
 from mavfi.extras.hardening.choose import NOTHING
-from mavfi.extras.hardening.learned import Injected
 from mavfi.extras.hardening.study import Study
+from mavfi.extras.hardening.target import Injected
 
 
 @dataclass

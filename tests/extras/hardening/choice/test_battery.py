@@ -5,8 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.battery import MASKED, SDC, Battery, counts_of
-from mavfi.extras.hardening.outputs import outputs_of
+from mavfi.extras.hardening.battery import MASKED, SDC, Battery, counts_of, outputs_of
 from mavfi.faults.levels.instruction.variant import variant_for
 from tests.extras.hardening.choice.kernels import calls, smooth
 

@@ -9,7 +9,6 @@ from mavfi.analysis.pairs import mcnemar
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.battery import SDC
-from mavfi.extras.hardening.candidates import candidates
 from mavfi.extras.hardening.certification import Certification, certify_plan, check_fresh
 from mavfi.extras.hardening.certify import (
     Certificate,
@@ -21,7 +20,8 @@ from mavfi.extras.hardening.certify import (
     together,
     unprotected,
 )
-from mavfi.extras.hardening.golden import GoldenCheck, Guarded
+from mavfi.extras.hardening.duplicate import candidates
+from mavfi.extras.hardening.observed import GoldenCheck, Guarded
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
 from mavfi.extras.hardening.study import Study
 from mavfi.extras.hardening.text import verdict_line

@@ -3,7 +3,7 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.ledger import harm_of
+from mavfi.extras.hardening.summary import harm_of
 
 
 class Empty:

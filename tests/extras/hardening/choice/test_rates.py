@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavfi.extras.hardening.learned import Rates
+from mavfi.extras.hardening.target import Rates
 
 SITE = ("fmul", "line 9", (0, 3))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import Rate, wilson
-from mavfi.extras.hardening.ratio import coverage, difference, p_value_below, ratio_bounds
+from mavfi.extras.hardening.certify import coverage, difference, p_value_below, ratio_bounds
 
 
 def test_added_instructions_do_not_dilute_the_rate():

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.pairs import mcnemar
-from mavfi.extras.hardening.certification import Certification, certification_json
+from mavfi.extras.hardening.certification import (
+    Certification,
+    Spending,
+    certification_json,
+    spending_of,
+    ticks_of,
+)
 from mavfi.extras.hardening.certify import Certificate
-from mavfi.extras.hardening.golden import GoldenCheck
-from mavfi.extras.hardening.spending import Spending, key_of, spending_of, ticks_of
+from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.text import certificate_table, verdict_line
 from mavfi.ir.build import name_of
 from tests.extras.hardening.choice.kernels import calls, see, smooth
@@ -18,7 +23,7 @@ from tools.stored_certificate import certification_of
 
 
 def seen(signature, total):
-    return SimpleNamespace(function=smooth, signature_text=signature, total=total)
+    return SimpleNamespace(key=(name_of(smooth), signature), total=total)
 
 
 def certificate(signature, time, planned_time):
@@ -30,7 +35,7 @@ def certificate(signature, time, planned_time):
 
 def test_times_are_weighted_by_the_functions_share_of_the_flight():
     flown = [seen("f8", 60), seen("f4", 10), seen("i8", 3)]
-    ticks = dict(zip(map(key_of, flown), (1.0, 3.0, 100 / 30), strict=True))  # 60, 30 and 10 % of the flight
+    ticks = dict(zip((one.key for one in flown), (1.0, 3.0, 100 / 30), strict=True))  # 60, 30 and 10 % of the flight
     rows = [certificate("f8", 1.2, 1.1), certificate("f4", None, 1.4), certificate("of another planner", 9.0, 9.0)]
     found = spending_of("rrt", flown, ticks, rows, 0.18)
     assert found.measured == pytest.approx(0.6 * 0.2 + 0.3 * 0.4)

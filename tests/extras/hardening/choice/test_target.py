@@ -10,13 +10,11 @@ from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Step, choice
 from mavfi.extras.hardening.battery import Battery
 from mavfi.extras.hardening.certification import Certification, certified_plan, with_certified
 from mavfi.extras.hardening.certify import Pair, certify
-from mavfi.extras.hardening.golden import GoldenCheck
-from mavfi.extras.hardening.learned import Injected, injections_in
-from mavfi.extras.hardening.ledger import Harm
+from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
 from mavfi.extras.hardening.study import plan_of, planned_of
-from mavfi.extras.hardening.summary import summary
-from mavfi.extras.hardening.target import targets_of
+from mavfi.extras.hardening.summary import Harm, summary
+from mavfi.extras.hardening.target import Injected, injections_in, targets_of
 from mavfi.faults.levels.instruction.variant import signature_of
 from tests.extras.hardening.choice.kernels import calls, see, smooth
 from tools.full_plan import full_plan
@@ -141,7 +139,7 @@ def test_a_plan_keeps_the_certificate_of_the_same_code(target):
 def test_choice_and_certificate_count_the_same_corruptions():
     """A function's result that its caller would mask is a corruption for both."""
     pair = Pair.of(see(smooth, calls()), full_plan("pid", smooth, signature_of(calls()[0])))
-    learned = injections_in(pair.seen, 200)
+    learned = injections_in(pair.seen)
     rate = wilson(sum(one.sdc for one in learned), len(learned))
     measured = certify(pair, 60).sdc_before
     assert rate.rate > 0.2

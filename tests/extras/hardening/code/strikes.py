@@ -3,9 +3,8 @@
 import mmap
 from collections import Counter
 
-from mavfi.extras.hardening.candidates import candidates
-from mavfi.extras.hardening.duplicate import protect
-from mavfi.extras.hardening.recorded import copied
+from mavfi.extras.hardening.battery import copied
+from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.faults.levels.instruction import budget_for
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.build import assemble

@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.extras.hardening.choose import Chooser, upper_hull
-from mavfi.extras.hardening.cut import Cuts
-from mavfi.extras.hardening.flow import OUTSIDE, Use, Value, total_cost
+from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Cuts, Use, Value, total_cost, upper_hull
 from mavfi.extras.hardening.plan import Site
 
 HOT, COLD = 100.0, 1.0
@@ -103,7 +101,7 @@ def test_the_slice_is_chosen_whole_where_greedy_choice_of_lines_finds_nothing():
 
 
 def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
-    from mavfi.extras.hardening.flow import Entry
+    from mavfi.extras.hardening.choose import Entry
 
     phi = Value(Site(0, 1, 0), "phi", "i64", HOT, (1,), entries=(Entry(OUTSIDE, COLD, False), Entry(1, HOT, True)))
     step = Value(Site(0, 1, 1), "add", "i64", HOT, (0,))
@@ -114,7 +112,7 @@ def test_a_phi_of_a_loop_pays_for_the_copy_of_its_start_only():
 
 
 def test_a_comparison_is_made_where_it_is_executed_less_often():
-    value = Value(Site(0, 0, 0), "load", "double", HOT, own_memory=True)
+    value = Value(Site(0, 0, 0), "load", "double", HOT)
     value.uses.append(Use(OUTSIDE, "%b1", COLD))
     assert total_cost([value], {0}) == HOT + 3 * COLD
     value.uses.append(Use(OUTSIDE, "%b2", None))  # a block whose executions are not counted

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.candidates import candidates
 from mavfi.extras.hardening.compiled import code_of, compiled, text_of
-from mavfi.extras.hardening.duplicate import protect
+from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.ir.build import translate
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source

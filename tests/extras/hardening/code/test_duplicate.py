@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.candidates import candidates
-from mavfi.extras.hardening.duplicate import protect
+from mavfi.extras.hardening.battery import copied
+from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.extras.hardening.plan import FunctionPlan, signature_text
 from mavfi.extras.hardening.protected import Protection
-from mavfi.extras.hardening.recorded import copied
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import signature_of, variant_of
 from mavfi.ir.build import name_of, target_machine
-from mavfi.ir.digest import bodies_of, digest_of
-from mavfi.ir.module import is_floating
+from mavfi.ir.module import bodies_of, digest_of, is_floating
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 from tests.core.unit.faults.instruction.kernels import STRAIGHT, straight

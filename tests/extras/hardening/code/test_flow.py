@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.choose import Chooser
-from mavfi.extras.hardening.flow import OUTSIDE, Entry, added, total_cost, values_of, weight_of
+from mavfi.extras.hardening.choose import OUTSIDE, Chooser, Entry, added, total_cost, values_of, weight_of
 from mavfi.ir.parser import parse_module
 
 LOOP = """

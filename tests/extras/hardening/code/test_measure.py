@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.measure import Timed, compare, quiet
+from mavfi.extras.hardening.compiled import Timed, compare, quiet
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 from mavfi.numerics.jit import kernel_jit

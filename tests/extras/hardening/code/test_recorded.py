@@ -5,7 +5,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from mavfi.extras.hardening.recorded import Recording, copied, same_bits
+from mavfi.extras.hardening.battery import Recording, copied, same_bits
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.ir.forked import run_in_child
 

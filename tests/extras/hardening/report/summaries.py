@@ -1,8 +1,7 @@
-"""A summary as `campaign.hardening.summary` makes it."""
+"""A summary as `mavfi.extras.hardening.summary` makes it."""
 
 from mavfi.analysis.statistics import Rate
-from mavfi.extras.hardening.ledger import Harm
-from mavfi.extras.hardening.summary import AdviceSummary, FunctionSummary, KernelSummary, LineSummary, StepSummary
+from mavfi.extras.hardening.summary import AdviceSummary, FunctionSummary, Harm, KernelSummary, LineSummary, StepSummary
 
 
 def rate(value, n=60, spread=0.05):

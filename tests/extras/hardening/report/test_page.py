@@ -8,9 +8,8 @@ from pathlib import Path
 from mavfi.analysis.pairs import mcnemar
 from mavfi.extras.hardening.certification import Certification
 from mavfi.extras.hardening.certify import Certificate, Unprotected
-from mavfi.extras.hardening.drawing import HEIGHT, WIDTH, best, curve
-from mavfi.extras.hardening.golden import GoldenCheck
-from mavfi.extras.hardening.page import page, source, write_certificate
+from mavfi.extras.hardening.observed import GoldenCheck
+from mavfi.extras.hardening.page import HEIGHT, WIDTH, best, curve, page, source, write_certificate
 from mavfi.extras.hardening.plan import Coverage
 from mavfi.extras.hardening.summary import StepSummary
 from mavfi.extras.hardening.text import (
@@ -70,7 +69,7 @@ def test_points_of_a_curve_lie_within_its_drawing_in_order_of_time():
 
 
 def test_source_lines_have_their_text_and_gaps():
-    ((file, lines),) = source(summary().functions[0]).files.items()
+    ((file, lines),) = source(summary().functions[0]).items()
     assert file.endswith("pid.py") and any(line.code for line in lines)
     assert [line.gap for line in lines] == [False] + [True] * 9
     assert lines[9].summary.protected == 1.0 and lines[9].escapes == 0.0

@@ -13,8 +13,8 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.extras.ros.node.master import CALLER, Master, call
+from mavfi.extras.ros.node.peer import Source
 from mavfi.extras.ros.node.relay import Relay
-from mavfi.extras.ros.node.tcpros import Source
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.message.injector import MessageInjector, check_fault
 from tests.extras.ros.node.conftest import POSITION, until

@@ -10,7 +10,7 @@ from mavfi.campaign.config import load_campaign
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.node.trial import run_trial
+from mavfi.extras.ros.node.bench import run_trial
 from mavfi.faults.fault import RegisterFault
 from mavfi.outcomes import effect_of
 from tests.extras.ros.node.conftest import until
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.ros
 def campaign():
     shipped = load_campaign("ros_robot_state_publisher")
     return shipped.model_copy(update={
-        "faults": 2, "null_runs": 1, "node": shipped.node.model_copy(update={"golden_runs": 1}),
+        "faults": 2, "null_runs": 1, "node": shipped.under_test.model_copy(update={"golden_runs": 1}),
         "sampling": shipped.sampling.model_copy(update={"walk": 500}),
     })  # fmt: skip
 
@@ -47,7 +47,7 @@ def test_a_campaign_is_resumable_and_every_run_has_an_effect(ros, campaign, tmp_
 
 
 def node(campaign, **changes):
-    return campaign.node.model_copy(update={"patience_s": 1.0, "cycles": 1, **changes})
+    return campaign.under_test.model_copy(update={"patience_s": 1.0, "cycles": 1, **changes})
 
 
 def fault(**changes):
@@ -58,7 +58,7 @@ def fault(**changes):
 @pytest.mark.slow
 def test_golden_outputs_repeat_and_another_golden_output_is_no_effect_of_a_fault(ros, campaign):
     first, second = run_trial(node(campaign)), run_trial(node(campaign))
-    assert first.outputs == second.outputs and len(set(first.outputs)) == len(campaign.node.inputs.messages)
+    assert first.outputs == second.outputs and len(set(first.outputs)) == len(campaign.under_test.inputs.messages)
     other = run_trial(node(campaign), ("0" * 64,) * 4, fault())
     assert other.effect == "unknown" and "golden" in other.reason and other.injection is None
 
@@ -98,7 +98,7 @@ def test_what_cannot_be_tried_is_refused(ros, campaign, changes, message):
     changes = dict(changes)
     wrong = fault(symbol=changes.pop("symbol")) if "symbol" in changes else None
     if "inputs" in changes:
-        changes["inputs"] = campaign.node.inputs.model_copy(update=changes["inputs"])
+        changes["inputs"] = campaign.under_test.inputs.model_copy(update=changes["inputs"])
     with pytest.raises(BadInputError, match=None) as error:
         run_trial(node(campaign, **changes), fault=wrong)
     assert message in str(error.value)

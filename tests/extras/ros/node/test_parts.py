@@ -10,8 +10,7 @@ from mavfi.cli import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.node.master import Master
 from mavfi.extras.ros.node.message import Composer
-from mavfi.extras.ros.node.peer import Peer
-from mavfi.extras.ros.node.tcpros import Source, decode_header, encode_header
+from mavfi.extras.ros.node.peer import Peer, Source, decode_header, encode_header
 from mavfi.faults.levels.message.definition import Definition
 from mavfi.flight.log_readers import make_probes
 

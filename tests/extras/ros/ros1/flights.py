@@ -2,8 +2,8 @@
 
 import json
 
+from mavfi.extras.ros.ros1.host import configure, fly
 from mavfi.extras.ros.ros1.plan import Plan
-from mavfi.extras.ros.ros1.session import configure, fly
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 

@@ -16,19 +16,18 @@ import pytest
 from mavfi.cli import run
 from mavfi.detectors.detector import Chain
 from mavfi.errors import MachineError, MavfiError
-from mavfi.extras.ros.cli_nodes import effect
+from mavfi.extras.ros.cli import effect
 from mavfi.extras.ros.ros1.folder import PID
+from mavfi.extras.ros.ros1.host import configure
+from mavfi.extras.ros.ros1.host import fly as fly_there
 from mavfi.extras.ros.ros1.plan import Plan
+from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
-from mavfi.extras.ros.ros1.roll_call import is_alive
-from mavfi.extras.ros.ros1.session import configure
-from mavfi.extras.ros.ros1.session import fly as fly_there
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.decide import MAX_UNCHANGED
+from mavfi.flight.compose import detector_for
+from mavfi.flight.decide import MAX_UNCHANGED, Recovery
 from mavfi.flight.fly import fly as fly_here
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault, golden, mission
 from tests.extras.ros.ros1.flights import NODES, same, short, there
@@ -307,7 +306,7 @@ def test_no_process_is_left_behind(number, tmp_path):
 
 
 def test_a_flight_that_fails_says_where_to_look(capsys, tmp_path, monkeypatch):
-    from mavfi.extras.ros.ros1 import session
+    from mavfi.extras.ros.ros1 import host as session
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

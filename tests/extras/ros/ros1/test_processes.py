@@ -8,10 +8,9 @@ import time
 
 import pytest
 
-from mavfi.extras.ros.ros1.ports import Inbox
+from mavfi.extras.ros.ros1.ports import Inbox, is_alive
 from mavfi.extras.ros.ros1.register_injector import end_of_nodes
 from mavfi.extras.ros.ros1.remote import Counter, Watchdog
-from mavfi.extras.ros.ros1.roll_call import is_alive
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.record import Event, Injection
 

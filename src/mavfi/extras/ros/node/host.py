@@ -8,15 +8,15 @@ equal the golden ones.
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import cast
+from typing import Any, cast
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.node.bench import Trial, run_trial
 from mavfi.extras.ros.node.config import NodeConfig
-from mavfi.extras.ros.node.trial import Trial, run_trial
 from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1.supervisor import private_network
 from mavfi.faults.fault import Fault, RegisterFault
-from mavfi.flight.host import ArmSetup, Recorded, RunResult, one_by_one
+from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import DUE, Effect
 from mavfi.plugins import require_allowed
@@ -25,19 +25,25 @@ from mavfi.record import End, FlightRecord, Injection, KernelEffect
 _DIED = tuple(effect.label for effect in DUE)
 
 
-class NodeHost:
+class NodeHost(Host):
     """Trials on a foreign node under test."""
 
     name = "node"
     levels = frozenset({"register"})
     deterministic = False
     flies = False
-    in_process = False
+    config = NodeConfig
+    config_key = "node"
 
     def __init__(self, node: NodeConfig | None = None) -> None:
         if node is None:
             raise BadInputError("host node: allowed: with the key node, which says what is under test")
         self._node = node
+
+    @classmethod
+    def campaign_defaults(cls, under_test: NodeConfig) -> dict[str, Any]:
+        """See `Host.campaign_defaults`: one mission, in the place of the node."""
+        return {"environments": [under_test.name.strip("/")], "missions": 1}
 
     def resolve(self, spec: MissionSpec) -> NodeConfig:
         """The node's configuration, in place of a scenario."""

@@ -13,8 +13,7 @@ from contextlib import suppress
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.extras.ros.node.guardian import Guardian, Turned
 from mavfi.extras.ros.node.master import MASTER_CALLER, Graph, Master, call, check_known
-from mavfi.extras.ros.node.peer import Peer, Reader
-from mavfi.extras.ros.node.tcpros import Source
+from mavfi.extras.ros.node.peer import Peer, Reader, Source
 from mavfi.faults.levels.message.definition import Definition
 
 TURN_PATIENCE_S = 2.0

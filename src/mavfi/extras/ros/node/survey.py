@@ -10,7 +10,7 @@ from typing import Any
 
 from mavfi.errors import MavfiError
 from mavfi.extras.ros.node.master import CALLER, Graph, Master, call, is_here
-from mavfi.extras.ros.node.tcpros import Source
+from mavfi.extras.ros.node.peer import Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,35 +1,53 @@
 """The host `ros1`: missions flown by ROS nodes in lock-step, bit-identical to flights of the host `local`."""
 
-from collections.abc import Mapping
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.extras.ros.ros1 import finder
+from mavfi.extras.ros.ros1 import folder as files
 from mavfi.extras.ros.ros1.kernels import fly_begin
+from mavfi.extras.ros.ros1.messages import generate
 from mavfi.extras.ros.ros1.plan import Plan, check_supported
-from mavfi.extras.ros.ros1.session import configure, fly, isolation
+from mavfi.extras.ros.ros1.supervisor import private_network
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.compose import resolve
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight
+from mavfi.flight.compose import pipeline_config, resolve
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.mission import MissionSpec, Scenario
+from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.record import FlightLog, Profile
+from mavfi.sim.camera import pixel_directions
+from mavfi.sim.environments import build_world
 
 PATIENCE_S = 300.0
 """Time limit for a node's response (s, wall clock); generous, as a slow node mistaken for a hung one is killed, which
 changes its flight."""
 
 
-class Ros1Host:
+class Ros1Host(Host):
     """Runs every kernel, the world, injector and detector as separate ROS nodes."""
 
     name = "ros1"
     levels: frozenset[str] = frozenset({StateFault.level, SensorFault.level})
-    deterministic = True
-    flies = True
-    in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`; raises `BadInputError` for options that ROS does not support."""
         check_supported(spec)
         return resolve(spec)
+
+    @classmethod
+    def check_sampling(cls, sampling: Any) -> None:
+        """See `Host.check_sampling`."""
+        if getattr(sampling, "messages", ()) and "length" in sampling.strata:
+            raise BadInputError("sampling.strata: 'length': may lose a message; allowed on ROS: bits of numbers")
 
     def check(self) -> None:
         """See `Host.check`.
@@ -58,3 +76,131 @@ class Ros1Flights(ArmFlights):
             # compile in advance: a detector that is compiled in its node would be mistaken for a hung one
             fly_begin(plan.scenario, plan.detector, setup.recovery)
         return fly(plan).flight
+
+
+# ---- one flight: its folder and private network, its processes from start to end -------------------------------------
+
+KILLED = "ROS: the process that starts the nodes was killed"
+_POLL_S = 0.02
+_LAST_WORDS_S = 20.0
+
+
+@dataclass(slots=True)
+class RosFlight:
+    """A flight on ROS, without kernels; `times` (s, wall clock): "prepare", "start" (of the nodes), "flight", "end"."""
+
+    flight: Flight
+    times: dict[str, float]
+
+
+def configure(scenario: Scenario) -> PipelineConfig:
+    """The kernels' configuration for a mission."""
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    return pipeline_config(scenario, world, pixel_directions(scenario.camera))
+
+
+def isolation(allow_bind_all: bool = False) -> list[str]:
+    """See `private_network`; with `allow_bind_all` it may be missing, and ROS's C++ nodes listen on all interfaces.
+
+    Raises:
+        BadInputError: A private network is required and cannot be created.
+    """
+    try:
+        return private_network("as root, with user namespaces, or with --allow-bind-all")
+    except BadInputError:
+        if allow_bind_all:
+            return []
+        raise
+
+
+def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None] | None = None) -> RosFlight:
+    """Fly one mission on ROS.
+
+    Args:
+        plan: The flight.
+        allow_bind_all: See `isolation`.
+        tell: Called with the flight's folder once its script `join` is usable.
+
+    Raises:
+        BadInputError: ROS is not installed, or there is no private network.
+        MavfiError: The flight failed; the message gives the cause and the folder of the nodes' logs.
+    """
+    finder.require()
+    command = isolation(allow_bind_all)
+    began = time.time()
+    with files.new_folder() as folder:
+        _prepare(plan, folder, command)
+        prepared = time.time()
+        _run(folder, command, tell)
+        flight = _result(folder, plan)
+        return RosFlight(flight, _spent(folder, began, prepared))
+
+
+def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
+    """Write all files of the flight to its folder."""
+    finder.enable(folder / files.MESSAGES)
+    generate(folder / files.MESSAGES)
+    plan.save(folder)
+    (folder / files.LOG).mkdir()
+    if not command:
+        os.environ.update(files.free_port())
+    files.write_join(folder, bool(command), "-Urn" in command)
+
+
+def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) -> None:
+    """Start the supervisor, and wait until the flight and all its processes have ended.
+
+    Raises:
+        MachineError: The supervisor was killed, as no fault can.
+    """
+    program = [*command, sys.executable, "-m", "mavfi.extras.ros.ros1.supervisor", str(os.getpid())]
+    variables = {**files.environment(folder), "PYTHONPATH": files.own_path()}
+    with (folder / files.LOG / "supervisor.out").open("wb") as output:
+        supervisor = subprocess.Popen(
+            program, env=variables, stdin=subprocess.DEVNULL, stdout=output, stderr=output, cwd=folder,
+            start_new_session=True,
+        )  # fmt: skip
+    try:
+        while supervisor.poll() is None:
+            if tell is not None and (folder / files.PID).exists():
+                tell(folder)
+                tell = None
+            time.sleep(_POLL_S)
+    finally:
+        _end(supervisor)
+    if supervisor.returncode < 0:
+        raise MachineError(KILLED)
+
+
+def _end(supervisor: "subprocess.Popen[bytes]") -> None:
+    """End a supervisor that still runs; it ends all others first."""
+    if supervisor.poll() is not None:
+        return
+    supervisor.terminate()
+    try:
+        supervisor.wait(_LAST_WORDS_S)
+    except subprocess.TimeoutExpired:
+        supervisor.kill()
+        supervisor.wait()
+
+
+def _result(folder: Path, plan: Plan) -> Flight:
+    """The flight record of the world; `MavfiError` if there is none."""
+    failure = folder / files.FAILURE
+    if failure.exists():
+        raise MavfiError(f"ROS: the flight failed: {failure.read_text().strip().splitlines()[-1]}")
+    if not (folder / files.FLIGHT).exists():
+        raise MavfiError("ROS: the flight ended without a record")
+    scenario = plan.scenario
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    profile = Profile.from_bytes((folder / files.PROFILE).read_bytes()) if plan.profile else None
+    return Flight(FlightLog.load(folder / files.FLIGHT), profile, world)
+
+
+def _spent(folder: Path, began: float, prepared: float) -> dict[str, float]:
+    """Wall-clock time by phase (s)."""
+    times = json.loads((folder / files.TIMES).read_text())
+    return {
+        "prepare": prepared - began, "start": times["nodes_ready"] - prepared,
+        "flight": times["flight_done"] - times["nodes_ready"], "end": time.time() - times["flight_done"],
+    }  # fmt: skip

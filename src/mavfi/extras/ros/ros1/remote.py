@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.extras.ros.ros1.graph import Face
+from mavfi.extras.ros.ros1.kernels import alarm_of
 from mavfi.extras.ros.ros1.messages import Action, message_type, serialized
-from mavfi.extras.ros.ros1.plan import Plan
-from mavfi.extras.ros.ros1.taps import alarm_of
-from mavfi.flight.compute import latency
+from mavfi.extras.ros.ros1.plan import Face, Plan
+from mavfi.flight.loop import latency
 from mavfi.states import STATES, State
 
 HELD = -1

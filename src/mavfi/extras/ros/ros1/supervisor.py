@@ -14,15 +14,18 @@ import struct
 import subprocess
 import sys
 import time
+import traceback
+import warnings
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
+from typing import NoReturn
 
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.ros1 import finder, node
+from mavfi.extras.ros.ros1 import finder
 from mavfi.extras.ros.ros1 import folder as files
-from mavfi.extras.ros.ros1.graph import WORLD
-from mavfi.extras.ros.ros1.plan import Plan, load_plan
+from mavfi.extras.ros.ros1.folder import FAILURE, flight_folder
+from mavfi.extras.ros.ros1.plan import DETECTOR, INJECTOR, WORLD, Plan, load_plan
 
 _PARENT_DIED, _NAME, _SUBREAPER = 1, 15, 36  # PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
@@ -128,7 +131,7 @@ def _fork(name: str, plan: Plan, folder: Path) -> int:
         log = os.open(folder / files.LOG / f"{name}.out", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         os.dup2(log, 1)
         os.dup2(log, 2)
-        node.main(name, plan)
+        run_node(name, plan)
     return pid
 
 
@@ -203,6 +206,45 @@ def end_all() -> None:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         time.sleep(_POLL_S / 4)
+
+
+# ---- a node, in a forked process -------------------------------------------------------------------------------------
+
+
+def run_node(name: str, plan: Plan) -> NoReturn:
+    """Run a node until the supervisor ends it; an exception ends it at once, and in the world's node the flight."""
+    try:
+        import rospy
+
+        # values are published without a queue: the order of transmission is that of the calls
+        warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)
+        rospy.init_node(name, argv=[], disable_signals=True, disable_rostime=True, disable_rosout=True)
+        _serve(name, plan)
+        signal.pause()
+    except BaseException:
+        traceback.print_exc()
+        if name == WORLD:
+            (flight_folder() / FAILURE).write_text(traceback.format_exc())
+    os._exit(1)
+
+
+def _serve(name: str, plan: Plan) -> None:
+    if name == WORLD:
+        from mavfi.extras.ros.ros1.world import fly
+
+        fly(plan)
+    elif name == INJECTOR:
+        from mavfi.extras.ros.ros1.kernels import InjectorNode
+
+        InjectorNode(plan).run()
+    elif name == DETECTOR:
+        from mavfi.extras.ros.ros1.kernels import DetectorNode
+
+        DetectorNode(plan).run()
+    else:
+        from mavfi.extras.ros.ros1.kernels import KernelNode
+
+        KernelNode(name, plan).run()
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from mavfi.faults.levels.instruction.plan import budget_for, choose, injection_o
 from mavfi.faults.levels.instruction.refusal import MismatchError
 from mavfi.faults.levels.instruction.table import Site
 from mavfi.ir.forked import Ended, ForkPoint, run_in_child
-from mavfi.ir.refusal import BuildError, RefusedError
+from mavfi.ir.module import BuildError, RefusedError
 
 __all__ = [
     "BuildError", "Ended", "ForkPoint", "InjectedCall", "InstructionFault",

@@ -20,7 +20,7 @@ from mavfi.faults.levels.instruction.table import Site
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.ir.build import name_of
 from mavfi.ir.forked import run_in_child
-from mavfi.ir.refusal import BuildError
+from mavfi.ir.module import BuildError
 from mavfi.record import Injection
 
 _ROUNDS = 40

@@ -13,8 +13,7 @@ from mavfi.faults.levels.instruction.instrument import Instrumented, instrument
 from mavfi.faults.levels.instruction.table import Table
 from mavfi.faults.levels.instruction.tally import optimised
 from mavfi.ir.build import Rewrite, Source, build_apart, translate
-from mavfi.ir.object_cache import ObjectCache, folder_text
-from mavfi.ir.sources import cached_source
+from mavfi.ir.sources import ObjectCache, cached_source, folder_text
 
 
 @dataclass(frozen=True, slots=True)

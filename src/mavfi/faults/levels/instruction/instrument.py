@@ -40,10 +40,8 @@ from mavfi.faults.levels.instruction.runtime import (
 from mavfi.faults.levels.instruction.table import Table, make_table
 from mavfi.faults.levels.instruction.tally import tallied
 from mavfi.ir.build import Rewrite
-from mavfi.ir.digest import bodies_of, digest_of
-from mavfi.ir.module import Block, Function, Instruction, parts, width
+from mavfi.ir.module import Block, Function, Instruction, RefusedError, bodies_of, digest_of, parts, width
 from mavfi.ir.parser import parse_module
-from mavfi.ir.refusal import RefusedError
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'

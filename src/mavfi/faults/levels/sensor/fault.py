@@ -9,7 +9,7 @@ from math import inf, pi
 from typing import Any, ClassVar, Literal
 
 from mavfi.errors import BadInputError
-from mavfi.faults.planned import Planned
+from mavfi.faults.fault import Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ SLOW_US, DELAY_US, BLOCK_US, DRIFT_US = 500_000, 200_000, 100_000, 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class SensorFault(Planned):
+class SensorFault(Fault):
     """A failure of a sensor or motor, for all its readers.
 
     Attributes:
@@ -123,4 +123,17 @@ class SensorFault(Planned):
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; an endless duration as text, since JSON has no infinity."""
-        return Planned.to_json(self) | ({"lasts_s": "inf"} if self.lasts_s == inf else {})
+        return Fault.to_json(self) | ({"lasts_s": "inf"} if self.lasts_s == inf else {})
+
+
+def check_read(unit: str, flight_controller: str, localization: str) -> None:
+    """Check that something in a mission reads a device.
+
+    Raises:
+        BadInputError: Nothing does.
+    """
+    if unit == "accelerometer" and flight_controller == "cascade" and localization == "truth":
+        raise BadInputError(
+            "fault in accelerometer: localization truth and our flight controller do not read it; "
+            "allowed: localization estimator, or flight_controller betaflight"
+        )

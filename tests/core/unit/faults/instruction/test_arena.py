@@ -17,8 +17,7 @@ from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.faults.levels.instruction.variant import Variant, signature_of, variant_for
 from mavfi.ir.build import source_of
 from mavfi.ir.forked import WILD, run_in_child
-from mavfi.ir.grammar import parse_instruction
-from mavfi.ir.lexer import Cursor, tokens_of
+from mavfi.ir.parser import Cursor, parse_instruction, tokens_of
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved
 

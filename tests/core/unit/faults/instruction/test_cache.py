@@ -8,7 +8,7 @@ import pytest
 
 from mavfi.faults.levels.instruction import BuildError, build
 from mavfi.faults.levels.instruction.build import Built, cached_build
-from mavfi.ir import object_cache
+from mavfi.ir import sources as object_cache
 from tests.core.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)

@@ -12,9 +12,8 @@ from mavfi.faults.levels.instruction import RefusedError
 from mavfi.faults.levels.instruction.build import build
 from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.ir import build as building
-from mavfi.ir.digest import digest_of_text
 from mavfi.ir.forked import Ended
-from mavfi.ir.refusal import BuildError
+from mavfi.ir.module import BuildError, digest_of_text
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.core.unit.faults.instruction.test_refusals import calling
 from tests.core.unit.kernels.cases import CASES

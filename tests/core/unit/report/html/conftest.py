@@ -4,11 +4,10 @@ import time
 import pytest
 
 from mavfi.api import fly
-from mavfi.cli.flight_pages import page_of_result
-from mavfi.cli.report_page import write_html
 from mavfi.flight.host import ArmSetup
 from mavfi.report.campaign_report import report_of
-from mavfi.report.html.flight_page import write_flight_page
+from mavfi.report.html.flight_page import page_of_result, write_flight_page
+from mavfi.report.html.report_page import write_html
 
 FAULT = "state:planning.waypoint.x:bit=62@20.0"
 COMMAND = f"mavfi fly --environment sparse --seed 7 --fault {FAULT}"

@@ -13,8 +13,7 @@ from mavfi.analysis.measures import leading_faults
 from mavfi.extras.paper.views import by_bits
 from mavfi.report.campaign_report import report_of
 from mavfi.report.figures import figure
-from mavfi.report.html.flight_data import Course
-from mavfi.report.html.flight_page import FlightPage, write_flight_page
+from mavfi.report.html.flight_page import Course, FlightPage, write_flight_page
 from mavfi.report.html.report_page import Drawn, Part, Section, write_report_page
 from tests.core.unit.report.html.made import scene, straight
 

@@ -3,7 +3,7 @@ import re
 
 import pytest
 
-from mavfi.campaign.telling import ordered, partner
+from mavfi.analysis.listing import ordered, partner
 from mavfi.cli import run
 
 

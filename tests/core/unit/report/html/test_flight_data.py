@@ -5,7 +5,7 @@ import pytest
 
 from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Injection
-from mavfi.report.html.flight_data import MOST_VOXELS, SAMPLES, Course, course_data, flight_data, world_data
+from mavfi.report.html.flight_page import MOST_VOXELS, SAMPLES, Course, course_data, flight_data, world_data
 from tests.core.unit.report.html.made import scene, straight
 
 

@@ -8,17 +8,14 @@ from matplotlib.figure import Figure
 
 from mavfi.analysis import table as table_of
 from mavfi.analysis.table import Column, Table
-from mavfi.cli import report_page
-from mavfi.cli.flight_pages import fly_command
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
+from mavfi.report import links
 from mavfi.report.campaign_report import report_of
-from mavfi.report.figures import links
-from mavfi.report.html import page
-from mavfi.report.html.figure_svg import svg_of
+from mavfi.report.html import page, report_page
+from mavfi.report.html.flight_page import fly_command
+from mavfi.report.html.report_data import RunSets, run_list, svg_of, table_data
 from mavfi.report.html.report_page import Part, Section, drawn, sections_of, write_report_page
-from mavfi.report.html.run_list import run_list
-from mavfi.report.html.table_data import RunSets, table_data
 
 COMMANDS = [("Fly it", "mavfi campaign run tiny --out out/tiny")]
 

@@ -1,0 +1,444 @@
+"""Trees of a library as tables, and the sums of their leaves in compiled code."""
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavfi.detectors.autoencoder import INPUT_LIMIT
+from mavfi.extras.bench.field_codes import FieldCodes
+from mavfi.extras.bench.library import RATES, Inputs, LibraryDetector, columns_of, input_of
+from mavfi.numerics.elementary import exp
+from mavfi.numerics.jit import kernel_jit
+
+
+class Branch(NamedTuple):
+    """A node with children.
+
+    Attributes:
+        column: The input that it compares.
+        threshold: The largest input that goes to `low`.
+        low: A child.
+        high: The other.
+    """
+
+    column: int
+    threshold: float
+    low: "Tree"
+    high: "Tree"
+
+
+Tree = float | Branch
+"""A branch, or the value of a leaf."""
+
+
+class Forest(NamedTuple):
+    """Trees; the score is shift + sign * value, with value = sum of the leaves / unit, or with `decays` exp(-value).
+
+    Attributes:
+        spans: First and one past the last tree of each state. Shape (slots, 2), int64.
+        unit: Of each state, > 0. Shape (slots,).
+        decays: See above.
+        sign: 1 or -1.
+        shift: See above.
+        roots: Root of each tree. Shape (t,), int64.
+        depths: Depth of each tree. Shape (t,), int64.
+        nodes: See `pack`. Shape (k,), int64.
+        values: Value of each leaf. Shape (k,).
+    """
+
+    spans: np.ndarray
+    unit: np.ndarray
+    decays: bool
+    sign: float
+    shift: float
+    roots: np.ndarray
+    depths: np.ndarray
+    nodes: np.ndarray
+    values: np.ndarray
+
+
+class Trees(NamedTuple):
+    """Trees of a state, and the unit of the sum of their leaves."""
+
+    trees: Sequence[Tree]
+    unit: float
+
+
+CODES_FROM, _CODES_TO = -(1 << 15) - 1, 1 << 15
+"""All codes are between these."""
+
+
+def limit_of(branch: Branch, inputs: Inputs) -> int:
+    """Largest code that goes to the lower child of a branch."""
+    scale = float(inputs.scale[branch.column])
+    if not -INPUT_LIMIT <= branch.threshold < INPUT_LIMIT:  # inputs are clamped to these: all codes, or none
+        return CODES_FROM if branch.threshold < 0.0 else _CODES_TO - 1
+    found = min(max(math.floor(branch.threshold * scale), CODES_FROM), _CODES_TO - 1)
+    while found < _CODES_TO - 1 and (found + 1) / scale <= branch.threshold:
+        found += 1
+    while found > CODES_FROM and found / scale > branch.threshold:
+        found -= 1
+    return found
+
+
+def pack(limit: int, field: int, below: int) -> int:
+    """A node in one word, since a walk is as fast as its loads.
+
+    Args:
+        limit: Largest code that goes to the lower child.
+        field: Index of the code, < 256.
+        below: The lower child, followed by the upper one; a leaf is its own.
+    """
+    return (below << 40) + (field << 32) + (limit - CODES_FROM)
+
+
+@kernel_jit
+def leaf_sum(codes: np.ndarray, forest: Forest, first: int, last: int) -> float:
+    """Sum of the leaves that codes, shape (n,), reach in the trees [first, last)."""
+    total = 0.0
+    for tree in range(first, last):
+        node = forest.roots[tree]
+        for _ in range(forest.depths[tree]):  # no branch that depends on the codes: several trees at a time
+            word = forest.nodes[node]
+            above = codes[(word >> 32) & 0xFF] - CODES_FROM > (word & 0xFFFFFFFF)
+            node = (word >> 40) + int(above)
+        total += forest.values[node]
+    return total
+
+
+@kernel_jit
+def rate_by_forest(codes: np.ndarray, slot: int, forest: Forest) -> float:
+    """See `library.rate`; 0 for a state without trees."""
+    first, last = forest.spans[slot]
+    if first == last:
+        return 0.0
+    value = leaf_sum(codes, forest, first, last) / forest.unit[slot]
+    return forest.shift + forest.sign * (exp(-value) if forest.decays else value)
+
+
+RATES[Forest] = rate_by_forest
+
+
+def spans_of(counts: Sequence[int] | np.ndarray) -> np.ndarray:
+    """First and one past the last of parts that follow each other. Shape (k, 2), int64."""
+    ends = np.cumsum(counts, dtype=np.int64)
+    return np.stack([ends - counts, ends], axis=1).astype(np.int64)
+
+
+def forest_of(
+    states: Sequence[Trees], inputs: Inputs, decays: bool = False, sign: float = 1.0, shift: float = 0.0
+) -> Forest:  # fmt: skip
+    """The tables of a forest.
+
+    Args:
+        states: Trees of each state.
+        inputs: What their columns are.
+        decays: See `Forest`.
+        sign: See `Forest`.
+        shift: See `Forest`.
+    """
+    nodes, roots, depths = _Nodes(inputs), [], []
+    for tree in (tree for own in states for tree in own.trees):
+        roots.append(len(nodes.values))
+        depths.append(nodes.add(tree))
+    return Forest(
+        spans_of([len(own.trees) for own in states]),
+        np.array([own.unit for own in states], np.float64), decays, sign, shift, np.array(roots, np.int64),
+        np.array(depths, np.int64), np.array(nodes.words, np.int64), np.array(nodes.values, np.float64),
+    )  # fmt: skip
+
+
+class _Nodes:
+    """Nodes of trees, see `Forest`."""
+
+    def __init__(self, inputs: Inputs) -> None:
+        self.words: list[int] = []
+        self.values: list[float] = []
+        self._inputs = inputs
+
+    def add(self, tree: Tree) -> int:
+        """Append a tree; returns its depth."""
+        level, depth = [(self._leaf(), tree)], -1
+        while level:
+            level, depth = [pair for place, part in level for pair in self._fill(place, part)], depth + 1
+        return depth
+
+    def _leaf(self) -> int:
+        self.words.append(pack(_CODES_TO, 0, len(self.words)))
+        self.values.append(0.0)
+        return len(self.words) - 1
+
+    def _fill(self, place: int, tree: Tree) -> list[tuple[int, Tree]]:
+        """Fill in a node; returns its children with their places."""
+        if not isinstance(tree, Branch):
+            self.values[place] = tree
+            return []
+        field = int(self._inputs.columns[tree.column])
+        self.words[place] = pack(limit_of(tree, self._inputs), field, len(self.words))
+        return [(self._leaf(), tree.low), (self._leaf(), tree.high)]
+
+
+# ---- Half-space trees (Tan, Ting and Liu, IJCAI 2011) from river: one forest for the fields of each state.
+
+_TREES, _HEIGHT, _WINDOW = 25, 8, 100
+_LEAST = 0.1
+"""Mass of a node / window below which the path ends (the paper's SizeLimit)."""
+
+
+def half_spaces(rows: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray], inputs: Inputs) -> Forest:
+    """Forests by state, fitted in the order of the rows; they do not learn in flight.
+
+    Args:
+        rows: Training rows, shape (m, w).
+        slots: Their states. Shape (m,).
+        columns: By state, the columns of its codes; a state without codes or rows scores 0.
+        inputs: What the columns are.
+    """
+    states = [_half_space_trees(rows[slots == slot], own) for slot, own in enumerate(columns)]
+    return forest_of(states, inputs, sign=-1.0, shift=1.0)
+
+
+def fitted(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
+    """River's forest of rows of one state, shape (m, w), m and w > 0."""
+    from river.anomaly import HalfSpaceTrees
+
+    make: Any = HalfSpaceTrees  # its types are those of dictionaries with any key
+    limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
+    forest = make(n_trees=_TREES, height=_HEIGHT, window_size=min(_WINDOW, len(rows)), limits=limits, seed=0)
+    for row in rows:
+        forest.learn_one(dict(enumerate(row.tolist())))
+    return forest
+
+
+def _half_space_trees(rows: np.ndarray, own: np.ndarray) -> Trees:
+    if not len(own) or not len(rows):
+        return Trees([], 1.0)
+    forest = fitted(rows[:, own])
+    trees = [_half_space_tree(tree, own, 0, 0.0, _LEAST * forest.window_size) for tree in forest.trees]
+    most = float(_TREES * forest.window_size * (2 ** (_HEIGHT + 1) - 1))
+    return Trees(trees, most)
+
+
+def _half_space_tree(node: Any, own: np.ndarray, depth: int, above: float, least: float) -> Tree:  # noqa: ANN401
+    """A subtree; the value of a leaf is the sum of mass * 2^depth on the path to it."""
+    total = above + float(node.r_mass) * 2.0**depth
+    if depth == _HEIGHT or node.r_mass < least:
+        return total
+    low, high = (_half_space_tree(child, own, depth + 1, total, least) for child in node.children)
+    return Branch(int(own[node.feature]), math.nextafter(float(node.threshold), -math.inf), low, high)
+
+
+class HalfSpaceTreesDetector(LibraryDetector):
+    """Half-space trees of every state."""
+
+    model_kind, package = "half_space_trees", "river"
+
+    @classmethod
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Forest:
+        """See `LibraryDetector.tables`."""
+        return half_spaces(rows, slots, columns_of(field_codes), inputs)
+
+
+# ---- Regression of each code on all others (ALSO: Paulheim and Meusel, Machine Learning 100, 2015) by boosted trees.
+
+ROUNDS = 40
+OPTIONS: Mapping[str, Any] = {
+    "objective": "regression", "num_leaves": 15, "learning_rate": 0.1, "min_data_in_leaf": 10, "seed": 0,
+    "deterministic": True, "force_row_wise": True, "num_threads": 1, "verbosity": -1,
+}  # fmt: skip
+"""Of every regressor: one thread, since sums of several change their order, and threads do not survive a fork."""
+QUANTILE = 0.99
+"""Share of residuals below the unit of the score."""
+FEWEST = 8
+"""Rows of a state below which its codes have no regressors, and it scores 0."""
+_SMALLEST = 1e-6
+_ALL = (1 << 16) - 1
+"""All leaves of a tree, one bit each."""
+_PRIME = 19
+"""2^k modulo 19 differs for k < 18: the remainder of a bit is a place for its leaf."""
+
+
+class Regressors(NamedTuple):
+    """Regressors of the codes of each state, evaluated by bits (QuickScorer: Lucchese et al., SIGIR 2015).
+
+    A tree has a bit for each leaf, those of the child to which the code 0 goes before those of the other.  A branch
+    from which a code goes to the other child removes the leaves of the first; the lowest bit that remains is the leaf
+    that is reached.  The branches of all trees of a state that compare the same code are sorted by how far from 0 it is
+    then: most codes are near 0, and few branches are looked at.
+
+    Attributes:
+        spans: First and one past the last regressor of each state. Shape (slots, 2), int64.
+        trees: First and one past the last tree of each regressor. Shape (g, 2), int64.
+        column: Input that each predicts. Shape (g,), int64.
+        unit: Quantile of each residual. Shape (g,).
+        starts: First and one past the last branch, by state, input, and whether the code is below 0.
+            Shape (slots, w, 2, 2), int64.
+        branches: Largest magnitude of a code that goes to the first child, tree within the state (16 bits), leaves that
+            stay otherwise (16). Shape (k,), int64.
+        leaves: Values, each at the remainder of its bit. Shape (t, 19).
+        left: Leaves that remain in each tree of a state, work. Int64.
+        inputs: The inputs of the library's model.
+    """
+
+    spans: np.ndarray
+    trees: np.ndarray
+    column: np.ndarray
+    unit: np.ndarray
+    starts: np.ndarray
+    branches: np.ndarray
+    leaves: np.ndarray
+    left: np.ndarray
+    inputs: Inputs
+
+
+@kernel_jit
+def drop_leaves(codes: np.ndarray, slot: int, trees: int, model: Regressors) -> None:
+    """Remove the leaves that codes, shape (n,), do not reach from `left`, for all trees of a state."""
+    model.left[:trees] = _ALL
+    for place in range(len(model.inputs.columns)):
+        code = np.int64(codes[model.inputs.columns[place]])
+        starts = model.starts[slot, place, int(code < 0)]
+        for index in range(starts[0], starts[1]):
+            word = model.branches[index]
+            if word >> 32 >= abs(code):
+                break
+            model.left[(word >> 16) & _ALL] &= word & _ALL
+
+
+@kernel_jit
+def rate_by_regressors(codes: np.ndarray, slot: int, model: Regressors) -> float:
+    """See `library.rate`: the largest |input - prediction| / unit of a state's regressors; 0 without any."""
+    worst = 0.0
+    first, last = model.spans[slot]
+    if first == last:
+        return 0.0
+    base = model.trees[first, 0]
+    drop_leaves(codes, slot, model.trees[last - 1, 1] - base, model)
+    for index in range(first, last):
+        predicted = 0.0
+        for tree in range(model.trees[index, 0], model.trees[index, 1]):
+            lowest = model.left[tree - base] & -model.left[tree - base]
+            predicted += model.leaves[tree, lowest % _PRIME]
+        worst = max(worst, abs(input_of(codes, model.column[index], model.inputs) - predicted) / model.unit[index])
+    return worst
+
+
+RATES[Regressors] = rate_by_regressors
+
+
+class Regressor(NamedTuple):
+    """Trees that predict a column, and the quantile of its residual."""
+
+    trees: Sequence[Tree]
+    column: int
+    unit: float
+
+
+def regressors(rows: np.ndarray, slots: np.ndarray, columns: Sequence[np.ndarray], inputs: Inputs) -> Regressors:
+    """Regressors of all codes, by state.
+
+    Args:
+        rows: Training rows, shape (m, w).
+        slots: Their states. Shape (m,).
+        columns: By state, the columns of its codes.
+        inputs: What the columns are.
+    """
+    states = [
+        [_fitted(rows[slots == slot], int(column)) for column in own] if (slots == slot).sum() >= FEWEST else []
+        for slot, own in enumerate(columns)
+    ]
+    return tables_of(states, inputs)
+
+
+def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regressors:
+    """The tables of the regressors of each state."""
+    every = [one for own in states for one in own]
+    trees = [tree for one in every for tree in one.trees]
+    leaves = np.zeros((len(trees), _PRIME))
+    starts, first = np.zeros((len(states), len(inputs.columns), 2, 2), np.int64), 0
+    branches: list[int] = []
+    for slot, own in enumerate(states):
+        found = _Branches(inputs)
+        for number, tree in enumerate(tree for one in own for tree in one.trees):
+            values = found.add(tree, number)
+            leaves[first + number, [(1 << bit) % _PRIME for bit in range(len(values))]] = values
+        first += found.trees
+        for (place, below), words in found.words.items():
+            starts[slot, place, int(below)] = len(branches), len(branches) + len(words)
+            branches += sorted(words)
+    counts = np.array([len(one.trees) for one in every], np.int64)
+    return Regressors(
+        spans_of([len(own) for own in states]), spans_of(counts), np.array([one.column for one in every], np.int64),
+        np.array([one.unit for one in every], np.float64), starts, np.array(branches, np.int64), leaves,
+        np.zeros(max((sum(len(one.trees) for one in own) for own in states), default=0), np.int64), inputs,
+    )  # fmt: skip
+
+
+class _Branches:
+    """Branches of the trees of a state, see `Regressors`.
+
+    Attributes:
+        trees: Number of trees.
+        words: Branches by input, and whether a code below 0 goes to the other child.
+    """
+
+    def __init__(self, inputs: Inputs) -> None:
+        self.trees, self.words = 0, defaultdict[tuple[int, bool], list[int]](list)
+        self._inputs = inputs
+
+    def add(self, tree: Tree, number: int) -> list[float]:
+        """Add a tree; returns the values of its leaves."""
+        self.trees += 1
+        return self._leaves(tree, number, 0)
+
+    def _leaves(self, tree: Tree, number: int, first: int) -> list[float]:
+        """Values of the leaves of a subtree of tree `number`; its first leaf has bit `first`."""
+        if not isinstance(tree, Branch):
+            return [tree]
+        limit = limit_of(tree, self._inputs)
+        below = limit < 0  # 0 goes to the upper child
+        values = self._leaves(tree.high if below else tree.low, number, first)
+        stay = _ALL & ~(((1 << len(values)) - 1) << first)
+        magnitude = -1 - limit if below else limit
+        self.words[tree.column, below].append((magnitude << 32) + (number << 16) + stay)
+        return values + self._leaves(tree.low if below else tree.high, number, first + len(values))
+
+
+def regressor(rows: np.ndarray, column: int) -> Any:  # noqa: ANN401 - of the library
+    """LightGBM's regressor of a column on all others."""
+    import lightgbm
+
+    data = lightgbm.Dataset(np.delete(rows, column, axis=1), rows[:, column], params=dict(OPTIONS))
+    return lightgbm.train(dict(OPTIONS), data, ROUNDS)
+
+
+def _fitted(rows: np.ndarray, column: int) -> Regressor:
+    """A regressor of a column, fitted to every other row."""
+    trees = regressor(rows[::2], column)
+    predicted = trees.predict(np.delete(rows[1::2], column, axis=1), num_threads=1)
+    quantile = float(np.quantile(np.abs(rows[1::2, column] - predicted), QUANTILE))
+    structures = [one["tree_structure"] for one in trees.dump_model()["tree_info"]]
+    return Regressor([_boosted_tree(one, column) for one in structures], column, max(quantile, _SMALLEST))
+
+
+def _boosted_tree(node: Mapping[str, Any], left_out: int) -> Tree:
+    """A subtree; its inputs are all columns but one."""
+    if "leaf_value" in node:
+        return float(node["leaf_value"])
+    column = int(node["split_feature"])
+    low, high = (_boosted_tree(node[child], left_out) for child in ("left_child", "right_child"))
+    return Branch(column + (column >= left_out), float(node["threshold"]), low, high)
+
+
+class GradientBoostingDetector(LibraryDetector):
+    """Residuals of gradient-boosted regressions."""
+
+    model_kind, package = "gradient_boosting", "lightgbm"
+
+    @classmethod
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Regressors:
+        """See `LibraryDetector.tables`."""
+        return regressors(rows, slots, columns_of(field_codes), inputs)

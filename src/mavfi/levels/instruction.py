@@ -1,0 +1,457 @@
+"""Faults in instructions of kernels and detectors, uniform over all executed instructions of a mission.
+
+As text: `instruction:pid`, `instruction:pid:which=floating_point:model=zero`, or one instruction as printed by `mavfi
+shrink`.
+
+Two golden flights make a draw.  The first one is the mission's golden run: it counts the instructions of every call,
+and takes the checkpoints for the injected runs.  Call and index of each fault are drawn from these counts.  Which
+instruction that is, and how many bits its value has, is resolved in the second flight: where to look is not known
+before the first one has ended.  Both are bit-identical.
+Instructions of protected kernels are those of the protected code: shadows and comparisons can be drawn.
+
+In a campaign, faults are distributed equally over kernels, or over stages and their kernels.  Faults in a planner other
+than the campaign's are drawn in separate missions with that planner.  Faults in a detector are drawn from the golden
+run of its arm, which counts kernels, recomputations included, and detector, and are injected in that arm alone.
+"""
+
+import platform
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from mavfi.config import STORED
+from mavfi.detectors.detector import part_of
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import MODELS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
+from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_for, choose
+from mavfi.faults.levels.instruction.plan import plan
+from mavfi.faults.levels.instruction.selection import parse_selection
+from mavfi.faults.sampling import stream
+from mavfi.flight.decide import INLINE, Recovery
+from mavfi.ir.module import DIGEST_VERSION
+from mavfi.levels.level import Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct, check_known
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.record import Injection
+from mavfi.rewriting import rewriting_of
+from mavfi.states import DETECTORS, INJECTABLE, KERNEL_STAGES, PLANNERS, PPC_STAGES
+
+if TYPE_CHECKING:
+    from mavfi.detectors.detector import Detector
+    from mavfi.flight.host import ArmSetup, Flight, MissionFlights
+    from mavfi.flight.mission_flights import LocalFlights
+
+_ONE_INSTRUCTION = re.compile(
+    r"(?P<kernel>\w+)\.(?P<entry>\w+):call=(?P<call>\d+):index=(?P<index>\d+)"
+    r":(bit=(?P<bits>\d+(\+\d+)*)|value=0x(?P<value>[\da-f]+))(:model=(?P<model>\w+))?(:restart=(?P<restart>\d+(\.\d*)?))?"
+    r":budget=(?P<budget>\d+):ir=(?P<ir>[\da-f]{64})"
+)
+_STORED_SCHEME = "uniform"
+"""Value of the key `scheme` in the identities of ledgers; there was another one once."""
+_MAX_ROUNDS = 6
+"""Rounds of drawing for instructions of a class; more only if it is executed less than once in 240 instructions."""
+_SPARES = 40
+"""Draws per fault of a class: those outside it are dropped."""
+
+
+@dataclass(frozen=True, slots=True)
+class InstructionRequest:
+    """Faults in instructions to be drawn from one mission.
+
+    Attributes:
+        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.DETECTORS`.
+        which: Class of instructions, see `mavfi.faults.levels.instruction.selection`.
+        model: How the value is changed.
+        restart_s: Time after which a crashed node has restarted (s).
+    """
+
+    kernels: Mapping[str, int]
+    which: str = "all"
+    model: Model = "one_bit"
+    restart_s: float = RESTART_S
+
+    def draw(self, setup: "ArmSetup", seed: int) -> "tuple[InstructionFault, Flight | None]":
+        """See `Request.draw`, for a request of one fault."""
+        ((kernel, _),) = self.kernels.items()
+        detector = _detector(setup, kernel)
+        drawn = draw_instruction_faults(setup.scenario, self, seed=seed, detector=detector, recovery=setup.recovery)
+        fault = drawn.faults[kernel][0]
+        if not fault.has_site:
+            raise BadInputError(
+                f"fault instruction:{kernel}: this mission executes no instruction {self.which!r} there; "
+                "allowed: a class that it executes"
+            )
+        return fault, drawn.golden if detector is None else None
+
+
+@dataclass(frozen=True, slots=True)
+class InstructionSite:
+    """A fault in one dynamic instruction of one call; nothing is drawn."""
+
+    fault: InstructionFault
+
+    def draw(self, setup: "ArmSetup", seed: int) -> tuple[InstructionFault, None]:
+        """See `Request.draw`; a BadInputError if the mission lacks the kernel, or the kernel the function."""
+        del seed
+        kernel, entry = self.fault.kernel, self.fault.entry
+        functions = _functions(kernel, setup.scenario, _detector(setup, kernel))
+        if entry not in functions:
+            raise BadInputError(f"kernel {kernel!r}: no function {entry!r}; allowed: {', '.join(functions)}")
+        return self.fault, None
+
+
+def _detector(setup: "ArmSetup", kernel: str) -> "Detector | None":
+    """The detector of a mission, if a fault is in its own instructions."""
+    return setup.detector() if kernel in DETECTORS else None
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnFaults:
+    """Faults drawn from a golden flight.
+
+    Attributes:
+        golden: The golden flight.
+        counts: By kernel: number of executed `instructions` and `calls`, and `lines`: file, line, count.
+        faults: The faults by kernel.
+    """
+
+    golden: "Flight"
+    counts: dict[str, dict[str, Any]]
+    faults: dict[str, list[InstructionFault]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Position:
+    """A dynamic instruction: function, its call, and index in the call."""
+
+    entry: str
+    call: int
+    index: int
+
+
+def draw_instruction_faults(
+    scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: "Detector | None" = None,
+    recovery: Recovery = INLINE, flights: "LocalFlights | None" = None, arm: str = "",
+) -> DrawnFaults:  # fmt: skip
+    """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
+
+    The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
+    A detector, with its recovery, is flown only if the faults are in its own instructions.  `flights` are all flights
+    of the mission, `arm` the one that is flown here.
+
+    Raises:
+        BadInputError: A kernel, class or fault model is unknown.
+        RefusedError: A kernel cannot be instrumented exactly.
+    """
+    from mavfi.flight.host import ArmSetup
+    from mavfi.flight.mission_flights import LocalHost
+
+    functions = {kernel: _functions(kernel, scenario, detector) for kernel in request.kernels}
+    parse_selection(request.which)
+    if flights is None:
+        setup = ArmSetup(scenario, None if detector is None else lambda: detector, recovery)
+        flights = LocalHost().mission({arm: setup}, fast_forward=False)  # nothing would start from checkpoints
+
+    # 1. Count the instructions of every call in the golden flight.
+    rewriting = rewriting_of(scenario.protection)
+    compiled = {entry: function for entries in functions.values() for entry, function in entries.items()}
+    counters = {entry: Profiling(function, rewriting) for entry, function in compiled.items()}
+    golden = flights.count_instructions(arm, counters)
+
+    # 2. Draw positions, and resolve them, until there are enough faults of the class.
+    draws = [
+        _KernelDraw(kernel, number, request, {entry: counters[entry] for entry in functions[kernel]}, seed, address)
+        for kernel, number in request.kernels.items()
+    ]
+    for _ in range(_MAX_ROUNDS):
+        positions = [(draw, position) for draw in draws for position in draw.positions()]
+        if not positions:
+            break
+        indices: dict[str, dict[int, list[int]]] = {}
+        for _, position in positions:
+            indices.setdefault(position.entry, {}).setdefault(position.call, []).append(position.index)
+        resolvers = {entry: Resolving(compiled[entry], calls, rewriting) for entry, calls in indices.items()}
+        flights.resolve_instructions(arm, resolvers)
+        for draw, position in positions:
+            draw.take(position, resolvers[position.entry].sites[position.call, position.index])
+    return DrawnFaults(
+        golden,
+        {draw.kernel: instruction_counts(list(draw.counters.values())) for draw in draws},
+        {draw.kernel: draw.all_faults() for draw in draws},
+    )
+
+
+def _functions(kernel: str, scenario: Scenario, detector: "Detector | None") -> dict[str, Any]:
+    """The compiled functions of a kernel, or of the detector of that name; a BadInputError if the mission has none."""
+    from mavfi.flight.case import check_kernel
+
+    check_kernel(kernel, scenario.planner.name, detector)
+    if kernel in DETECTORS:
+        compiled: dict[str, Any] = dict(part_of(detector, kernel).compiled)
+        return compiled
+    return {entry: getattr(PLAIN, entry) for entry in INJECTABLE[kernel]}
+
+
+class _KernelDraw:
+    """The draw of one kernel's faults from the counts of its functions."""
+
+    def __init__(
+        self, kernel: str, number: int, request: InstructionRequest, counters: Mapping[str, Profiling], seed: int,
+        address: tuple[str, ...],
+    ) -> None:  # fmt: skip
+        self.kernel, self.counters = kernel, counters
+        self._number, self._request, self._seed = number, request, seed
+        self._random = stream(seed, "instruction", kernel, *address)
+        self._selection = parse_selection(request.which)
+        self._faults: list[InstructionFault] = []
+
+    def positions(self) -> list[_Position]:
+        """Draw dynamic instructions of the mission uniformly, with spares if limited to a class; empty when done."""
+        counts = [count for counter in self.counters.values() for count in counter.counts]
+        if len(self._faults) >= self._number or not sum(counts):
+            return []
+        calls = [(entry, call) for entry, counter in self.counters.items() for call in range(len(counter.counts))]
+        number = self._number if self._request.which == "all" else _SPARES * self._number
+        return [_Position(*calls[place], index) for place, index in choose(self._random, counts, number)]
+
+    def take(self, position: _Position, site: Site | None) -> None:
+        """Plan a fault at a position if its instruction is of the class and faults are still missing."""
+        if site is None or site not in self._selection or len(self._faults) >= self._number:
+            return
+        counter, request, call = self.counters[position.entry], self._request, position.call
+        self._faults.append(
+            plan(
+                self._random, "", counter.digests[call], site, position.index, request.model,
+                call=call, which=request.which, budget=budget_for(counter.counts[call]), kernel=self.kernel,
+                entry=position.entry, restart_s=request.restart_s, seed=self._seed,
+            )
+        )  # fmt: skip
+
+    def all_faults(self) -> list[InstructionFault]:
+        """The requested number of faults; those that could not be drawn have no site."""
+        nothing = InstructionFault("", "", 0, NO_SITE, kernel=self.kernel, seed=self._seed)
+        return self._faults + [nothing] * (self._number - len(self._faults))
+
+
+def instruction_counts(counters: Sequence[Profiling]) -> dict[str, Any]:
+    """Executed instructions and calls of a kernel's functions, see `DrawnFaults.counts`."""
+    lines: Counter[tuple[str, int]] = Counter()
+    for counter in counters:
+        for _, site, times in counter.executed():
+            lines[site.file, site.line] += times
+    return {
+        "instructions": sum(sum(counter.counts) for counter in counters),
+        "calls": sum(len(counter.counts) for counter in counters),
+        "lines": [[file, line, count] for (file, line), count in sorted(lines.items())],
+    }
+
+
+class InstructionSampling(Sampling):
+    """Faults in instructions: the result of one dynamic instruction of a kernel."""
+
+    null_runs: ClassVar[int] = 0
+    level: Literal["instruction"]
+    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; planners; detectors of an arm")
+    share: Literal["kernel", "stage"] = Field(
+        "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
+    )
+    which: str = Field("all", description="class of instructions, e.g. floating_point")
+    model: Model = Field("one_bit", description="what becomes of the value")
+    restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_scheme(cls, data: Any, info: ValidationInfo) -> Any:
+        """Ledgers store `_STORED_SCHEME`, which users may no longer write."""
+        if info.context != STORED or not isinstance(data, dict) or data.get("scheme") != _STORED_SCHEME:
+            return data
+        return {key: value for key, value in data.items() if key != "scheme"}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "InstructionSampling":
+        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
+        check_distinct("sampling.kernels", self.kernels)
+        return self
+
+    @property
+    def instrumented(self) -> tuple[str, ...]:
+        """See `Sampling.instrumented`."""
+        return self.kernels
+
+    def identity(self) -> dict[str, Any]:
+        """See `Sampling.identity`."""
+        return self.to_json() | {"scheme": _STORED_SCHEME}
+
+
+class InstructionSampler(Sampler):
+    """Draws one result of one dynamic instruction; the seed draws the kernels of a stage's faults.
+
+    Raises:
+        BadInputError: Arms and kernels are incompatible.
+    """
+
+    instruments = True
+
+    def __init__(self, campaign: Any) -> None:
+        super().__init__(campaign)
+        # Numba compiles Python's bytecode, which determines the fault space.
+        self.versions = {"python": ".".join(platform.python_version_tuple()[:2]), "fault space": DIGEST_VERSION}
+        kernels = self.sampling.kernels
+        planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
+        other_planners = [name for name in kernels if name in PLANNERS and name != planner]
+        self.variants = {name: {"planner": name} for name in other_planners}
+        if campaign.arms and other_planners:
+            raise BadInputError(
+                f"sampling.kernels: {other_planners[0]!r}: detectors are trained with one planner; allowed with arms: "
+                f"kernels of missions with planner {planner!r}"
+            )
+        # Where faults of a kernel are drawn, if not in the campaign's own mission.
+        self.arms = {name: campaign.arm_with(name) for name in kernels if name in DETECTORS}
+        self.arms |= {name: name for name in other_planners}
+        groups = kernel_groups(self.sampling)
+        self.targets = {group[0]: dict.fromkeys(group, 1.0) for group in groups}
+        self.orders = {group[0]: str(KERNEL_STAGES.get(group[0], group[0])) for group in groups}
+        _check_arms(campaign, kernels, {"planner": planner, "map": "octomap"})
+        if campaign.nulls:
+            raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
+
+    def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
+        """See `Sampler.numbered`; what is drawn in a stage is the kernel."""
+        return Draw(stratum, index, seed, self.arms.get(stratum, ""))
+
+    def golden(
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
+    ) -> Sampled:  # fmt: skip
+        """Fly the golden run with instruction counters, and draw its faults."""
+        targets = [draw.target for draw in draws]
+        in_detector = any(self.arms.get(name) == arm for name in DETECTORS)
+        counted_arms = {arm, ""} if in_detector else {arm}  # where a detector is counted, kernels are, too
+        kernels = [name for name in self.sampling.kernels if self.arms.get(name, "") in counted_arms]
+        if not kernels:
+            return Sampled(flights.golden(arm))
+        from mavfi.flight.mission_flights import LocalFlights
+
+        sampling, scenario = self.sampling, setup.scenario
+        numbers = {name: targets.count(name) for name in kernels}
+        request = InstructionRequest(numbers, sampling.which, sampling.model, sampling.restart_s)
+        drawn = draw_instruction_faults(
+            scenario, request, environment, seed=scenario.seed, recovery=setup.recovery,
+            detector=setup.detector(), flights=flights if isinstance(flights, LocalFlights) else None, arm=arm,
+        )  # fmt: skip
+        flights.know(arm, drawn.golden)
+        return Sampled(drawn.golden, drawn.counts, {(name, ""): faults for name, faults in drawn.faults.items()})
+
+    def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
+        """Not supported at this level."""
+        raise BadInputError("null runs: allowed with faults in states")
+
+
+def _check_arms(campaign: Any, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
+    """Refuse an arm that replaces functions with drawn faults, which would never be activated there.
+
+    `kernels`: the kernel whose functions change, by mission key.
+    """
+    world = campaign.environments[0], campaign.first_seed
+    for name, arm in campaign.arms.items():
+        for key, kernel in kernels.items():
+            campaign_value = getattr(campaign.spec(*world), key)
+            arm_value = getattr(campaign.spec(*world, arm.mission), key)
+            if arm_value != campaign_value and kernel in drawn:
+                raise BadInputError(
+                    f"arms: {name!r}: {key}: {arm_value!r}: does not call what faults in {kernel} are drawn from; "
+                    f"allowed: {campaign_value!r}"
+                )
+
+
+def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
+    """Kernels that share one number of faults: each kernel separately, or the kernels of each stage."""
+    if sampling.share == "kernel":
+        return [(name,) for name in sampling.kernels]
+    stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES.get(name) is stage) for stage in PPC_STAGES]
+    detectors = [(name,) for name in sampling.kernels if name in DETECTORS]
+    return [group for group in (*stages, *detectors) if group]
+
+
+def lower(fault: InstructionFault, _: Injection | None) -> Iterator[Fault]:
+    """Faults in less significant bits."""
+    return (replace(fault, bits=(bit,), stratum="") for bit in range(fault.bit or 0))
+
+
+def narrower(fault: InstructionFault, _: Injection | None) -> Iterator[Fault]:
+    """Single-bit faults for a multi-bit one."""
+    if len(fault.bits) > 1:
+        yield from (replace(fault, bits=(bit,)) for bit in sorted(fault.bits))
+
+
+class InstructionLevel(Level):
+    """Faults in instructions of compiled functions; flights of the host `local` fork at the injected call."""
+
+    fault = InstructionFault
+    sampling = InstructionSampling
+    sampler = InstructionSampler
+    local = True
+    form = "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
+    options = {"which": (".+", "a class of instructions", str), "model": (r"\w+", "a model", str)}
+    reductions = {"width": narrower, "bit": lower}
+    absent = ("executed", "the instruction was not executed")
+
+    def parse(self, text: str, localization: str) -> InstructionRequest | InstructionSite:
+        """See `Level.parse`."""
+        one = _ONE_INSTRUCTION.fullmatch(text)
+        if one is not None:
+            return InstructionSite(_fault_in(one))
+        kernel = text.partition(":")[0]
+        if not re.fullmatch(r"\w+", kernel):
+            self.not_understood()
+        parts = self.parts_of(text)
+        if parts.time_us is not None:
+            self.not_understood()
+        which = parts.options.get("which", "all")
+        parse_selection(which)
+        return InstructionRequest({kernel: 1}, which, _model(parts.options.get("model")))
+
+    def text_of(self, fault: InstructionFault) -> str | None:
+        """See `Level.text_of`."""
+        if not fault.kernel:
+            return None
+        value = f"bit={'+'.join(map(str, fault.bits))}" if fault.bits else f"value={fault.value:#x}"
+        model = "" if fault.model == "one_bit" else f":model={fault.model}"
+        restart = "" if fault.restart_s == RESTART_S else f":restart={fault.restart_s}"
+        return (
+            f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}"
+            f":budget={fault.budget}:ir={fault.ir_sha256}"
+        )
+
+    def columns(self, fault: InstructionFault) -> dict[str, Any]:
+        """See `Level.columns`."""
+        return {
+            "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
+            "value_class": fault.value_class,
+        }  # fmt: skip
+
+    def about(self, campaign: Any) -> dict[str, Any]:
+        """See `Level.about`."""
+        sampling = campaign.sampling
+        how = f"instructions: {sampling.which}, model {sampling.model}"
+        return {"each": sampling.share, "how": how, "kernels": list(sampling.kernels), "which": sampling.which}
+
+
+def _fault_in(match: re.Match[str]) -> InstructionFault:
+    """The fault that a text names in full."""
+    call, index, budget = (int(match[name]) for name in ("call", "index", "budget"))
+    bits = tuple(map(int, match["bits"].split("+"))) if match["bits"] else ()
+    return InstructionFault(
+        "", match["ir"], index, call, bits, int(match["value"] or "0", 16), budget, model=_model(match["model"]),
+        kernel=match["kernel"], entry=match["entry"], restart_s=float(match["restart"] or RESTART_S),
+    )  # fmt: skip
+
+
+def _model(name: str | None) -> Any:
+    """A fault model; by default, one bit."""
+    if name is not None and name not in MODELS:
+        raise BadInputError(f"no model {name!r}; allowed: {', '.join(MODELS)}")
+    return name or "one_bit"

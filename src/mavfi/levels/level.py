@@ -1,0 +1,388 @@
+"""Interface of a fault level, and the drawing of a campaign's faults.
+
+A level says how its faults are written as text, drawn from golden flights, injected, described and made smaller.  It is
+a class without arguments, an entry point of the group `mavfi.levels`; nothing else in mavfi names it.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
+
+from pydantic import Field
+
+from mavfi.config import Config
+from mavfi.dropped import dropped_name
+from mavfi.errors import BadInputError, hint
+from mavfi.faults.fault import Fault, find_level, level_names
+from mavfi.faults.injector import Injector
+from mavfi.faults.sampling import share_out
+from mavfi.faults.strata import STRATA
+from mavfi.record import Injection
+
+if TYPE_CHECKING:
+    from mavfi.detectors.detector import Detector
+    from mavfi.flight.host import ArmSetup, Flight, MissionFlights, Recorded
+    from mavfi.flight.loop import Loop
+
+NULL = "null"
+"""Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
+WHOLE = (r"\d+", "a whole number", int)
+SECONDS = (r"inf|\d+(\.\d*)?", "a number of seconds, or inf", float)
+"""Values of options in the text of a fault: pattern, description, type."""
+_INSTANT = r"\d+(\.\d*)?([eE][+-]?\d+)?"
+_LATEST_S = 1e9
+
+
+# ---- one fault, as text ----------------------------------------------------------------------------------------------
+class Request(Protocol):
+    """A fault as requested by the user; what is not given is drawn."""
+
+    def draw(self, setup: "ArmSetup", seed: int) -> "tuple[Fault, Flight | None]":
+        """The fault in a mission, and the golden flight without a detector if one was flown for the draw.
+
+        The detector of the setup is flown only if the fault is in its own instructions or memory.
+
+        Raises:
+            BadInputError: The mission has no such site.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """The text of a fault, in its parts.
+
+    Attributes:
+        site: What stands before the options.
+        options: Given options by name.
+        time_us: Instant (us); None = not given.
+    """
+
+    site: str
+    options: dict[str, Any]
+    time_us: int | None
+
+
+def parse(text: str, localization: str = "truth", levels: Collection[str] = ()) -> Request:
+    """Parse a fault from the command line.
+
+    Args:
+        text: `null` (the empty mask on the way-point in force), or a level and what it needs, e.g. `state:` and a site.
+        localization: "truth" or "estimator", which determines the existing states.
+        levels: Levels that a host can inject; empty = all.
+
+    Raises:
+        BadInputError: Another level, or not in its form; the message says what is allowed.
+    """
+    name, _, rest = text.partition(":")
+    if levels and name not in {NULL, *levels}:
+        raise BadInputError(
+            f"fault {text!r}: allowed here: null, {', '.join(f'{name}:...' for name in sorted(levels))}"
+        )
+    try:
+        if text == NULL:
+            request: Request = find_level("state").null()
+        elif name in level_names():
+            request = find_level(name).parse(rest, localization)
+        else:
+            _refuse()
+    except BadInputError as error:
+        raise BadInputError(f"fault {text!r}: {error}") from None
+    return request
+
+
+def text_of(fault: Fault) -> str | None:
+    """The text that names a fault in full, for `mavfi fly --fault`; None = it is in no mission of this process."""
+    text: str | None = find_level(fault.level).text_of(fault)
+    return text
+
+
+def _refuse() -> NoReturn:
+    """Raise a BadInputError with the forms of all levels."""
+    forms = [form for form in (find_level(name).form for name in level_names()) if form]
+    raise BadInputError(f"not understood; allowed: {', '.join([NULL, *forms])}")
+
+
+# ---- the faults of a campaign ----------------------------------------------------------------------------------------
+class Sampling(Config):
+    """How faults are drawn; the further keys are those of the level."""
+
+    null_runs: ClassVar[int] = 3
+    """Default number of null runs per environment."""
+    level: str = Field(description="name of the level")
+
+    @property
+    def instrumented(self) -> tuple[str, ...]:
+        """Kernels and detectors whose code is instrumented, and so compiled before a campaign."""
+        return ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; unset keys of later versions are omitted, so that older campaigns keep their identity."""
+        return self.model_dump(mode="json")
+
+    def identity(self) -> dict[str, Any]:
+        """Plain data in the identity of a ledger."""
+        return self.to_json()
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """A fault to be drawn."""
+
+    target: str  # stage, group, kernel, kind of registers or side of calls: a row of a table
+    index: int  # number of the fault within target and environment
+    seed: int  # seed of its mission
+    variant: str = ""  # arm in whose golden run it is drawn; "" = the campaign's own mission
+    stratum: str = ""  # stratum of its bit; "" = none
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Faults of an environment with a common numbering; fault i belongs to mission i modulo the number of missions.
+
+    Draws are created on demand: those of a million missions would not fit in memory.
+    """
+
+    count: int
+    draw: Callable[[int], Draw]  # draw of fault i
+    first: int  # position of fault 0 in the environment's plan
+    step: int = 1  # distance between the positions of faults i and i + 1
+
+
+@dataclass(slots=True)
+class Sampled:
+    """A golden run, with the data from which faults are drawn."""
+
+    flight: "Recorded"
+    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # per kernel, see `FlightRecord`
+    faults: Mapping[tuple[str, str], Sequence[Fault]] = field(
+        default_factory=dict
+    )  # drawn in flight, by target, stratum
+
+
+Golden = Mapping[str, Sampled]
+"""Golden runs of a mission by variant, without failed ones."""
+
+
+class Sampler:
+    """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
+
+    Args:
+        campaign: The `mavfi.campaign.config.Campaign`, with `faults` per target.
+
+    Attributes:
+        targets: Shares of the strata in each target, in the order of the plan.
+        arms: Arm in whose golden runs the faults of a target are drawn; default: the campaign's own mission.
+        orders: Name that seeds the order of a target's strata; default: that of the target.
+        alternates: Whether the faults of the targets alternate in the plan.
+        variants: Overrides of additional missions, for kernels that run only in these.
+        versions: Versions on which draws depend, in addition to those of flights.
+        profile: Whether draws need the publication times of golden runs.
+        instruments: Whether golden flights are flown with instrumented kernels.
+    """
+
+    alternates = False
+    profile = False
+    instruments = False
+
+    def __init__(self, campaign: Any) -> None:
+        self.campaign = campaign
+        self.sampling = campaign.sampling
+        self.targets: Mapping[str, Mapping[str, float]] = {}
+        self.arms: Mapping[str, str] = {}
+        self.orders: Mapping[str, str] = {}
+        self.variants: Mapping[str, Mapping[str, Any]] = {}
+        self.versions: Mapping[str, str] = {}
+        self._blocks: dict[str, Sequence[Block]] = {}
+
+    def blocks(self, environment: str) -> Sequence[Block]:
+        """All faults of an environment, one block per target, with exact shares of the strata in each."""
+        if environment not in self._blocks:
+            self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self.targets)]
+        return self._blocks[environment]
+
+    def _block(self, environment: str, place: int, target: str) -> Block:
+        campaign, order = self.campaign, self.orders.get(target, target)
+        strata = share_out(self.targets[target], campaign.faults, campaign.first_seed, environment, order)
+
+        def draw_one(index: int) -> Draw:
+            return self.numbered(target, index, campaign.first_seed + index % campaign.missions, strata[index])
+
+        if self.alternates:
+            return Block(campaign.faults, draw_one, place, len(self.targets))
+        return Block(campaign.faults, draw_one, place * campaign.faults)
+
+    def numbered(self, target: str, index: int, seed: int, stratum: str) -> Draw:
+        """The draw with this number in a target."""
+        return Draw(target, index, seed, self.arms.get(target, ""), stratum)
+
+    def golden(
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: "MissionFlights", setup: "ArmSetup"
+    ) -> Sampled:  # fmt: skip
+        """Fly the golden run of the campaign's own mission, of a variant, or of an arm whose detector is injected.
+
+        `draws`: the draws of this mission in it.
+        """
+        del draws, environment, setup
+        return Sampled(flights.golden(arm, profile=self.profile))
+
+    def draw(self, draws: Sequence[Draw], environment: str, golden: Golden) -> list[Fault | None]:
+        """The faults of one mission, in the order of its draws; None = no fault can be drawn, and no run is planned.
+
+        By default those that `golden` has drawn.
+        """
+        del environment
+        waiting = {(arm, *key): iter(found) for arm, run in golden.items() for key, found in run.faults.items()}
+        return [next(waiting.get((one.variant, one.target, one.stratum), iter(())), None) for one in draws]
+
+    def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
+        """The fault of a null run."""
+        raise NotImplementedError
+
+
+def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[int, Draw]]:
+    """The draws of some missions of an environment, in plan order, each with its position.
+
+    Args:
+        blocks: Blocks of the environment.
+        missions: Numbers of the missions, counted from 0.
+        of: Total number of missions.
+    """
+    return sorted(
+        (
+            (block.first + index * block.step, block.draw(index))
+            for block in blocks
+            for mission in missions
+            for index in range(mission, block.count, of)
+        ),
+        key=lambda found: found[0],
+    )
+
+
+def sampler_for(campaign: Any) -> Sampler:
+    """The sampler of a campaign.
+
+    Raises:
+        BadInputError: The sampling names unknown sites, or conflicts with the rest of the campaign.
+    """
+    sampler: Sampler = find_level(campaign.sampling.level).sampler(campaign)
+    return sampler
+
+
+# ---- the level -------------------------------------------------------------------------------------------------------
+class Level:
+    """A fault level.  Only what a level can do is overridden; it needs `fault`, the type of its faults.
+
+    Attributes:
+        fault: Type of its planned faults; its `level` is the name of the entry point.
+        sampling: Model of the key `sampling` in campaigns; None = no campaigns.
+        sampler: Draws the faults of a campaign.
+        local: Whether flights in this process have its faults: whether `inject` can attach one to the loop.
+        form: Form of its text, for messages; "" = it has none.
+        options: Options of the text in their order, by name: pattern, description and type of their values.
+        reductions: How a fault is made smaller, in steps: by name of what is reduced, a function of a fault and its
+            injection (None = not known) that yields candidates from the smallest on.
+        absent: For an injection that did not happen: what never happened to the site, and why nothing was changed.
+    """
+
+    fault: ClassVar[type[Fault]]
+    sampling: ClassVar[type[Sampling] | None] = None
+    sampler: ClassVar[type[Sampler]]
+    local: ClassVar[bool] = False
+    form: ClassVar[str] = ""
+    options: ClassVar[Mapping[str, tuple[str, str, type]]] = {}
+    reductions: ClassVar[Mapping[str, Callable[[Any, Injection | None], Iterator[Fault]]]] = {}
+    absent: ClassVar[tuple[str, str]] = ("reached", "the site was not reached")
+
+    def parse(self, text: str, localization: str) -> Request:
+        """The request in a text, given without the level; a BadInputError says what is wrong in it."""
+        _refuse()
+
+    def text_of(self, fault: Any) -> str | None:
+        """The text that names a fault in full; None = no mission of this process has it."""
+        return None
+
+    def seed_of(self, fault: Any) -> int | None:
+        """The seed that a fault needs in addition to its text, for random choices during the flight; None = none."""
+        return None
+
+    def inject(self, loop: "Loop", fault: Any, detector: "Detector | None") -> Injector:
+        """Attach the fault to a flight that has not started; returns its injector."""
+        raise NotImplementedError
+
+    def columns(self, fault: Any) -> dict[str, Any]:
+        """Columns of the table of runs for the site of a fault, see `analysis.rows`."""
+        return {}
+
+    def about(self, campaign: Any) -> dict[str, Any]:
+        """How a campaign draws, for the notes of tables: `each` (what `faults` counts), `how`, and further keys.
+
+        With `title` and `lines`, the level describes what is under test itself.
+        """
+        return {"each": "target", "how": ""}
+
+    def not_understood(self) -> NoReturn:
+        """Raise a BadInputError for a text that is not in the level's form."""
+        raise BadInputError(f"not understood; allowed: {self.form}")
+
+    def parts_of(self, text: str) -> Text:
+        """The parts of a text, given without the level; a BadInputError names the one that is wrong."""
+        body, _, instant = text.partition("@")
+        site, *rest = body.split(":")
+        options: dict[str, Any] = {}
+        for part in rest:
+            name, equals, value = part.partition("=")
+            if not equals and options:  # a value may have colons
+                name, value = next(reversed(options)), f"{options[next(reversed(options))]}:{part}"
+            elif name in options:
+                self.not_understood()
+            options[name] = value
+        if not site:
+            self.not_understood()
+        for name, value in options.items():
+            if name not in self.options:
+                allowed = ", ".join(f"{option}=" for option in self.options)
+                raise BadInputError(f"{name!r}: not known{hint(name, self.options)}; allowed: {allowed}")
+            pattern, words, kind = self.options[name]
+            if not re.fullmatch(pattern, value):
+                raise BadInputError(f"{name}: {value!r}: allowed: {words}")
+            options[name] = kind(value)
+        if list(options) != [name for name in self.options if name in options]:
+            self.not_understood()
+        return Text(site, options, instant_us(instant))
+
+
+def instant_us(seconds: str) -> int | None:
+    """An instant in text form (s), in us; "" = none is given."""
+    if not seconds:
+        return None
+    if not re.fullmatch(_INSTANT, seconds):
+        raise BadInputError(f"instant {seconds!r}: allowed: a number of seconds from 0 on, e.g. @12.5")
+    if not float(seconds) <= _LATEST_S:
+        raise BadInputError(f"instant {seconds} s; allowed: 0 to {_LATEST_S:g}")
+    return round(float(seconds) * 1e6)
+
+
+# ---- checks that the models of `sampling` share ----------------------------------------------------------------------
+def check_known(key: str, given: Iterable[str], allowed: Collection[str]) -> None:
+    """Raise a ValueError for a name that is not allowed."""
+    for name in given:
+        if key.endswith("kernels") and dropped_name("kernels", name):
+            raise ValueError(f"{key}: {dropped_name('kernels', name)}")
+        if name not in allowed:
+            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
+
+
+def check_distinct(key: str, given: Iterable[str]) -> None:
+    """Raise a ValueError for a name that occurs twice."""
+    for name, count in Counter(given).items():
+        if count > 1:
+            raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
+
+
+def check_strata(strata: Mapping[str, float]) -> None:
+    """Raise a ValueError for unknown strata, or shares that are not above 0."""
+    check_known("sampling.strata", sorted(strata), STRATA)
+    if not strata or not all(0 < share < float("inf") for share in strata.values()):
+        raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")

@@ -1,0 +1,419 @@
+"""Faults in inter-kernel states: one bit of one field of one publication, or of several.
+
+As text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`.
+
+In campaigns: `stage_balanced`, the paper's equal number per stage, groups of fields, or messages.  The shares of the
+bit strata are exact, their order is drawn from the seed; each fault has a separate random stream.
+"""
+
+import dataclasses
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field as Key
+from pydantic import model_validator
+
+from mavfi.config import Config
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import LIFETIME, Fault, FaultSite, StateFault
+from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.faults.sampling import (
+    Target,
+    draw,
+    draw_in_message,
+    draw_publication,
+    group_target,
+    live_fields,
+    message_target,
+    stage_target,
+    stream,
+)
+from mavfi.faults.strata import HEADLINE, WORD_BITS, WORDS, bits_of
+from mavfi.levels.level import (
+    SECONDS,
+    WHOLE,
+    Draw,
+    Golden,
+    Level,
+    Sampler,
+    Sampling,
+    check_distinct,
+    check_known,
+    check_strata,
+)
+from mavfi.record import Injection, Profile
+from mavfi.states import PPC_STAGES, STATES, Field, StateSpec, states_with
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import ArmSetup, Flight
+
+_SITE = re.compile(r"(?P<path>[^\[\]]+)(\[(?P<element>\d+)\])?")
+_SHORTER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Numbers of corrupted publications to try."""
+
+
+@dataclass(frozen=True, slots=True)
+class StateRequest:
+    """A fault in a state as requested by the user: field, list element, bit, earliest instant; None is drawn.
+
+    A null fault flips nothing; `lifetime` has the given keys of `fault.LIFETIME`.
+    """
+
+    state: StateSpec
+    field: str | None = None
+    element: int | None = None
+    bit: int | None = None
+    time_us: int | None = None
+    null: bool = False
+    lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
+
+    @property
+    def needs_profile(self) -> bool:
+        """Whether the golden run is needed first, to draw from its publications."""
+        some_element = bool(self.state.elements) and self.element is None
+        return self.time_us is None or some_element
+
+    def draw(self, setup: "ArmSetup", seed: int) -> "tuple[StateFault, Flight | None]":
+        """See `Request.draw`."""
+        from mavfi.flight.fly import fly
+
+        golden = fly(setup.scenario, profile=True) if self.needs_profile else None
+        return self.resolve(seed, setup.scenario.autopilot.name, None if golden is None else golden.profile), golden
+
+    def resolve(self, seed: int, autopilot: str, profile: Profile | None = None) -> StateFault:
+        """Draw what was not given; bits uniformly from the whole word.
+
+        Args:
+            seed: Seed of the fault.
+            autopilot: Name of the autopilot profile; a field without consumers is injected only if requested.
+            profile: Publications of the golden run, if `needs_profile`.
+        """
+        random = stream(seed, "spec", self.state.name)
+        field, width = self._field(random, autopilot), self.lifetime.get("width", 1)
+        where = FaultSite(self.state.name, field.name, self.element)
+        time_us = self.time_us or 0
+        if self.needs_profile:
+            drawn, element = draw_publication(random, self._later(profile or Profile()), where)
+            where = FaultSite(self.state.name, field.name, element)
+            time_us = drawn if self.time_us is None else self.time_us
+        drawn_bit = int(random.integers(WORD_BITS[field.dtype] - width + 1)) if self.bit is None else self.bit
+        bit = None if self.null else drawn_bit
+        return StateFault(where, time_us, bit, seed=seed, **self.lifetime)
+
+    def _field(self, random: np.random.Generator, autopilot: str) -> Field:
+        if self.field is not None:
+            return self.state.find(self.field)
+        fields = [self.state.find(name) for name in live_fields(self.state, autopilot)]
+        if self.element is not None:
+            fields = [field for field in fields if self.state.in_elements(field.name)]
+        bits = (self.bit or 0) + self.lifetime.get("width", 1)
+        fields = [field for field in fields if bits <= WORD_BITS[field.dtype]]
+        return fields[int(random.integers(len(fields)))]
+
+    def _later(self, profile: Profile) -> Profile:
+        """The publications from which the element is drawn: only the first one from the requested time on."""
+        name = self.state.name
+        if self.time_us is None or name not in profile.times_us:
+            return profile
+        later = np.flatnonzero((profile.times_us[name] >= self.time_us) & (profile.counts[name] > 0))[:1]
+        return Profile({name: profile.times_us[name][later]}, {name: profile.counts[name][later]})
+
+
+class Lifetime(Config):
+    """Duration and width of state faults; by default one bit of one publication."""
+
+    lasts_s: Annotated[float, Key(ge=0)] | Literal["inf"] = Key(
+        0.0, description="stuck in every publication for this time (s, from 0 on); inf = for ever"
+    )
+    share: float = Key(1.0, gt=0, le=1, description="probability that a publication after the first one is changed")
+    width: int = Key(1, ge=1, le=64, description="adjacent bits")
+    times: int = Key(1, ge=1, description="publications, recomputed ones included, in which it is stuck at least")
+
+
+class SiteGroup(Config):
+    """Fields that share a row of a table; each fault is in one of them, drawn uniformly."""
+
+    name: str
+    sites: tuple[str, ...] = Key(min_length=1, description="state.field; of memories kernel.field")
+    strata: dict[str, float] | None = Key(None, description="instead of the campaign's")
+    lifetime: Lifetime | None = Key(
+        None, description="instead of the campaign's; groups of the same sites then have the same draws"
+    )
+
+
+def group_json(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data of a sampling with groups, without lifetimes that are not set."""
+    for group in data["groups"]:
+        if group["lifetime"] is None:
+            del group["lifetime"]
+    return data
+
+
+class StateSampling(Sampling):
+    """Faults in inter-kernel states: one bit of one field of one publication."""
+
+    level: Literal["state"] = "state"
+    scheme: Literal["stage_balanced", "groups", "messages"] = Key(
+        "stage_balanced",
+        description="`faults` for each stage (the paper's scheme), each group, or each message, uniform over its bits",
+    )
+    sites: Literal["all", "monitored"] = Key("all", description="fields that stage_balanced draws from")
+    groups: tuple[SiteGroup, ...] = ()
+    messages: tuple[str, ...] = Key((), description="names of states, for scheme messages")
+    strata: dict[str, float] = Key(
+        default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0}, description="shares of the faults by bit class"
+    )
+    lifetime: Lifetime = Lifetime()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "StateSampling":
+        for key, given in (("groups", self.groups), ("messages", self.messages)):
+            if (self.scheme == key) != bool(given):
+                raise ValueError(
+                    f"sampling.scheme: {self.scheme!r}: allowed with the key {key}: {key}" if given
+                    else f"sampling.{key}: is required with scheme {key!r}; allowed: a list of 1 or more"
+                )  # fmt: skip
+        check_known("sampling.messages", self.messages, STATES)
+        check_distinct("sampling.messages", self.messages)
+        check_distinct("sampling.groups", [group.name for group in self.groups])
+        for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
+            check_strata(strata)
+        return self
+
+    def to_json(self) -> dict[str, Any]:
+        """See `Sampling.to_json`."""
+        data = group_json(self.model_dump(mode="json"))
+        if self.lifetime == Lifetime():
+            del data["lifetime"]
+        if not self.messages:
+            del data["messages"]
+        return data
+
+
+class StateSampler(Sampler):
+    """Draws one bit of one field of one publication.
+
+    Raises:
+        BadInputError: A target has no bits in one of its strata.
+    """
+
+    profile = True
+
+    def __init__(self, campaign: Any) -> None:
+        super().__init__(campaign)
+        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        self._autopilot, self._localization = spec.autopilot, spec.localization
+        targets = self._find_targets()
+        self._fields = {target.name: target for target, _ in targets}
+        self._lifetimes = {group.name: group.lifetime for group in self.sampling.groups if group.lifetime}
+        self.targets = {target.name: shares for target, shares in targets}
+        self.orders = {name: self._first_alike(name) for name in self.targets}
+        for target, shares in targets:
+            for stratum in shares:
+                target.within(stratum)
+
+    def _find_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
+        sampling = self.sampling
+        if sampling.scheme == "groups":
+            return [(self._group(place), g.strata or sampling.strata) for place, g in enumerate(sampling.groups)]
+        if sampling.scheme == "messages":
+            return [self._message(state) for state in sampling.messages]
+        monitored = self.campaign.monitored_set if sampling.sites == "monitored" else None
+        return [
+            (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
+            for stage in PPC_STAGES
+        ]
+
+    def _group(self, place: int) -> Target:
+        group = self.sampling.groups[place]
+        try:
+            return group_target(group.name, group.sites, self._localization)
+        except BadInputError as error:
+            raise BadInputError(f"sampling.groups.{place}.sites: {error}") from None
+
+    def _message(self, state: str) -> tuple[Target, Mapping[str, float]]:
+        """A message, with the shares of those strata that it has."""
+        if not STATES[state].exists_with(self._localization):
+            raise BadInputError(
+                f"sampling.messages: {state}: only flights with localization {STATES[state].only_with} publish it"
+            )
+        target = message_target(state)
+        fields = [STATES[state].find(name) for name in target.fields[state]]
+        shares = self.sampling.strata
+        return target, {one: shares[one] for one in shares if any(bits_of(field, one) for field in fields)} or shares
+
+    def _first_alike(self, name: str) -> str:
+        """Name of the target whose draws a target with its own lifetime shares: the first one with the same fields."""
+        if name not in self._lifetimes:
+            return name
+        fields = self._fields[name].fields
+        return next(other for other, target in self._fields.items() if target.fields == fields)
+
+    def blocks(self, environment: str) -> Sequence[Any]:
+        """See `Sampler.blocks`; the same for parts with the same environment, which so have the same draws."""
+        return super().blocks(self.campaign.environment_of(environment))
+
+    def draw(self, draws: Sequence[Draw], environment: str, golden: Golden) -> list[Fault | None]:
+        """Draw from the profile of the golden run; without one, faults have no site."""
+        profile = _profile(golden)
+        return [self._lasting(one.target, self._draw(one, profile, environment)) for one in draws]
+
+    def _draw(self, one: Draw, profile: Profile, environment: str) -> StateFault:
+        address = (one.seed, self.campaign.environment_of(environment), one.index // self.campaign.missions)
+        if self.sampling.scheme == "messages":
+            return draw_in_message(one.target, one.stratum, profile, *address)
+        return draw(self._fields[self.orders[one.target]], one.stratum, profile, *address)
+
+    def _lasting(self, target: str, fault: StateFault) -> StateFault:
+        """A fault with the lifetime of its target; a burst that exceeds its word starts at a lower bit."""
+        lifetime = (self._lifetimes.get(target) or self.sampling.lifetime).model_dump()
+        bits = WORD_BITS[_dtype(fault)]
+        width = min(lifetime["width"], bits)
+        bit = None if fault.bit is None else min(fault.bit, bits - width)
+        return replace(fault, **{**lifetime, "lasts_s": float(lifetime["lasts_s"]), "width": width, "bit": bit})
+
+    def null(self, index: int, seed: int, environment: str, golden: Golden) -> Fault:
+        """A fault with an empty mask; stages alternate."""
+        stage = PPC_STAGES[index % len(PPC_STAGES)]
+        target = stage_target(stage, self._autopilot, localization=self._localization)
+        fault = draw(target, HEADLINE, _profile(golden), seed, self.campaign.environment_of(environment), index)
+        return replace(fault, bit=None, stratum="", weight=1.0)
+
+
+def _profile(golden: Golden) -> Profile:
+    profile = golden[""].flight.profile if "" in golden else None
+    return Profile() if profile is None else profile
+
+
+def _dtype(fault: StateFault) -> str:
+    return STATES[fault.where.state].find(fault.where.field).dtype
+
+
+def fewer(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+    """Shorter faults for a lasting one: by increasing number of publications, then fractions of its duration."""
+    if not fault.lasting:
+        return
+    once = replace(fault, lasts_s=0.0, share=1.0, times=1)
+    yield from (replace(once, times=times) for times in _SHORTER if fault.lasts_s > 0 or times < fault.times)
+    if 0 < fault.lasts_s < float("inf"):
+        yield from (replace(fault, lasts_s=round(fault.lasts_s * part, 3)) for part in (0.125, 0.25, 0.5))
+
+
+def narrower(fault: StateFault, _: Injection | None) -> Iterator[Fault]:
+    """Single-bit faults for a multi-bit one."""
+    if fault.bit is not None and fault.width > 1:
+        yield from (replace(fault, bit=fault.bit + place, width=1) for place in range(fault.width))
+
+
+def lower(fault: Any, injection: Injection | None) -> Iterator[Fault]:
+    """Faults in other bits of the word, of a state or a memory, that change its value less."""
+    if fault.bit is None:
+        return
+    dtype = _dtype(fault) if isinstance(fault, StateFault) else fault.dtype
+    before = None if injection is None else injection.before
+    sizes = {bit: change_of(before, dtype, bit) for bit in range(WORD_BITS[dtype])}
+    smaller = [bit for bit, size in sizes.items() if size < sizes[fault.bit]]
+    yield from (replace(fault, bit=bit, stratum="", weight=1.0) for bit in sorted(smaller, key=lambda bit: sizes[bit]))
+
+
+def change_of(before: object, dtype: str, bit: int) -> float:
+    """Absolute change of a value by a bit flip; infinite if not finite, the bit's index if the value is unknown."""
+    if not isinstance(before, (int, float)):
+        return float(bit)
+    size = np.dtype("u1" if dtype == "?" else dtype).itemsize
+    word = np.array([before]).astype("u1" if dtype == "?" else dtype)
+    flipped = (word.view(f"u{size}") ^ np.array(1 << bit, f"u{size}")).view(word.dtype)
+    change = abs(float(flipped[0]) - float(word[0]))
+    return change if np.isfinite(change) else float("inf")
+
+
+class StateLevel(Level):
+    """Faults in inter-kernel states."""
+
+    fault = StateFault
+    sampling = StateSampling
+    sampler = StateSampler
+    local = True
+    form = "state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS]"
+    options = {
+        "bit": WHOLE, "width": WHOLE, "times": WHOLE, "lasts": SECONDS,
+        "share": (r"\d+(\.\d*)?", "a number above 0, to 1", float),
+    }  # fmt: skip
+    reductions = {"publications": fewer, "width": narrower, "bit": lower}
+    absent = ("published", "no such publication came")
+
+    def null(self) -> StateRequest:
+        """The null fault: the empty mask on the way-point in force."""
+        return StateRequest(STATES["planning.waypoint"], "x", null=True)
+
+    def parse(self, text: str, localization: str) -> StateRequest:
+        """See `Level.parse`."""
+        parts = self.parts_of(text)
+        match = _SITE.fullmatch(parts.site)
+        if match is None:
+            self.not_understood()
+        spec, field = _find(match["path"], localization)
+        element = None if match["element"] is None else int(match["element"])
+        named, fields, has_elements = spec.name, spec.fields, bool(spec.elements)
+        if field is not None:
+            named, fields, has_elements = f"{spec.name}.{field}", (spec.find(field),), spec.in_elements(field)
+        if element is not None and not has_elements:
+            raise BadInputError(f"element [{element}]: {named} is no list; allowed: no element")
+        bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
+        lifetime = {"lasts_s" if name == "lasts" else name: value for name, value in parts.options.items()}
+        bit = lifetime.pop("bit", None)
+        last = (bit or 0) + lifetime.get("width", 1) - 1
+        if last >= bits:
+            raise BadInputError(f"no bit {last} in {named}; allowed: 0 to {bits - 1}")
+        StateFault(FaultSite(spec.name, field or spec.fields[0].name), **lifetime)  # refuses numbers out of range
+        return StateRequest(spec, field, element, bit, parts.time_us, lifetime=lifetime)
+
+    def text_of(self, fault: StateFault) -> str:
+        """See `Level.text_of`."""
+        bit = "" if fault.bit is None else f":bit={fault.bit}"
+        lifetime = ""
+        for name in ("width", "times", "lasts_s", "share"):
+            value = getattr(fault, name)
+            if value != LIFETIME[name]:
+                lifetime += f":{name.removesuffix('_s')}={value}"
+        return f"state:{fault.where}{bit}{lifetime}@{fault.time_us / 1e6}"
+
+    def seed_of(self, fault: StateFault) -> int | None:
+        """See `Level.seed_of`: an intermittent fault draws its publications."""
+        return fault.seed if fault.share < 1.0 else None
+
+    def inject(self, loop: Any, fault: StateFault, detector: Any) -> StateInjector:
+        """See `Level.inject`."""
+        injector = loop.taps.injector = StateInjector(fault)
+        loop.watch_losses()
+        return injector
+
+    def columns(self, fault: StateFault) -> dict[str, Any]:
+        """See `Level.columns`."""
+        where, spec = fault.where, STATES[fault.where.state]
+        return {
+            "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
+            "element": where.element, "population": fault.stratum,
+        }  # fmt: skip
+
+    def about(self, campaign: Any) -> dict[str, Any]:
+        """See `Level.about`."""
+        sampling = campaign.sampling
+        each = {"stage_balanced": "stage", "groups": "group", "messages": "message"}[sampling.scheme]
+        shares = sorted(sampling.strata.items(), reverse=True)
+        strata = " : ".join(f"{WORDS.get(name, name)} {share:g}" for name, share in shares)
+        return {"each": each, "how": f"drawn {strata}, fields: {sampling.sites}"}
+
+
+def _find(path: str, localization: str) -> tuple[StateSpec, str | None]:
+    state, _, field = (path, "", "") if path in STATES else path.rpartition(".")
+    known = states_with(localization)
+    if state not in STATES:
+        raise BadInputError(f"no state {path!r}; allowed: {', '.join(known)}")
+    if state not in known:
+        only = STATES[state].only_with
+        raise BadInputError(f"{state} is published with localization {only} only, not {localization}")
+    return known[state], known[state].find(field).name if field else None

@@ -1,0 +1,35 @@
+"""Numbers of flights as text, without what tables need."""
+
+import struct
+
+from mavfi.record import Injection
+
+ABSENT = "—"
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """A share as per cent."""
+    return ABSENT if share is None else f"{100 * share:.{digits}f} %"
+
+
+def signed_percent(share: float | None) -> str:
+    """A relative change as per cent."""
+    return ABSENT if share is None else f"{100 * share:+z.1f} %"
+
+
+def lost(injection: Injection) -> str:
+    """What is added to the values of an injection after which a message cannot be read."""
+    return ", message lost" if injection.details.get("lost") else ""
+
+
+def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:
+    """Format two values so that they differ: with `digits` digits, else in full, else with their bits."""
+    pairs = list(zip(_forms(before, digits), _forms(after, digits), strict=True))
+    return next((pair for pair in pairs if pair[0] != pair[1]), pairs[0])
+
+
+def _forms(value: object, digits: int) -> tuple[str, str, str]:
+    """A value rounded, in full, and with its bits, which distinguish NaNs."""
+    if isinstance(value, float):
+        return f"{value:.{digits}g}", repr(value), f"{value} (0x{struct.pack('>d', value).hex()})"
+    return str(value), str(value), str(value)

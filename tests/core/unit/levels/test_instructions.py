@@ -1,0 +1,229 @@
+"""Faults in instructions: who gets how many, and which runs they make."""
+
+from collections import Counter
+
+import pytest
+
+from mavfi.campaign.mission import MissionPlan, fly_mission
+from mavfi.campaign.plan import Plan, arms_of
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import Store
+from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.flight.host import ArmSetup
+from mavfi.levels import instruction
+from mavfi.levels.instruction import DrawnFaults
+from mavfi.levels.level import draws_of, sampler_for
+from mavfi.record import End
+from tests.core.unit.campaign import fakes
+from tests.core.unit.campaign.fakes import DETECTOR, TROUBLE, deaths, small
+
+PERCEPTION = ("point_cloud", "octomap", "collision_check")
+PLANNERS = ("rrt", "rrt_connect", "rrt_star")
+
+
+def campaign(share="stage", kernels=(*PERCEPTION, "pid"), **changes):
+    sampling = {"level": "instruction", "kernels": kernels, "share": share, **changes.pop("sampling", {})}
+    return small(**{"missions": 3, "faults": 9, "sampling": sampling, **changes})
+
+
+@pytest.fixture(autouse=True)
+def requests(monkeypatch):
+    """What was asked to be drawn; the faults are numbered, and those of `octomap` beyond the first have no site."""
+    asked = []
+
+    def draw(scenario, request, *address, seed, detector=None, recovery=None, flights=None, arm=""):
+        asked.append((scenario.environment.name, seed, scenario.planner.name, address, request))
+        faults = {
+            kernel: [
+                InstructionFault("f", f"{kernel} {seed} {address}", number, kernel=kernel, entry="f", bits=(3,),
+                                 call=NO_SITE if kernel == "octomap" and number else number)
+                for number in range(count)
+            ]
+            for kernel, count in request.kernels.items()
+        }  # fmt: skip
+        golden = fakes.fly(ArmSetup(scenario), None, None)
+        return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
+
+    monkeypatch.setattr(instruction, "draw_instruction_faults", draw)
+    return asked
+
+
+def flown(c):
+    """All runs with a fault, and all records of golden runs, mission by mission."""
+    specs, golden = [], {}
+    for environment in c.environments:
+        for seed in c.seeds:
+            planned, *rest = fly_mission(MissionPlan(c, environment, seed))
+            ids = {spec.run_id: spec for spec in planned.specs}
+            for item in rest:
+                if hasattr(item, "specs"):
+                    specs += item.specs
+                elif item.run_id in ids:
+                    golden[ids[item.run_id]] = item.record
+    return specs, golden
+
+
+def draws_in(campaign, environment):
+    """All faults, in the order of the plan."""
+    blocks = sampler_for(campaign).blocks(environment)
+    return [draw for _, draw in draws_of(blocks, range(campaign.missions), campaign.missions)]
+
+
+@pytest.mark.parametrize("share", ["stage", "kernel"])
+def test_every_place_is_taken_and_every_arm_flies_every_fault(share):
+    c = campaign(share)
+    runs, golden = flown(c)
+    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
+    assert sorted(run.position for run in [*golden, *runs]) == list(range(len(golden) + len(runs)))
+    faults = {}
+    for run in runs:
+        faults.setdefault((run.environment, run.target, run.index, run.seed), {})[run.setting] = run.fault
+    assert all(own.keys() == {"fi", "dr_gaussian"} and own["fi"] == own["dr_gaussian"] for own in faults.values())
+    assert all(seed == c.first_seed + index % c.missions for _, _, index, seed in faults)
+    assert all(target == fault["fi"].kernel for (_, target, _, _), fault in faults.items())
+    assert len({run.fault for run in runs}) == len(runs) / 2, "no fault is injected twice"
+
+
+def test_kernels_of_a_stage_share_its_faults_equally_and_are_not_tied_to_missions():
+    c = campaign()
+    draws = {environment: draws_in(c, environment) for environment in c.environments}
+    for order in draws.values():
+        assert Counter(draw.target for draw in order) == {**dict.fromkeys(PERCEPTION, 3), "pid": 9}
+        assert [draw.index for draw in order] == [*range(9), *range(9)]
+    missions = {name: {draw.seed for draw in draws["sparse"] if draw.target == name} for name in PERCEPTION}
+    assert any(len(own) > 1 for own in missions.values())
+    assert draws["sparse"] != draws["dense"]
+
+
+def test_each_kernel_has_its_own_number_where_kernels_are_compared():
+    order = draws_in(campaign("kernel"), "sparse")
+    assert Counter(draw.target for draw in order) == dict.fromkeys((*PERCEPTION, "pid"), 9)
+
+
+def test_a_mission_asks_for_what_it_needs(requests):
+    c = campaign("kernel", sampling={"which": "data", "model": "zero", "restart_s": 2.0})
+    list(fly_mission(MissionPlan(c, "sparse", 10_002)))
+    [(environment, seed, planner, address, request)] = requests
+    assert (environment, seed, planner, address) == ("sparse", 10_002, "rrt_connect", ("sparse",))
+    assert request.kernels == dict.fromkeys((*PERCEPTION, "pid"), 3)
+    assert (request.which, request.model, request.restart_s) == ("data", "zero", 2.0)
+
+
+def test_planners_that_are_not_flown_have_missions_of_their_own(requests):
+    c = campaign("kernel", kernels=[*PLANNERS, "pid"], arms={}, environments=["sparse"], faults=3)
+    runs, golden = flown(c)
+    assert [arm.name for arm in arms_of(c)] == ["", "rrt", "rrt_star"]
+    assert {(run.arm, run.target) for run in runs} == {("", "rrt_connect"), ("", "pid"), ("rrt", "rrt"),
+                                                       ("rrt_star", "rrt_star")}  # fmt: skip
+    assert {run.setting for run in runs} == {"fi"}
+    assert Counter(run.setting for run in golden) == {"golden": 3, "golden_rrt": 3, "golden_rrt_star": 3}
+    assert {(planner, tuple(request.kernels)) for _, _, planner, _, request in requests} == {
+        ("rrt_connect", ("rrt_connect", "pid")), ("rrt", ("rrt",)), ("rrt_star", ("rrt_star",))
+    }  # fmt: skip
+
+
+def test_golden_runs_without_a_detector_keep_what_was_counted():
+    _, golden = flown(campaign(environments=["sparse"]))
+    for run, record in golden.items():
+        assert set(record.counts) == ({*PERCEPTION, "pid"} if not run.arm else set())
+
+
+def test_a_fault_without_a_site_is_planned_and_counted():
+    runs, _ = flown(campaign("kernel", arms={}))
+    assert {run.fault.has_site for run in runs if run.target == "octomap"} == {True, False}
+    assert all(run.fault.has_site for run in runs if run.target != "octomap")
+
+
+def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
+    def explode(scenario, *_, seed, **__):
+        raise ZeroDivisionError(seed)
+
+    monkeypatch.setattr(instruction, "draw_instruction_faults", explode)
+    end = run_campaign(campaign(environments=["sparse"]), tmp_path)
+    assert end.complete
+    with Store.open(tmp_path) as store:
+        runs = list(store.runs())
+    assert {run.spec.kind for run in runs} == {"golden"}
+    assert {(run.spec.arm, run.record.end) for run in runs} == {("", End.UNKNOWN), ("gaussian", End.FLOWN)}
+    assert all("ZeroDivisionError" in run.note for run in runs if not run.spec.arm)
+
+
+@pytest.mark.slow
+def test_the_ledger_does_not_depend_on_workers_or_deaths(tmp_path, monkeypatch):
+    from mavfi.campaign.executors.local import LocalExecutor
+
+    c, digests = campaign("kernel", arms={"g": {"detector": DETECTOR}}), []
+    for name, workers in (("one", 1), ("two", 2), ("deadly", 2)):
+        if name == "deadly":
+            monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 3))
+        run_campaign(c, tmp_path / name, executor=LocalExecutor(workers))
+        with Store.open(tmp_path / name) as store:
+            assert store.complete
+            digests.append(store.digest())
+    assert len(set(digests)) == 1
+
+
+# ---- faults in detectors -----------------------------------------------------------------------------------------
+def with_detectors(monkeypatch, **changes):
+    """Arms whose detector can be injected; the detector itself is made up."""
+    monkeypatch.setattr("mavfi.campaign.mission.detector_for", lambda *_: (fakes.FakeDetector(), ""))
+    arms = {"watched": {"detector": "gaussian"}, "other": {"detector": DETECTOR}}
+    kernels = changes.pop("kernels", ("pid", "gaussian"))
+    return campaign("kernel", kernels, **{"arms": arms, "environments": ["sparse"], **changes})
+
+
+def test_a_fault_in_a_detector_is_flown_in_its_arm_alone(monkeypatch, requests):
+    c = with_detectors(monkeypatch)
+    runs, golden = flown(c)
+    by_target = Counter((run.target, run.setting) for run in runs)
+    assert by_target == {
+        ("pid", "fi"): 9,
+        ("pid", "dr_watched"): 9,
+        ("pid", "dr_other"): 9,
+        ("gaussian", "dr_watched"): 9,
+    }
+    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
+    positions = [run.position for run in [*golden, *runs]]
+    assert len(set(positions)) == len(positions)
+
+
+def test_the_golden_run_of_its_arm_counts_kernels_and_detector(monkeypatch, requests):
+    _, golden = flown(with_detectors(monkeypatch))
+    counted = {(spec.arm, spec.seed): set(record.counts) for spec, record in golden.items()}
+    assert all(counted["", seed] == {"pid"} for seed in range(10_000, 10_003))
+    assert all(counted["watched", seed] == {"pid", "gaussian"} for seed in range(10_000, 10_003))
+    assert all(counted["other", seed] == set() for seed in range(10_000, 10_003))
+    wanted = [request.kernels for *_, request in requests]
+    assert wanted == [{"pid": 3}, {"pid": 0, "gaussian": 3}] * 3, (
+        "faults of kernels are those of the campaign's mission"
+    )
+
+
+def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
+    for arms, number in (
+        ({}, 0),
+        ({"a": {"detector": "gaussian"}, "b": {"detector": "gaussian", "profile": "tuned"}}, 2),
+    ):
+        with pytest.raises(ValueError, match=f"'gaussian': is in {number} arms; allowed: what is in one arm"):
+            campaign("kernel", ("pid", "gaussian"), arms=arms)
+
+
+def test_a_named_configuration_is_injected_as_the_detector_that_it_configures(monkeypatch, requests):
+    arms = {"recommended": {"detector": "recommended"}}
+    runs, golden = flown(with_detectors(monkeypatch, kernels=("pid", "acceptance"), arms=arms))
+    assert Counter((run.target, run.setting) for run in runs) == {
+        ("pid", "fi"): 9, ("pid", "dr_recommended"): 9, ("acceptance", "dr_recommended"): 9
+    }  # fmt: skip
+    counted = {spec.arm: set(record.counts) for spec, record in golden.items()}
+    assert counted == {"": {"pid"}, "recommended": {"pid", "acceptance"}}
+
+
+def test_a_detector_and_its_named_configuration_are_two_arms_of_one():
+    arms = {"plain": {"detector": "acceptance"}, "recommended": {"detector": "recommended"}}
+    with pytest.raises(ValueError, match="'acceptance': is in 2 arms"):
+        campaign("kernel", ("pid", "acceptance"), arms=arms)
+
+
+def test_recovery_is_no_target_any_more():
+    with pytest.raises(ValueError, match="kernel 'recovery': dropped; no fault in recovery lost a mission"):
+        campaign("kernel", ("pid", "recovery"), arms={"watched": {"detector": "gaussian"}})

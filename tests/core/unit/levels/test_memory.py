@@ -1,0 +1,142 @@
+"""Faults in memory are drawn uniformly over bits and instants: against a list of all of them."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.config import Campaign
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import NO_SITE, MemoryFault
+from mavfi.faults.strata import WORD_BITS, bits_of
+from mavfi.levels.level import Draw, Sampled
+from mavfi.levels.memory import Exposure, MemorySampler, _Drawing
+from mavfi.pipeline.words import Words
+
+INSTANTS = {
+    0: {"pid": [Words("remaining", "f8", 1)], "planner": [Words("acted_seq", "i4", 1), Words("random", "u8", 2)]},
+    20_000: {"pid": [Words("remaining", "f8", 1), Words("fresh", "?", 1)], "planner": [Words("acted_seq", "i4", 1)]},
+    40_000: {"planner": [Words("cells", "u1", 5), Words("strange", "c16", 9)]},
+}
+EVERYTHING = (("pid", ""), ("planner", ""))
+
+
+def drawn(count=1, sites=EVERYTHING, stratum="", bit=None, seed=0):
+    drawings = [_Drawing(np.random.default_rng([seed, number]), number) for number in range(count)]
+    exposure = Exposure(sites, stratum, bit, drawings)
+    for now, remembered in INSTANTS.items():
+        exposure.look(remembered, now)
+    return exposure.faults()
+
+
+def listed(stratum=""):
+    """Every bit of every instant, as the fault that strikes it."""
+    return [
+        (kernel, words.name, index if words.count > 1 else None, now, bit)
+        for now, remembered in INSTANTS.items()
+        for kernel, every in remembered.items()
+        for words in every
+        if words.dtype in WORD_BITS
+        for index in range(words.count)
+        for bit in (bits_of(words, stratum) if stratum else range(WORD_BITS[words.dtype]))
+    ]
+
+
+@pytest.mark.parametrize("stratum", ["", "sign_exponent", "mantissa"])
+def test_every_bit_of_every_instant_is_alike(stratum):
+    count, every = 20_000, listed(stratum)
+    faults = drawn(count, stratum=stratum)
+    found = Counter((f.kernel, f.field, f.index, f.time_us, f.bit) for f in faults)
+    assert set(found) <= set(every)
+    expected = count / len(every)
+    spread = sum((found[one] - expected) ** 2 / expected for one in every)  # chi square with len - 1 degrees
+    assert abs(spread - (len(every) - 1)) < 5 * np.sqrt(2 * (len(every) - 1))
+    assert {f.weight for f in faults} == {len(every) / len(listed()) if stratum else 1.0}
+
+
+def campaign_of(*kernels, **arms):
+    return Campaign(
+        name="watched", environments=("sparse",), missions=1, faults=2,
+        sampling={"level": "memory", "kernels": kernels, "share": "kernel"}, null_runs=0,
+        arms={name: {"detector": detector, **more} for name, (detector, more) in arms.items()},
+    )  # fmt: skip
+
+
+def test_faults_in_what_watches_are_drawn_and_injected_in_its_arm_alone():
+    arms = {"gad": ("gaussian", {}), "rules": ("recommended", {})}
+    campaign = campaign_of("pid", "gaussian", "acceptance", **arms)
+    sampler = MemorySampler(campaign)
+    variants = {draw.target: draw.variant for block in sampler.blocks("sparse") for draw in (block.draw(0),)}
+    assert variants == {"pid": "", "gaussian": "gad", "acceptance": "rules"}
+    tuned = campaign_of("physics_gate", gad=("gaussian", {}), tuned=("gaussian", {"profile": "tuned"}))
+    assert tuned.arm_with("physics_gate") == "tuned"
+    for kernels, own in ((["acceptance"], {}), (["recovery"], arms), (["nothing"], arms), (["gaussian"], {})):
+        with pytest.raises(ValueError, match="sampling"):
+            MemorySampler(campaign_of(*kernels, **own))
+
+
+def test_a_drawn_fault_has_the_type_of_its_word():
+    types = {(w.name, w.dtype) for kernels in INSTANTS.values() for every in kernels.values() for w in every}
+    assert {(fault.field, fault.dtype) for fault in drawn(500)} <= types
+
+
+def test_draws_depend_on_their_own_stream_alone():
+    assert drawn(5, seed=3) == drawn(9, seed=3)[:5] and drawn(5, seed=3) != drawn(5, seed=4)
+
+
+def test_a_target_and_a_bit_can_be_named():
+    assert {(f.kernel, f.field) for f in drawn(50, (("planner", "acted_seq"),))} == {("planner", "acted_seq")}
+    assert {(f.field, f.bit) for f in drawn(50, bit=40)} == {("remaining", 40), ("random", 40)}
+    assert {(f.field, f.index) for f in drawn(50, (("planner", "cells[3]"),))} == {("cells", 3)}
+
+
+def test_what_nobody_remembers_is_no_site():
+    (fault,) = drawn(1, (("pid", "waypoint"),))
+    assert fault == MemoryFault("pid", "waypoint", time_us=NO_SITE, seed=0) and not fault.has_site
+
+
+def campaign(**sampling):
+    return Campaign(name="c", environments=("sparse",), missions=2, faults=4, sampling={"level": "memory", **sampling})
+
+
+@pytest.mark.parametrize(
+    ("sampling", "targets"),
+    [
+        ({}, ["memory"]),
+        ({"share": "kernel", "kernels": ("pid", "octomap")}, ["pid", "octomap"]),
+        ({"groups": [{"name": "counter", "sites": ["planner.acted_seq", "pid"]}]}, ["counter"]),
+    ],
+)
+def test_targets_are_all_bits_kernels_or_groups(sampling, targets):
+    blocks = MemorySampler(campaign(**sampling)).blocks("sparse")
+    assert [block.draw(0).target for block in blocks] == targets
+    assert [block.first for block in blocks] == [4 * place for place in range(len(targets))]
+    assert [blocks[0].draw(index).seed - 10_000 for index in range(4)] == [0, 1, 0, 1]
+
+
+def test_strata_are_shared_out():
+    block = MemorySampler(campaign(strata={"sign_exponent": 3, "mantissa": 1})).blocks("sparse")[0]
+    assert Counter(block.draw(index).stratum for index in range(4)) == {"sign_exponent": 3, "mantissa": 1}
+
+
+def test_what_does_not_exist_is_refused():
+    for sampling, text in (
+        ({"kernels": ("pilot",)}, "no kernel 'pilot'; allowed: point_cloud"),
+        ({"kernels": ("state_estimation",)}, "no kernel 'state_estimation'"),
+        ({"groups": [{"name": "a", "sites": ["pilot.x"]}]}, "no kernel 'pilot'"),
+        ({"strata": {"high": 1}}, "'high': not known"),
+        ({"share": "stage"}, "'exposure' or 'kernel'"),
+    ):
+        with pytest.raises((BadInputError, ValueError), match=text):
+            campaign(**sampling)
+
+
+def test_faults_go_to_their_draws_and_a_null_run_flips_nothing():
+    sampler = MemorySampler(campaign(share="kernel"))
+    one, two = MemoryFault("pid", "fresh", None, "?", 3, 0), MemoryFault("octomap", "scan", None, "i4", 4, 1)
+    golden = {"": Sampled(None, faults={("pid", ""): [one], ("octomap", ""): [two], ("null", ""): [two]})}
+    draws = [Draw("octomap", 0, 10_000), Draw("pid", 0, 10_000), Draw("pid", 2, 10_000)]
+    assert sampler.draw(draws, "sparse", golden) == [two, one, None]
+    assert sampler.draw(draws, "sparse", {}) == [None] * 3
+    null = sampler.null(0, 10_000, "sparse", golden)
+    assert (null.kernel, null.field, null.time_us, null.bit) == ("octomap", "scan", 4, None)

@@ -1,0 +1,102 @@
+"""Groups of the same sites have the same draws, each with its lifetime."""
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.config import Campaign
+from mavfi.errors import BadInputError
+from mavfi.flight.host import Flight
+from mavfi.levels.level import Sampled
+from mavfi.levels.state import StateSampler
+from mavfi.record import Profile
+
+SITES = ["planning.waypoint.x", "perception.collision_status.collision"]
+STATES = ("planning.waypoint", "perception.collision_status")
+PROFILE = Profile({name: np.arange(50) for name in STATES}, {name: np.zeros(50, np.int32) for name in STATES})
+
+
+def faults(*lifetimes, **campaign):
+    groups = [
+        {"name": str(place), "sites": SITES, **({} if lifetime is None else {"lifetime": lifetime})}
+        for place, lifetime in enumerate(lifetimes)
+    ]
+    sampling = {"scheme": "groups", "groups": groups, "strata": {"sign_exponent": 1}, **campaign}
+    sampler = StateSampler(
+        Campaign(name="c", environments=("sparse",), missions=1, faults=40, sampling={"level": "state", **sampling})
+    )
+    found = []
+    for block in sampler.blocks("sparse"):
+        draws = [block.draw(index) for index in range(block.count)]
+        found.append(sampler.draw(draws, "sparse", {"": Sampled(Flight(None, PROFILE))}))
+    return found
+
+
+def place(fault):
+    return fault.where, fault.time_us, fault.stratum, fault.seed
+
+
+def test_the_same_draws_with_each_lifetime():
+    once, stuck, other = faults({}, {"lasts_s": "inf", "share": 0.5}, None)
+    assert [place(fault) for fault in once] == [place(fault) for fault in stuck] != [place(fault) for fault in other]
+    assert {(fault.lasts_s, fault.share) for fault in stuck} == {(float("inf"), 0.5)}
+    assert not any(fault.lasting for fault in once + other)
+
+
+def test_a_lifetime_of_the_campaign_changes_nothing_else_of_the_draws():
+    (plain,), (twice,) = faults(None), faults(None, lifetime={"times": 2})
+    assert [place(fault) for fault in plain] == [place(fault) for fault in twice]
+    assert {fault.times for fault in twice} == {2}
+
+
+def test_bursts_lie_within_their_word():
+    (wide,) = faults(None, lifetime={"width": 8})
+    assert {(fault.where.field, fault.width) for fault in wide} == {("x", 8), ("collision", 1)}
+    assert max(fault.bit for fault in wide if fault.where.field == "x") == 56
+
+
+@pytest.mark.parametrize("lifetime", [{"lasts_s": -1}, {"share": 0}, {"width": 0}, {"times": 0}, {"lasts_s": "long"}])
+def test_what_is_out_of_range_is_refused(lifetime):
+    with pytest.raises((BadInputError, ValueError), match=next(iter(lifetime))):
+        faults(lifetime)
+
+
+def test_faults_in_memory_have_no_lifetime():
+    group = {"name": "a", "sites": ["planner.acted_seq"], "lifetime": {"times": 2}}
+    with pytest.raises((BadInputError, ValueError), match="allowed with faults in states"):
+        Campaign(name="c", environments=("sparse",), sampling={"level": "memory", "groups": [group]})
+
+
+def messages(names, host="local", **sampling):
+    campaign = {"environments": ("sparse",), "missions": 2, "faults": 30, "host": host}
+    return Campaign(name="c", **campaign, sampling={"scheme": "messages", "messages": names, **sampling})
+
+
+def test_every_message_has_its_own_row_and_the_strata_that_it_has():
+    names = ("planning.waypoint", "planning.path")
+    sampler = StateSampler(messages(names, strata={"sign_exponent": 1, "length": 1}))
+    profile = Profile({name: np.arange(50) for name in names}, {name: np.full(50, 4, np.int32) for name in names})
+    for name, block in zip(names, sampler.blocks("sparse"), strict=True):
+        found = sampler.draw([block.draw(i) for i in range(30)], "sparse", {"": Sampled(Flight(None, profile))})
+        strata = [fault.stratum for fault in found]
+        assert {fault.where.state for fault in found} == {name}
+        assert strata.count("length") == (15 if name == "planning.path" else 0)
+        assert len(set(map(place, found))) > 25
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"names": ("planning.plan",)}, "'planning.plan'"),
+        ({"names": ()}, "is required with scheme 'messages'"),
+        ({"names": ("sensor.imu",)}, "sensor.imu: only flights with localization estimator"),
+        ({"names": ("planning.waypoint",), "strata": {"length": 1}}, "no field has bits of the stratum 'length'"),
+        (
+            {"names": ("planning.path",), "strata": {"length": 1}, "host": "ros1"},
+            "'length': may lose a message; allowed on ROS: bits of numbers",
+        ),
+        ({"names": ("planning.path",), "scheme": "stage_balanced"}, "allowed with the key messages: messages"),
+    ],
+)
+def test_messages_that_cannot_be_drawn_are_refused(given, message):
+    with pytest.raises((BadInputError, ValueError), match=message):
+        messages(**given)

@@ -1,0 +1,93 @@
+"""Faults in the calls of a program are drawn from the calls of its golden run."""
+
+from collections import Counter
+
+import pytest
+
+from mavfi.campaign.config import Campaign
+from mavfi.config import parse
+from mavfi.errors import BadInputError
+from mavfi.extras.airsim.boundary import Passed
+from mavfi.extras.airsim.level import MessageLevel
+from mavfi.faults.fault import MessageFault
+from mavfi.flight.host import RunResult
+from mavfi.levels.level import Sampled, draws_of, sampler_for
+from mavfi.record import End, FlightRecord
+from mavfi.testing import HostContract, LevelContract
+
+CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
+PROGRAM = {"host": "airsim_program", "sampling": {"level": "message"}}
+
+
+def campaign(**changes):
+    own = {**PROGRAM, "name": "c", "program": {"script": "p.py"}, "environments": ["sparse"]}
+    return parse(Campaign, {**own, "missions": 1, "faults": 300, **changes}, "campaign.yaml")
+
+
+def faults(of, calls=CALLS):
+    sampler = sampler_for(of)
+    draws = [draw for _, draw in draws_of(sampler.blocks("sparse"), range(1), 1)]
+    golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(calls)))}
+    return sampler.draw(draws, "sparse", golden), sampler, golden
+
+
+def test_the_kind_of_earlier_versions_is_refused_with_the_new_key():
+    with pytest.raises(BadInputError, match="key 'kind': is now 'host'"):
+        campaign(kind="airsim_program")
+
+
+def test_every_call_and_number_of_its_side_is_drawn_and_no_other():
+    found, _, _ = faults(campaign())
+    arguments = [fault for fault in found if fault.field.startswith("arguments")]
+    returns = [fault for fault in found if fault.field.startswith("return")]
+    assert len(arguments) == len(returns) == 300 and {fault.topic for fault in arguments} == {"moveToZ"}
+    assert {(fault.at, fault.field) for fault in arguments} == {(k, f"arguments#{n}") for k in (1, 2) for n in range(8)}
+    share = Counter((fault.topic, fault.at) for fault in returns)
+    assert set(share) == {("ping", 1), ("moveToZ", 1), ("moveToZ", 2)} and min(share.values()) > 70
+    assert {fault.bit for fault in found} == set(range(64))
+
+
+def test_draws_are_the_same_in_any_share_of_the_work_and_for_some_calls_only():
+    found, _, _ = faults(campaign())
+    assert found == faults(campaign())[0] != faults(campaign(first_seed=5))[0]
+    some, _, _ = faults(campaign(sampling={"level": "message", "calls": ["ping"], "sides": ["return"]}))
+    assert len(some) == 300 and {fault.topic for fault in some} == {"ping"}
+
+
+def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
+    found, sampler, golden = faults(campaign(), calls=CALLS[-1:])
+    assert set(found) == {None}
+    null = faults(campaign())[1].null(0, 10_000, "sparse", faults(campaign())[2])
+    assert null.bit is None and null.topic == "moveToZ"
+    assert sampler.null(0, 10_000, "sparse", golden).bit is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"program": None}, "the key program goes with host airsim_program"),
+        ({"host": "local", "sampling": {}}, "the key program goes with host airsim_program"),
+        ({"sampling": {"level": "message", "sides": ["both"]}}, "sides"),
+        ({"sampling": {"level": "message", "sides": ["return", "return"]}}, "'return': named 2 times"),
+        ({"program": {"script": "p.py", "image": "big"}}, "image"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(changes, message):
+    given = {key: value for key, value in {**PROGRAM, **changes}.items() if value is not None}
+    own = {"name": "c", "program": {"script": "p.py"}, "environments": ["sparse"], **given}
+    if changes.get("program", 0) is None:
+        del own["program"]
+    with pytest.raises(BadInputError, match=message):
+        parse(Campaign, own, "campaign.yaml")
+
+
+class TestMessage(LevelContract):
+    level = MessageLevel
+    faults = [MessageFault("moveToZ", "arguments#2", 5, 3, seed=1)]
+    campaign = {"host": "airsim_program", "program": {"script": "p.py"}}
+    golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(CALLS)))}
+
+
+class TestProgramHost(HostContract):
+    host = "airsim_program"
+    under_test = {"script": "p.py"}
