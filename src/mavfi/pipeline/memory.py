@@ -13,7 +13,7 @@ import hashlib
 import pickle
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -33,6 +33,11 @@ class Memory:
     def same(self, other: Self) -> bool:
         """Whether both are bit-identical."""
         return all(same(getattr(self, name), getattr(other, name)) for name in self.__slots__)
+
+
+def zeros(*shape: int) -> Any:  # noqa: ANN401 - a field of a dataclass
+    """A field of a memory: an array that is zero at first."""
+    return field(default_factory=lambda: np.zeros(shape))
 
 
 class Keeper(Protocol):

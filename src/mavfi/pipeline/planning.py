@@ -16,7 +16,7 @@ from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.vectors import length
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.pipeline.routes import PLANNING_ACCELERATION, Routes
 from mavfi.pipeline.trajectories import BRAKING
 from mavfi.states import Stage, State, floats, new_state, rows
@@ -55,10 +55,10 @@ class _PlannerMemory(Memory):
 
     marked: tuple[_Decisions, np.ndarray]
     status: State | None = None
-    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    odometry: np.ndarray = zeros(13)
     waypoint: State | None = None
     trajectory: State | None = None
-    arc: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    arc: np.ndarray = zeros(0)
     crumbs: list[np.ndarray] = field(default_factory=list)
     decisions: _Decisions = field(default_factory=_Decisions)
 
