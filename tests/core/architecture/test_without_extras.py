@@ -14,7 +14,8 @@ from tests.core.architecture.source import ROOT
 
 CHOSEN = (
     "tests/core/unit/analysis", "tests/core/unit/campaign", "tests/core/unit/cli", "tests/core/unit/faults",
-    "tests/core/unit/levels", "tests/core/unit/report", "tests/core/unit/test_*.py", "tests/core/architecture/test_code.py",
+    "tests/core/unit/levels", "tests/core/unit/report", "tests/core/unit/test_*.py",
+    "tests/core/architecture/test_code.py",
 )  # fmt: skip
 """Tests of what extras plug into, as far as they are fast."""
 OF_EXTRAS = re.compile(r"\b(mavfi|tests)[./]extras\b")

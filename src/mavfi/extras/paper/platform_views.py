@@ -150,7 +150,9 @@ PLATFORMS = Chapter(90, (
             Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_papers_platform("energy_kj")(own))),
             Measure("power_w", "power", "number .0f W", _power),
             Measure("paper_w", "paper", "number .0f W", _papers_power), _against_first,
-            Measure("paper_processor", "paper: processor", "text", lambda own: _watts(_papers_platform("power_w")(own))),
+            Measure(
+                "paper_processor", "paper: processor", "text", lambda own: _watts(_papers_platform("power_w")(own))
+            ),
         ),
         where=compared, headings=("platform", "setting"),
         notes=lambda runs: (

@@ -1,5 +1,6 @@
 """Fig. 8 of the paper: flight time with redundant processors relative to that with a detector."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -55,8 +56,11 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         axes.grid(axis="y")
         axes.set_title(vehicle.replace("_", " "))
     panels[0].set_ylabel("against the autoencoder scheme")
-    handles = [Line2D([], [], linestyle="", marker=_DESIGN_LOOKS[place % len(_DESIGN_LOOKS)][1], color=_DESIGN_LOOKS[place % len(_DESIGN_LOOKS)][0],
-                      label=f"flight time, {name}") for place, name in enumerate(calibrations)]  # fmt: skip
+    looks = itertools.cycle(_DESIGN_LOOKS)
+    handles = [
+        Line2D([], [], linestyle="", marker=marker, color=color, label=f"flight time, {name}")
+        for name, (color, marker) in zip(calibrations, looks, strict=False)
+    ]
     handles += [
         Line2D([], [], linestyle="", marker="o", color=style.GREY, fillstyle="none", label="energy (hover power)"),
         Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
