@@ -38,8 +38,7 @@ from mavfi.campaign.integrity import (
     salt_of,
 )
 from mavfi.campaign.ledger import repair, status
-from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
-from mavfi.campaign.names import check_names
+from mavfi.campaign.mission import check_names, model_hashes, plan_of, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.run import run_campaign

@@ -17,7 +17,7 @@ from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.memory_faults import DetectorMemory, MemoryInjector, flip_bit
-from mavfi.levels.memory import MemoryRequest
+from mavfi.levels.memory import MemoryRequest, fly_exposed
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
@@ -255,7 +255,9 @@ def test_faults_in_detectors_are_drawn_from_flights_with_them():
     watching = detector("acceptance")
     fault, flown = MemoryRequest("acceptance", "last_command", None, AT).draw(ArmSetup(mission(), lambda: watching), 3)
     assert fault.kernel == "acceptance" and fault.field.startswith("last_command.") and fault.time_us == AT
-    assert flown.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
+    assert flown is None, "no golden flight without the detector was flown"
+    drawn_from = fly_exposed(ArmSetup(mission(), lambda: watching), [])
+    assert drawn_from.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
     with pytest.raises(BadInputError, match=r"memory:acceptance.nothing: no such word.*allowed: .*last_command.vx"):
         MemoryRequest("acceptance", "nothing").draw(ArmSetup(mission(), lambda: watching), 3)
     gated = r"autoencoder \(profile tuned\), gaussian \(profile tuned\)"
