@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from mavfi.faults.sampling import draw, stage_target
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve, with_keys_of
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.host import Flight
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 

@@ -18,8 +18,7 @@ from pathlib import Path
 from mavfi.errors import NotInstalledError, SpecMismatchError
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.extras.paper.overheads import LONG_S, Cost, cost
-from mavfi.flight.compose import resolve
-from mavfi.flight.watching import detector_for, with_keys_of
+from mavfi.flight.compose import detector_for, resolve, with_keys_of
 from mavfi.mission import MissionSpec
 from mavfi.states import BASELINES
 from tools.markers import DOCS, between

@@ -27,8 +27,7 @@ from benchmarks.planners import nearest_rows, search_rows
 from benchmarks.rows import Row
 from mavfi.analysis.table import Table
 from mavfi.campaign.fingerprint import processor
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.ppc import build_pipeline

@@ -14,8 +14,7 @@ from mavfi.extras.ros.ros1.messages import type_name
 from mavfi.extras.ros.ros1.plan import WORLD, Graph
 from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, SensorFault, Unit, check_read
 from mavfi.faults.strata import WORD_BITS
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import find_host, host_class
 from mavfi.flight.loop import CONTROL_PERIOD_US
 from mavfi.mission import MissionSpec

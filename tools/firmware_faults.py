@@ -11,7 +11,6 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from mavfi.extras.firmware.host import fly, register_fault
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.flight.compose import resolve
-from mavfi.flight.loop import Loop
+from mavfi.flight.loop import Listener, Loop
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of, energy
 from mavfi.record import FlightLog
@@ -119,7 +118,7 @@ def healthy_missions(environment: str, first: int, count: int, noises: int) -> N
             continue
         golden = fly(scenario)
         for noise in range(1, noises + 1):
-            other = fly(scenario, observers=(partial(_other_noise, seed + noise * _OTHER_NOISE),))
+            other = fly(scenario, observers=(_OtherNoise(seed + noise * _OTHER_NOISE),))
             ends = golden.record(), other.record()
             found = control_of(*ends)
             row: Row = {"seed": f"{environment}-{seed}-{noise}", "mission": seed, "control": found and found.value}
@@ -131,11 +130,17 @@ def healthy_missions(environment: str, first: int, count: int, noises: int) -> N
             print(row, flush=True)
 
 
-def _other_noise(seed: int, loop: Loop) -> None:
-    """Draw the gyro's noise of a flight that has not started from a seed."""
-    controller = getattr(loop.plant, "controller", None)
-    assert isinstance(controller, BetaflightController)  # as the mission says
-    controller.draw_noise(seed)
+class _OtherNoise(Listener):
+    """Draws the gyro's noise of a flight from a seed."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def begin(self, loop: Loop) -> None:
+        """See `Listener`."""
+        controller = getattr(loop.plant, "controller", None)
+        assert isinstance(controller, BetaflightController)  # as the mission says
+        controller.draw_noise(self._seed)
 
 
 def _apart(golden: FlightLog, other: FlightLog) -> float:

@@ -20,10 +20,9 @@ from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve, with_keys_of
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed

@@ -47,17 +47,16 @@ from mavfi.campaign.store import (
     salt_of,
 )
 from mavfi.campaign.training import KeptRecordings
-from mavfi.cli.export import _write
 from mavfi.config import AutopilotConfig, PlatformConfig, load
 from mavfi.config import shipped as find_shipped
 from mavfi.detectors.model import Model
 from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
 from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
+from mavfi.extras.logs.cli_export import _write
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import find_environment, find_planner, resolve
+from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
 from mavfi.levels.level import parse
 from mavfi.levels.state import StateRequest
 from mavfi.mission import MissionSpec, MissionStatus

@@ -9,8 +9,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 import numpy as np
 
 from mavfi.config import EnvironmentConfig
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from mavfi.config import EnvironmentConfig
 from mavfi.detectors.detector import part_of
 from mavfi.detectors.registry import detector_names, of_monitored_fields
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, new_loop, resolve
 from mavfi.flight.memory_faults import DetectorMemory
-from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.words import change, words_of
 from mavfi.states import BASELINES, WATCHING

@@ -118,7 +118,7 @@ class Campaign(Config):
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
     parts: dict[str, Part] = Field(default_factory=dict, description="by name in environments, e.g. one per platform")
     under_test: SerializeAsAny[Config] | None = Field(
-        None, description="what is under test instead of our pipeline, under the key that its host has for it"
+        None, description="what is under test instead of our pipeline; given under the key of its host"
     )
 
     @model_validator(mode="before")

@@ -21,9 +21,9 @@ from mavfi.detectors.custom import is_custom
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
+from mavfi.flight.compose import detector_for
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Host, MissionFlights, Recorded, find_host
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
 from mavfi.levels.level import NULL, Sampled, Sampler, sampler_for
 from mavfi.mission import Scenario
 from mavfi.plugins import plugin_failure, reason

@@ -5,8 +5,8 @@ from mavfi.campaign.mission import host_of
 from mavfi.campaign.plan import Arm, arms_of
 from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError
+from mavfi.flight.compose import with_keys_of
 from mavfi.flight.host import Host
-from mavfi.flight.watching import with_keys_of
 from mavfi.mission import MissionSpec
 
 

@@ -25,9 +25,8 @@ from mavfi.detectors.registry import figures_of, trainable
 from mavfi.detectors.training import MONITORED_FIELDS, Training
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.outcomes import quality_of_flight
 from mavfi.record import read_arrays

@@ -24,7 +24,7 @@ from mavfi.campaign.plan import Arm, Flown, Planned, arms_of
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
 from mavfi.flight.compiling import STAGES, compile_stage
-from mavfi.flight.watching import detector_for
+from mavfi.flight.compose import detector_for
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder

@@ -62,10 +62,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     request = of_extra if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
-        from mavfi.flight.compose import resolve
+        from mavfi.flight.compose import resolve, with_keys_of
+        from mavfi.flight.decide import Recovery
         from mavfi.flight.host import ArmSetup
-        from mavfi.flight.policy import Recovery
-        from mavfi.flight.watching import with_keys_of
 
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
@@ -173,7 +172,7 @@ def load_watcher(
     """Load a detector; return it with its label (name, and profile if it has one)."""
     if name == "none":
         return None, ""
-    from mavfi.flight.watching import detector_for
+    from mavfi.flight.compose import detector_for
 
     detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models, mission.trained_for)
     if mission.trained_for and not model:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mavfi.cli.console import check_number, console
 from mavfi.errors import BadInputError
 from mavfi.plugins import extensions
+
+if TYPE_CHECKING:
+    from mavfi.flight.loop import Attached
 
 OBSERVERS = "mavfi.observers"
 """Group of entry points, by the name of an option: objects with `options`, see `with_extra_options`, `chosen(values)`
@@ -41,12 +44,12 @@ def chosen_observers(values: Mapping[str, Any], pace: float, fault: str | None) 
 @contextmanager
 def observing(
     chosen: list[Any], values: Mapping[str, Any], pace: float
-) -> Iterator[tuple[Callable[[Any], None], ...]]:  # fmt: skip
+) -> Iterator[tuple[Attached, ...]]:  # fmt: skip
     """Observers of a flight, for `ArmSetup.observers`, until the end of the context."""
     if not chosen:
         yield ()
         return
-    from mavfi.flight.observe import Attached
+    from mavfi.flight.loop import Attached
 
     attached: list[Attached] = []
     with ExitStack() as stack:

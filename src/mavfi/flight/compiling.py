@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import new_loop
 from mavfi.flight.loop import Loop
 from mavfi.mission import Scenario
 from mavfi.rewriting import check_flown

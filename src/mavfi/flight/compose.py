@@ -1,27 +1,37 @@
-"""Resolution of names into a scenario, and of a scenario into the inputs of simulator and pipeline."""
+"""Resolution of names into a scenario and its detector, and of these into a flight that has not started."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mavfi import config as configs
 from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, PlannerConfig, names, parse, shipped
+from mavfi.detectors.detector import Detector, check_states
+from mavfi.detectors.limits import MissionLimits
+from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
-from mavfi.flight.compute import stage_latency
-from mavfi.flight.loop import CONTROL_PERIOD_US
+from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
+from mavfi.flight.plant import MakePlant
+from mavfi.flight.recovery import DetectorTap, Duplicates
+from mavfi.flight.restarts import Restarts
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.pipeline.planners import find_search
+from mavfi.pipeline.ppc import build_pipeline
 from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
-from mavfi.sim.environments import World, environment_for_file, find_generator
+from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
 from mavfi.sim.mjcf import find_vehicle
+from mavfi.sim.simulator import Simulator
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
 _DEFAULT_V_MAX = 3.0
@@ -166,3 +176,135 @@ def noise_of(config: configs.LocalizationConfig) -> Noise | None:
         scale * imu.ACCELEROMETER_BIAS_WALK, scale * imu.GYRO_BIAS_WALK,
         max(config.position_noise, _LEAST_POSITION_NOISE), max(config.heading_noise, _LEAST_HEADING_NOISE),
     )  # fmt: skip
+
+
+# ---- assembly of a flight -------------------------------------------------------------------------------------------
+MakeKernels = Callable[[PipelineConfig], dict[str, Kernel]]
+
+
+def new_loop(
+    scenario: Scenario, *, profile: bool = False, functions: KernelFunctions = PLAIN, rewindable: bool = False,
+    make_plant: MakePlant = Simulator, make_kernels: MakeKernels = build_pipeline,
+) -> Loop:  # fmt: skip
+    """Build a flight in its initial state, without taps.
+
+    Args:
+        scenario: The mission.
+        profile: Whether to record the publication times of each state.
+        functions: Functions that kernels call: compiled or instrumented.
+        rewindable: Whether the flight can be restored to earlier instants (`flight.checkpoints`): maps keep an
+            undo log, and kernels are marked even without a detector.
+        make_plant: Constructs the plant.
+        make_kernels: Constructs the kernels; they may be proxies of remote ones.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
+    """
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    plant = make_plant(world, scenario)
+    config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
+    make = partial(make_kernels, config)
+    return Loop(scenario, world, plant, make, want_profile=profile, marks=rewindable)
+
+
+def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
+    """Attach a detector to a flight that has not started; None = no effect.
+
+    Raises:
+        BadInputError: The detector lists a state that does not exist.
+    """
+    if detector is None:
+        return
+    check_states(detector)
+    loop.marks = True
+    install(loop, detector, recovery, restarts_for(loop, recovery)).begin()
+
+
+def restarts_for(loop: Loop, recovery: Recovery) -> Restarts | None:
+    """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
+    return Restarts(loop, "readback") if recovery.restarts else None
+
+
+def install(loop: Loop, detector: Detector, recovery: Recovery, restarts: Restarts | None) -> DetectorTap:
+    """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
+    if restarts is None:
+        tap = DetectorTap(loop, detector, recovery)
+    else:
+        tap = DetectorTap(loop, detector, recovery, restarts.die)
+    loop.taps.detector = tap
+    loop.taps.watched = tap.states
+    loop.taps.seal = tap.seal if tap.seals else None
+    loop.taps.again = tap.lost if recovery.resends else None
+    loop.verify = Duplicates(loop, detector.duplicates) if detector.duplicates else None
+    return tap
+
+
+# ---- the detector of a mission --------------------------------------------------------------------------------------
+_ERROR_STEP = 0.6
+"""Largest change of the tracker's position error between two control periods (m)."""
+
+
+def detector_for(
+    scenario: Scenario, name: str, profile: str, models_dir: Path | None = None, trained_for: str = "",
+    options: Mapping[str, Any] | None = None,
+) -> Loaded:  # fmt: skip
+    """Load a detector for a mission.
+
+    Args:
+        scenario: The mission.
+        name: Entry point of the group mavfi.detectors, or "package:Class".
+        profile: "paper" or "tuned".
+        models_dir: Folder of trained models; None = the shipped models.
+        trained_for: "autopilot/platform" whose model is used though it was not trained for this mission; "" = the
+            mission's own, which must fit.
+        options: Options of the detector, over those of its file and profile.
+
+    Raises:
+        BadInputError: The detector, profile or model does not exist.
+        SpecMismatchError: The model was trained for a different configuration.
+    """
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    mission = {
+        "stack": scenario.autopilot.name,
+        "platform": scenario.platform.name,
+        "v_max": scenario.v_max,
+        "planner": scenario.planner.name,
+        "limits": limits_of(scenario, world),
+        "seed": scenario.seed,
+    }
+    return load_detector(name, profile, models_dir, mission, options=options, trained_for=trained_for)
+
+
+def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:
+    """The mission with the detector's recommended keys, apart from those that the user has set.
+
+    Raises:
+        BadInputError: A value of these is not allowed.
+    """
+    given = {key: getattr(spec, key) for key in spec.model_fields_set}
+    name = detector if isinstance(detector, str) else type(detector).__name__
+    return parse(MissionSpec, {**mission_keys(detector), **given}, f"detector {name!r}: recovery")
+
+
+def limits_of(scenario: Scenario, world: World) -> MissionLimits:
+    """Limits of a mission's publications, as rule-based detectors check them."""
+    autopilot, platform = scenario.autopilot, scenario.platform
+    period = 1e-6 * CONTROL_PERIOD_US
+    noise = noise_of(scenario.localization)
+    p, i, d = (max(map(abs, gains)) for gains in (autopilot.gain_p, autopilot.gain_i, autopilot.gain_d))
+    return MissionLimits(
+        v_max=scenario.v_max, a_max=scenario.a_max, arena=(_corner(world.arena_lower), _corner(world.arena_upper)),
+        flight=(_corner(world.flight_lower), _corner(world.flight_upper)), goal=_corner(world.goal),
+        held=autopilot.sampling == "held", every_map=autopilot.replanning == "every_map",
+        point_period=autopilot.point_period, control_period=period, look_ahead=autopilot.look_ahead,
+        planner_latency=1e-6 * latency(platform, "planner"),
+        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING), velocity_lag=1.0 / scenario.vehicle.velocity_gain,
+        command_limit=autopilot.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
+        slowdown_cap=autopilot.slowdown_cap, tracker_slowdown=platform.tracker_slowdown,
+        camera_range=scenario.camera.range, repeated=autopilot.alarm == "repeated",
+        fix_noise=None if noise is None else (noise.position, noise.heading),
+    )  # fmt: skip
+
+
+def _corner(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(map(float, values))

@@ -1,21 +1,21 @@
 """Decisions of recovery, in pure Python: which response an alarm gets, and when the wait for a path is over.
 
 `decide` is the decision table; `recovery.DetectorTap` carries its actions out.  Nothing here depends on the flight but
-through the arguments: the alarm, what recovery remembers (`History`), and the mission's policy (`policy.Recovery`).
+through the arguments: the alarm, what recovery remembers (`History`), and the mission's policy (`Recovery`).
 """
 
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from mavfi.config import AutopilotConfig
 from mavfi.detectors.detector import Alarm
-from mavfi.flight.degraded import HoldMemory
-from mavfi.flight.policy import Recovery
+from mavfi.errors import BadInputError
 from mavfi.kernels.perception.collision_check import NO_COLLISION
+from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.pipeline.memory import Memory
-from mavfi.states import KERNELS, STAGE_KERNELS, STATES, Stage, State, StateSpec
+from mavfi.states import KERNELS, ODOMETRY, STAGE_KERNELS, STATES, Stage, State, StateSpec, floats
 
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that are recomputed together, starting from the image."""
@@ -39,6 +39,88 @@ SKIPPED_US = 50_000_000
 response either: it changes the route, and several can lead into an obstacle."""
 
 
+# ---- the policy -----------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """Recovery policy for the alarms of a detector; the attributes are keys of a mission.
+
+    Attributes:
+        coupling: Coupling of the detector, see `recovery`.
+        grain: Unit of repetition: the `stage` with its latency; only the `kernel` that wrote the value; or its
+            `message`, which the producer retransmits from its copy at no modelled cost, also if it cannot be read.
+        same_twice: Policy for a recomputation that violates a rule again (`Alarm.hard`): `accept` it, or `escalate` to
+            a restart of the node (coupling `inline` only), or `limit` the rate of recomputations that change nothing,
+            so that a detector that raises alarms without end cannot delay a flight at each step.
+        answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
+            0 = none.
+        degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
+            continues the mission, `hold` gives it up, see `HoldPosition`.
+
+    Raises:
+        BadInputError: A degraded mode with coupling `observer`, which cannot withhold commands.
+    """
+
+    coupling: Literal["inline", "observer"] = "inline"
+    grain: Literal["stage", "kernel", "message"] = "stage"
+    same_twice: Literal["accept", "escalate", "limit"] = "accept"
+    answer_s: float = 0.0
+    degraded: Literal["none", "hold"] = "none"
+
+    def __post_init__(self) -> None:
+        if self.degrades and not self.gates:
+            raise BadInputError(f"degraded: {self.degraded}: withholds commands; allowed: with coupling inline")
+
+    @staticmethod
+    def of(spec: MissionSpec) -> "Recovery":
+        """The recovery policy of a mission."""
+        return Recovery(*(getattr(spec, key) for key in RECOVERY))
+
+    @property
+    def gates(self) -> bool:
+        """Whether the detector is a gate, which can withhold a value."""
+        return self.coupling == "inline"
+
+    @property
+    def escalates(self) -> bool:
+        """Whether a rule violated twice restarts a node; not with an observer, as its values are consumed first."""
+        return self.same_twice == "escalate" and self.gates
+
+    @property
+    def restarts(self) -> bool:
+        """Whether the policy includes node restarts."""
+        return self.escalates or self.answer_s > 0
+
+    @property
+    def limits(self) -> bool:
+        """Whether the rate of recomputations without a change is limited."""
+        return self.same_twice == "limit"
+
+    @property
+    def confirms(self) -> bool:
+        """Whether another value after an alarm confirms it; an observer's next value differs in any case."""
+        return not self.limits or self.gates
+
+    @property
+    def resends(self) -> bool:
+        """Whether the producer's copy is retransmitted."""
+        return self.grain == "message"
+
+    @property
+    def degrades(self) -> bool:
+        """Whether there is a degraded mode."""
+        return self.degraded != "none"
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it depends on more than its own earlier alarms, on which a limit depends, see `decide.History`."""
+        return self.restarts or self.degrades
+
+
+INLINE = Recovery()
+"""A gate that repeats the stage and accepts the result, even if it is the same value."""
+
+
+# ---- an alarm, its response, and what recovery remembers ------------------------------------------------------------
 class Origin(IntEnum):
     """What produced a value."""
 
@@ -103,6 +185,19 @@ class Rejection:
     spec: StateSpec
     origin: Origin
     time_us: int
+
+
+@dataclass(slots=True)
+class HoldMemory(Memory):
+    """Where the vehicle is, and where it shall stay.
+
+    Attributes:
+        position: The latest position (m); empty before the first.
+        target: The position at which the mode began (m); empty before.
+    """
+
+    position: list[float] = field(default_factory=list)
+    target: list[float] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -321,3 +416,53 @@ def _is_free(status: State, waypoint: State | None) -> bool:
     time_to_collision = float(status.header["time_to_collision"][0])
     distance_to_blocked = float(status.header["distance_to_blocked"][0])
     return has_trajectory and time_to_collision == NO_COLLISION and distance_to_blocked == math.inf
+
+
+# ---- the degraded mode `hold` ---------------------------------------------------------------------------------------
+# Where recovery cannot correct a fault, the mission is given up, and the vehicle holds position.  The commands replace
+# those of the tracker, whose inputs and memory are no longer trusted; they depend on odometry alone.
+GAIN = 1.0
+"""Commanded speed / distance to the position (1/s)."""
+SHARE = 0.5
+"""Largest commanded speed / v_max."""
+VALID_S = 0.1
+"""Validity of a command (s): five control periods."""
+
+
+class HoldPosition:
+    """Commands that return the vehicle to the position at which the mode began.
+
+    Args:
+        v_max: Speed limit of the mission (m/s).
+
+    Attributes:
+        states: Names of the states that it reads.
+    """
+
+    states = frozenset(ODOMETRY.values())
+
+    def __init__(self, v_max: float) -> None:
+        self._max_speed = SHARE * v_max
+
+    def note(self, memory: HoldMemory, odometry: State) -> None:
+        """Store the vehicle's position if it is finite."""
+        position = floats(odometry.header, 3).tolist()
+        if all(map(math.isfinite, position)):
+            memory.position = position
+
+    def begin(self, memory: HoldMemory) -> None:
+        """Begin the mode at the latest position."""
+        memory.target = memory.position
+
+    def command(self, memory: HoldMemory, published: State) -> State | None:
+        """The command in place of a published one; None = none: the flight controller hovers."""
+        if not memory.target or not memory.position:
+            return None
+        dx, dy, dz = (target - current for target, current in zip(memory.target, memory.position, strict=True))
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        rate = 0.0  # commanded speed / distance (1/s)
+        if distance > 0.0:
+            rate = min(GAIN * distance, self._max_speed) / distance
+        command = published.copy()
+        command.header[0] = (rate * dx, rate * dy, rate * dz, 0.0, VALID_S)
+        return command

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,8 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
-from mavfi.flight.assemble import install, new_loop, restarts_for
 from mavfi.flight.checkpoints import (
     Checkpoint,
-    DetectorKeeper,
     Instant,
     can_save_kernels,
     has_scratch,
@@ -38,11 +36,10 @@ from mavfi.flight.checkpoints import (
     put,
     take,
 )
-from mavfi.flight.counted_function import CountedFunction
-from mavfi.flight.golden_prefix import check_prefix
+from mavfi.flight.compose import install, new_loop, restarts_for
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import Flight
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import FlightLog, Profile
@@ -53,6 +50,88 @@ TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
 
 
+# ---- golden flights stopped early -----------------------------------------------------------------------------------
+
+
+def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
+    """Fly a loop from its start until `enough` (evaluated after each control period) is true; None = stopped early."""
+    loop.begin()
+    while loop.status is None and not enough():
+        loop.run(len(loop.record.rows) + 1)
+    return None if loop.status is None else loop.flight()
+
+
+def check_prefix(loop: Loop, golden: FlightLog) -> None:
+    """Check that a loop has flown the start of a golden flight, bit for bit, and the whole if it has ended.
+
+    Raises:
+        MavfiError: The flights differ.
+    """
+    rows = np.asarray(loop.record.rows)
+    same = rows.tobytes() == golden.rows[: len(rows)].tobytes()
+    if loop.status is not None:
+        same = same and loop.status is golden.status and len(rows) == len(golden.rows)
+    if not same:
+        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+
+
+# ---- functions whose calls are counted ------------------------------------------------------------------------------
+
+
+class Taken(NamedTuple):
+    """A call that was made by somebody else, with its result."""
+
+    result: Any
+
+
+Intercept = Callable[[str, int, Callable[..., Any], tuple[Any, ...]], Taken | None]
+"""Called before each call with name, number of the call, function and arguments; None = the call is made as usual."""
+
+
+class CountedFunction:
+    """A compiled function, called in its place; calls are counted in the record of a flight.
+
+    Calls that repeat others for verification are not counted: faults address calls of first executions, as in flights
+    without a detector.
+
+    Attributes:
+        intercept: May take calls over; None = no call is.
+    """
+
+    def __init__(self, name: str, function: Callable[..., Any]) -> None:
+        self.intercept: Intercept | None = None
+        self._name, self._function = name, function
+        self._loop: Loop | None = None
+
+    def attach(self, loop: Loop) -> None:
+        """Count calls in the record of a loop."""
+        self._loop = loop
+        loop.record.calls[self._name] = 0
+
+    @contextmanager
+    def replaced(self, function: Callable[..., Any]) -> Iterator[None]:
+        """Call another function, which returns the same."""
+        original, self._function = self._function, function
+        try:
+            yield
+        finally:
+            self._function = original
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        loop = self._loop
+        if loop is None or loop.repeating:
+            return self._function(*args)
+        call = loop.record.calls[self._name]
+        loop.record.calls[self._name] = call + 1
+        if self.intercept is not None:
+            taken = self.intercept(self._name, call, self._function, args)
+            if taken is not None:
+                return taken.result
+        return self._function(*args)
+
+
+# ---- known flights --------------------------------------------------------------------------------------------------
 @dataclass(slots=True)
 class Share:
     """Share of the flights that was simulated.
@@ -170,20 +249,20 @@ class Branch:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
 
         # Attach the detector.
-        self._detector = None if arm.detector is None else DetectorKeeper(arm.detector)
+        self._detector = arm.detector
         self._restarts = None if arm.detector is None else restarts_for(self.loop, arm.recovery)
         self._tap = self._new_tap()
 
     def _new_tap(self) -> Any:  # noqa: ANN401 - the tap of the detector; None = there is no detector
         if self._detector is None:
             return None
-        return install(self.loop, self._detector.content, self._arm.recovery, self._restarts)
+        return install(self.loop, self._detector, self._arm.recovery, self._restarts)
 
     def _detector_memory(self) -> Any:  # noqa: ANN401
         """The memory of detector and recovery; None = there is no detector."""
         if self._detector is None:
             return None
-        return self._detector.save(), self._tap.memory.copy()
+        return self._detector.memory(), self._tap.memory.copy()
 
     def restore_detector(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of detector and recovery, if there is a detector, from a checkpoint."""
@@ -191,7 +270,7 @@ class Branch:
             return
         detector_memory, recovery_memory = saved
         self._detector.restore(detector_memory)
-        self._tap = self._new_tap()  # restoring may have replaced the detector
+        self._tap = self._new_tap()  # a new one asks a detector that has been disabled
         self._tap.memory = recovery_memory.copy()
 
     def _has_detector_memory(self, checkpoint: Checkpoint) -> bool:
@@ -199,7 +278,7 @@ class Branch:
         if self._detector is None:
             return True
         detector_memory, recovery_memory = checkpoint.detector
-        return self._detector.same(detector_memory) and bool(self._tap.memory.same(recovery_memory))
+        return bool(self._detector.memory() == detector_memory and self._tap.memory.same(recovery_memory))
 
     # ---- the record -------------------------------------------------------------------------------------------------
     def begin_empty(self) -> None:
@@ -300,7 +379,7 @@ class Branch:
         assert self._detector is not None  # precondition
         if self._tap.gave_up:
             return False
-        detector, watched_states = self._detector.content, self.loop.taps.watched
+        detector, watched_states = self._detector, self.loop.taps.watched
         for state, now in track.publications[here.publications : there.publications]:
             if watched_states is not None and state.spec.name not in watched_states:
                 continue

@@ -1,16 +1,16 @@
 """One in-process flight, bit-reproducible."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault, find_level
 from mavfi.faults.injector import Injector
-from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import Flight
-from mavfi.flight.loop import Loop
+from mavfi.flight.loop import Listener
 from mavfi.flight.plant import MakePlant
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -21,7 +21,7 @@ from mavfi.sim.simulator import Simulator
 def fly(  # noqa: PLR0913 - each is independent
     scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
-    functions: KernelFunctions = PLAIN, observers: Sequence[Callable[[Loop], None]] = (),
+    functions: KernelFunctions = PLAIN, observers: Sequence[Listener] = (),
     make_plant: MakePlant = Simulator,
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
@@ -34,7 +34,7 @@ def fly(  # noqa: PLR0913 - each is independent
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
         functions: Functions that kernels call: compiled or instrumented.
-        observers: Called with the loop before the flight, see `flight.observe`.
+        observers: Take part in the flight.
         make_plant: Constructs the vehicle in its world.
 
     Raises:
@@ -48,8 +48,8 @@ def fly(  # noqa: PLR0913 - each is independent
             injector = find_level(fault.level).inject(loop, fault, detector)
         watch(loop, detector, recovery)
         loop.taps.recorders.extend(recorders)
-        for attach in observers:
-            attach(loop)
+        for observer in observers:
+            loop.attach(observer)
         flight = loop.fly()
         check_flown(scenario.protection)
     finally:

@@ -9,7 +9,7 @@ from mavfi.config import Config
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import extensions, load_object
 from mavfi.record import FlightLog, FlightRecord, Profile, record_of
@@ -76,14 +76,14 @@ class RunResult:
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
 
-    Observers are called with the loop before each flight (see `flight.observe`), by the host `firmware`, and by the
-    host `local` without fast-forward, except for faults in instructions.
+    Observers (`flight.loop.Listener`) take part in flights of the host `firmware`, and of the host `local` without
+    fast-forward, except for faults in instructions.
     """
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
     recovery: Recovery = INLINE
-    observers: tuple[Callable[[Any], None], ...] = ()
+    observers: tuple[Any, ...] = ()
 
     def detector(self) -> Detector | None:
         """A detector for flights of the arm; None = no detector."""
@@ -208,8 +208,8 @@ class Host(ABC):
         """Keys of a campaign that follow from what is under test, unless they are given."""
         return {}
 
-    @classmethod
-    def check_sampling(cls, sampling: Any) -> None:  # noqa: B027 - most inject all faults of their levels
+    @classmethod  # noqa: B027 - most inject all faults of their levels
+    def check_sampling(cls, sampling: Any) -> None:
         """Raise a BadInputError if the host cannot inject faults that are drawn in this way."""
 
 

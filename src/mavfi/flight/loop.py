@@ -5,28 +5,42 @@ published through the taps after the platform's latency; the control command dri
 """
 
 import heapq
+import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 from weakref import proxy
 
 import numpy as np
 
-from mavfi.flight.compute import latency, redo_latency, stage_latency
+from mavfi.config import LocalizationConfig, PlatformConfig
+from mavfi.errors import BadInputError
+from mavfi.faults.levels.state_injector import ActedOn
 from mavfi.flight.decide import SCANNING, Action, Awaited, Response
 from mavfi.flight.host import Flight
-from mavfi.flight.judge import Judge
 from mavfi.flight.plant import Plant
-from mavfi.flight.recording import Publications, Record
-from mavfi.flight.sensing import SensorMemory, Sensors
 from mavfi.flight.taps import Taps
-from mavfi.mission import MissionStatus, Scenario
+from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
-from mavfi.record import FlightLog, Injection
+from mavfi.record import AlarmRecord, Event, FlightLog, Injection, Profile
 from mavfi.sim.environments import World
-from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage, State, floats, states_with
+from mavfi.sim.scene import STEP_US
+from mavfi.states import (
+    KERNELS,
+    ODOMETRY,
+    PERIODIC,
+    STAGE_KERNELS,
+    STATES,
+    Stage,
+    State,
+    StateSpec,
+    floats,
+    new_state,
+    states_with,
+)
 
 CONTROL_PERIOD_US = 20_000
 _PHYSICS_US = 4_000
@@ -37,6 +51,218 @@ _REQUESTED_AT_TICKS = tuple(
 """Kernels whose requested recomputation starts at the next control period, not at the next input."""
 
 
+# ---- modelled computers: latency of results in simulated time -------------------------------------------------------
+def latency(platform: PlatformConfig, kernel: str) -> int:
+    """Latency of a kernel (us); `BadInputError` if the platform does not define it."""
+    if KERNELS[kernel].on_flight_controller:
+        return 0
+    try:
+        return platform.latency_us[kernel]
+    except KeyError:
+        raise BadInputError(
+            f"platform {platform.name}: key 'latency_us': no kernel {kernel!r}; it has {', '.join(platform.latency_us)}"
+        ) from None
+
+
+def redo_latency(platform: PlatformConfig, kernel: str, stage: Stage) -> int:
+    """Cost of recomputing after an alarm on a kernel's result (us): its stage's; 0 on the flight controller."""
+    return 0 if KERNELS[kernel].on_flight_controller else stage_latency(platform, stage)
+
+
+def stage_latency(platform: PlatformConfig, stage: Stage) -> int:
+    """Cost of rerunning a stage (us)."""
+    return sum(latency(platform, kernel) for kernel in STAGE_KERNELS[stage])
+
+
+# ---- when a mission ends --------------------------------------------------------------------------------------------
+class Judge:
+    """Termination conditions: goal, collision, arena, consecutive failed plans, and the time limit `limit_us` (us)."""
+
+    def __init__(self, scenario: Scenario, world: World) -> None:
+        self._goal = world.goal.tolist()
+        self._lower, self._upper = world.arena_lower.tolist(), world.arena_upper.tolist()
+        self._max_failed_plans = scenario.autopilot.max_failed_plans
+        self.limit_us = int(1e6 * time_limit(world.course, scenario.v_max, scenario.platform))
+
+    def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:
+        """The final status; None = the mission continues."""
+        state = plant.odometry.tolist()  # at 13 elements, NumPy's call overhead exceeds the computation
+        if not all(map(math.isfinite, state)):
+            return MissionStatus.INVALID_STATE
+        if plant.collided:
+            return MissionStatus.COLLISION
+        if math.dist(state[:3], self._goal) < ARRIVAL_RADIUS:
+            return MissionStatus.SUCCESS
+        for low, value, high in zip(self._lower, state, self._upper, strict=False):  # x, y, z
+            if low - value > FLY_AWAY_MARGIN or value - high > FLY_AWAY_MARGIN:
+                return MissionStatus.FLY_AWAY
+        if failed_plans > self._max_failed_plans:
+            return MissionStatus.NO_PATH
+        return MissionStatus.TIMEOUT if now >= self.limit_us else None
+
+
+# ---- sensors --------------------------------------------------------------------------------------------------------
+_ESTIMATE = ODOMETRY["estimator"]
+
+
+@dataclass(slots=True)
+class SensorMemory(Memory):
+    """When the next position fix is due (us), and the last estimate published to consumers: position, quaternion."""
+
+    next_fix_us: int = 0
+    estimate: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+
+class Sensors:
+    """The sensors of one flight; `estimating`: whether an estimator is used; `memory`: their state.
+
+    With an estimator, the true pose is published only through sensors: an image carries the last estimate published to
+    consumers, whereas the camera renders from the true pose.
+    """
+
+    def __init__(self, plant: Plant, localization: LocalizationConfig) -> None:
+        self.estimating = localization.kind == "estimator"
+        self._plant = plant
+        self._period_us = localization.position_period_us
+        self.memory = SensorMemory()
+
+    def samples_between(self, now: int, later: int) -> range:
+        """Sampling instants of the IMU (us) between `now` and the next control period `later`, both exclusive."""
+        return range(now + STEP_US, later, STEP_US) if self.estimating else range(0)
+
+    def depth(self) -> State:
+        """A depth image with the believed pose."""
+        ranges, pose = self._plant.depth()
+        state = new_state("sensor.depth", len(ranges))
+        floats(state.header, 7)[:] = self.memory.estimate if self.estimating else pose
+        state.elements["range"] = ranges
+        return state
+
+    def motion(self, now: int) -> list[State]:
+        """Motion sensors: the true odometry; or an IMU sample, preceded by a position fix when one is due."""
+        if not self.estimating:
+            return [_state(ODOMETRY["truth"], self._plant.odometry)]
+        measured = []
+        if now >= self.memory.next_fix_us:
+            self.memory.next_fix_us += self._period_us
+            measured.append(_state("sensor.position", self._plant.position_fix()))
+        return [*measured, _state("sensor.imu", self._plant.imu())]
+
+    def see(self, state: State) -> None:
+        """Store the last estimate published to consumers."""
+        if state.spec.name == _ESTIMATE:
+            values = floats(state.header, 10)
+            self.memory.estimate = np.concatenate([values[:3], values[6:]])
+
+
+def _state(name: str, values: np.ndarray) -> State:
+    state = new_state(name)
+    floats(state.header, len(values))[:] = values
+    return state
+
+
+# ---- what a flight leaves -------------------------------------------------------------------------------------------
+class Publications:
+    """Counts publications by state; with a profile, also records their times, from which faults are sampled."""
+
+    def __init__(self, wanted: bool, states: Iterable[StateSpec]) -> None:
+        self.wanted = wanted
+        self._acted_on = {spec.name: ActedOn(spec) for spec in states}
+        self.count = dict.fromkeys(self._acted_on, 0)
+        self._times: dict[str, list[int]] = {name: [] for name in self._acted_on}
+        self._sizes: dict[str, list[int]] = {name: [] for name in self._acted_on}
+
+    def note(self, state: State, time_us: int) -> None:
+        """Count a publication."""
+        name = state.spec.name
+        self.count[name] += 1
+        if self.wanted and self._acted_on[name](state):
+            self._times[name].append(time_us)
+            self._sizes[name].append(len(state.elements))
+
+    def profile(self) -> Profile | None:
+        """The profile; None unless requested."""
+        if not self.wanted:
+            return None
+        return Profile(
+            {name: np.array(times, np.int64) for name, times in self._times.items()},
+            {name: np.array(sizes, np.int32) for name, sizes in self._sizes.items()},
+        )
+
+
+class Record:
+    """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us).
+
+    `calls` counts the calls of compiled functions, by name, in flights that address faults by them; else it is empty.
+    """
+
+    def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
+        self.rows: list[np.ndarray] = []
+        self.events: list[Event] = []
+        self.alarms: list[AlarmRecord] = []
+        self.compute_us = dict.fromkeys(kernels, 0)
+        self.recompute_us = {stage.value: 0 for stage in STAGE_KERNELS}
+        self.publications = publications
+        self.calls: dict[str, int] = {}
+
+    def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
+        """Append the row of a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
+        self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
+
+    def note(self, now: int, kind: str, data: dict[str, object]) -> None:
+        """Append an event."""
+        self.events.append(Event(now, kind, data))
+
+    def published(self, state: State, now: int) -> None:
+        """Count a publication and record the corresponding event, if any."""
+        self.publications.note(state, now)
+        name, header = state.spec.name, state.header
+        if name == "planning.path":
+            kind = "plan" if len(state.elements) else "plan_failed"
+            self.note(now, kind, {"vertices": len(state.elements)})
+        elif name == "planning.trajectory":
+            self.note(now, "trajectory", {"seq": int(header["trajectory_seq"][0]), "points": len(state.elements)})
+        elif name == "perception.collision_status" and bool(header["collision"][0]):
+            self.note(now, "collision_predicted", {"time_to_collision": float(header["time_to_collision"][0])})
+
+    def counts(self) -> tuple[int, ...]:
+        """Calls of functions, modelled compute times of kernels, recompute times of stages, and publication counts."""
+        tables = self.calls, self.compute_us, self.recompute_us, self.publications.count
+        return tuple(number for table in tables for number in table.values())
+
+    def set_counts(self, counts: Iterable[int]) -> None:
+        """Inverse of `counts`; tables returned earlier are not modified."""
+        rest = iter(counts)
+        self.calls = {name: next(rest) for name in self.calls}
+        self.compute_us = {name: next(rest) for name in self.compute_us}
+        self.recompute_us = {name: next(rest) for name in self.recompute_us}
+        self.publications.count = {name: next(rest) for name in self.publications.count}
+
+
+# ---- what else takes part in a flight -------------------------------------------------------------------------------
+class Listener:
+    """What hosts, forks and observers may do in a flight; every hook is without effect by default."""
+
+    def begin(self, loop: "Loop") -> None:
+        """The flight is about to start; see `Loop.attach`."""
+
+    def before_tick(self, now: int) -> None:
+        """A control period begins at this instant (us)."""
+
+    def after_tick(self, now: int) -> None:
+        """Status and sensors of a control period are known, and periodic kernels have been started."""
+
+    def after_step(self, kernel: Kernel, states: list[State], now: int) -> None:
+        """A kernel has made a step with these results, which are not yet published."""
+
+    def published(self, state: State, now: int) -> None:
+        """A value, as consumers receive it."""
+
+    def before_end(self) -> None:
+        """The mission has a status."""
+
+
+# ---- the loop -------------------------------------------------------------------------------------------------------
 @dataclass(slots=True)
 class LoopMemory(Memory):
     """State of a loop, excluding plant, kernels and taps; attributes as of `Loop`."""
@@ -70,9 +296,7 @@ class Loop:
     Attributes:
         taps: Taps of every published state; hosts install theirs before the flight.
         actions: Additional actions of hosts for the event queue, by name.
-        before_tick, after_tick: Called with the instant (us) before and after each control period.
-        after_step: Called with a kernel, its results, and the instant (us), before publication.
-        before_end: Called when the mission has a status.
+        listeners: Called at the named moments of the flight, in list order.
         busy: Kernels whose latency has not elapsed, each with its pending input.
         awaited: Recomputations in progress, by state.
         requests: Recomputations requested for the kernel's next step, by kernel (coupling `observer`).
@@ -101,10 +325,7 @@ class Loop:
         self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind).values()))
         self.taps = Taps()
         self.actions: dict[str, Callable[..., None]] = {}
-        self.before_tick: list[Callable[[int], None]] = []
-        self.after_tick: list[Callable[[int], None]] = []
-        self.after_step: list[Callable[[Kernel, list[State], int], None]] = []
-        self.before_end: list[Callable[[], None]] = []
+        self.listeners: list[Listener] = []
         self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
         self.order, self.now = 0, 0
         self.busy: dict[str, State | None] = {}
@@ -123,6 +344,12 @@ class Loop:
         """Whether a fault has been injected."""
         injections: Sequence[Injection] = getattr(self.taps.injector, "injections", ())
         return self.forked or any(one.activated for one in injections)
+
+    def attach(self, listener: Listener) -> None:
+        """Let a listener take part in the flight, which has not started: it receives publications, too."""
+        self.listeners.append(listener)
+        self.taps.recorders.append(listener.published)
+        listener.begin(self)
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
@@ -155,8 +382,8 @@ class Loop:
     def flight(self) -> Flight:
         """The flight; requires that the mission has a status."""
         assert self.status is not None  # precondition
-        for listener in self.before_end:
-            listener()
+        for listener in self.listeners:
+            listener.before_end()
         for text in self.plant.warnings():
             self.record.note(self.now, "warning", {"text": text})
         log = self.log(self.status, self.plant.rejected_commands)
@@ -177,14 +404,14 @@ class Loop:
 
     def tick(self, now: int) -> None:
         """One control period: evaluate the status, sample the motion sensors, start the periodic kernels."""
-        for listener in self.before_tick:
-            listener(now)
+        for listener in self.listeners:
+            listener.before_tick(now)
         self.status = self.status or self.judge.status(self.plant, self.failed_plans, now)
         self.record.write_row(now, self.plant.odometry, self.command, self.reference)
         if self.status is None:
             self._control_period(now)
-        for listener in self.after_tick:
-            listener(now)
+        for listener in self.listeners:
+            listener.after_tick(now)
 
     def _control_period(self, now: int) -> None:
         self.sense(now)
@@ -225,8 +452,8 @@ class Loop:
 
     def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
         """Publish a kernel's results after a latency; results of a dead node are lost."""
-        for listener in self.after_step:
-            listener(kernel, states, now)
+        for listener in self.listeners:
+            listener.after_step(kernel, states, now)
         if kernel.name in self.down:
             return
         self.record.compute_us[kernel.name] += self.latency[kernel.name]
@@ -292,17 +519,27 @@ class Loop:
                     self.busy[kernel.name] = state
                 else:
                     self.start(kernel, now)
-        if name == "control.command":
-            values = floats(state.header, 5)
-            self.command = values[:4].copy()
-            self.plant.command(self.command, float(values[4]))
-        elif name == ODOMETRY["estimator"]:
-            self.sensors.see(state)
-        elif name == "planning.waypoint":
-            self.reference = floats(state.header, 3).copy()
-        elif name == "perception.map_update":
-            self.mapped = True
-        elif name == "perception.collision_status" and self.mapped:
+        route = _ROUTES.get(name)
+        if route is not None:
+            route(self, state, now)
+
+    def _command_vehicle(self, state: State, now: int) -> None:
+        values = floats(state.header, 5)
+        self.command = values[:4].copy()
+        self.plant.command(self.command, float(values[4]))
+
+    def _see_estimate(self, state: State, now: int) -> None:
+        self.sensors.see(state)
+
+    def _set_reference(self, state: State, now: int) -> None:
+        self.reference = floats(state.header, 3).copy()
+
+    def _end_mapping(self, state: State, now: int) -> None:
+        self.mapped = True
+
+    def _end_perception(self, state: State, now: int) -> None:
+        """The collision check of a scan has ended: perception is ready for the next image."""
+        if self.mapped:
             self.mapped = False
             self._next_image(now)
 
@@ -369,3 +606,76 @@ class Loop:
         }  # fmt: skip
         injections = [] if injector is None else injector.finish()
         return FlightLog(np.array(record.rows), status, record.events, injections, record.alarms, meta)
+
+
+_ROUTES: dict[str, Callable[[Loop, State, int], None]] = {
+    "control.command": Loop._command_vehicle,
+    ODOMETRY["estimator"]: Loop._see_estimate,
+    "planning.waypoint": Loop._set_reference,
+    "perception.map_update": Loop._end_mapping,
+    "perception.collision_status": Loop._end_perception,
+}
+"""What the loop itself does with a published state, after the kernels that read it."""
+
+
+# ---- observers ------------------------------------------------------------------------------------------------------
+Item = Event | AlarmRecord | Injection
+
+
+class Observer(Protocol):
+    """Receives a running flight; it must not change what it receives."""
+
+    def begin(self, loop: Loop) -> None:
+        """The flight is about to start."""
+
+    def published(self, state: State, time_us: int) -> None:
+        """A publication, as consumers receive it, and its instant (us)."""
+
+    def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
+        """A control period has elapsed.
+
+        Args:
+            row: Its row in the flight log, see `flight_log.COLUMNS`. Shape (21,).
+            items: Events, alarms and injections since the last one.
+            status: Status at the end of the mission; None = it has not ended.
+        """
+
+
+class Attached(Listener):
+    """Shows a flight to an observer; alarms are reported with the outcome known at the end of their control period.
+
+    Args:
+        observer: The observer.
+        pace: Flight time per wall time; 0 = as fast as possible.
+    """
+
+    def __init__(self, observer: Observer, pace: float = 0.0) -> None:
+        self._observer, self._pace = observer, pace
+
+    def begin(self, loop: Loop) -> None:
+        """See `Listener`."""
+        self._loop, self._seen, self._began = loop, [0, 0, 0], time.monotonic()
+        self._observer.begin(loop)
+
+    def published(self, state: State, now: int) -> None:
+        """See `Listener`."""
+        self._observer.published(state, now)
+
+    def after_tick(self, now: int) -> None:
+        """See `Listener`."""
+        loop = self._loop
+        self._observer.tick(loop.record.rows[-1], _new_items(loop, self._seen), loop.status)
+        if self._pace > 0 and loop.status is None:
+            time.sleep(max(0.0, self._began + 1e-6 * now / self._pace - time.monotonic()))
+
+
+def _new_items(loop: Loop, seen: list[int]) -> list[Item]:
+    """Items since the last call; `seen` counts the earlier ones."""
+    injections: Any = getattr(loop.taps.injector, "injections", ())
+    tables = (injections, loop.record.events, loop.record.alarms)
+    counts = [len(table) for table in tables]
+    if counts == seen:
+        return []
+    found = [item for table, count in zip(tables, seen, strict=True) for item in table[count:]]
+    seen[:] = counts
+    return found

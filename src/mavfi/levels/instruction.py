@@ -31,7 +31,7 @@ from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_f
 from mavfi.faults.levels.instruction.plan import plan
 from mavfi.faults.levels.instruction.selection import parse_selection
 from mavfi.faults.sampling import stream
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.ir.module import DIGEST_VERSION
 from mavfi.levels.level import Draw, Golden, Level, Sampled, Sampler, Sampling, check_distinct, check_known
 from mavfi.mission import Scenario
@@ -187,7 +187,7 @@ def draw_instruction_faults(
 
 def _functions(kernel: str, scenario: Scenario, detector: "Detector | None") -> dict[str, Any]:
     """The compiled functions of a kernel, or of the detector of that name; a BadInputError if the mission has none."""
-    from mavfi.flight.case import check_kernel
+    from mavfi.detectors.registry import check_kernel
 
     check_kernel(kernel, scenario.planner.name, detector)
     if kernel in DETECTORS:

@@ -62,7 +62,7 @@ class MemoryRequest:
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MemoryFault, Flight | None]":
         """See `Request.draw`; a BadInputError if the target has no such word or bit at that instant."""
-        from mavfi.flight.case import check_watched
+        from mavfi.detectors.registry import check_watched
 
         watched = self.kernel in WATCHING
         if watched:
@@ -160,7 +160,7 @@ class Exposure:
 
 def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int | None = None) -> "Flight":
     """Fly the golden flight of an arm, and draw from its memory at an instant (us), or at every control period."""
-    from mavfi.flight.assemble import new_loop, watch
+    from mavfi.flight.compose import new_loop, watch
     from mavfi.flight.loop import CONTROL_PERIOD_US
     from mavfi.flight.memory_faults import memory_of
 

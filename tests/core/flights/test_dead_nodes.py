@@ -4,9 +4,9 @@ from functools import cache
 
 import pytest
 
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fly import fly
+from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
 from mavfi.mission import MissionSpec
 from tests.core.flights.missions import AUTOPILOTS, golden, mission
@@ -31,7 +31,9 @@ def died(policy, seed, place):
             if len(numbers) == place + 1:
                 restarts.die(kernel.name, now, AWAY_US)
 
-    loop.after_step.append(stepped)
+    killer = Listener()
+    killer.after_step = stepped
+    loop.listeners.append(killer)
     return loop.fly().log
 
 

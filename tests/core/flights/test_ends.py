@@ -3,9 +3,9 @@ import pytest
 
 from mavfi.config import EnvironmentConfig, parse
 from mavfi.errors import BadInputError
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import find_environment, resolve
+from mavfi.flight.compose import find_environment, new_loop, resolve
 from mavfi.flight.fly import fly
+from mavfi.flight.loop import Listener
 from mavfi.mission import FLY_AWAY_MARGIN, MissionSpec, MissionStatus
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
@@ -27,7 +27,7 @@ def test_in_a_closed_yard_no_path_is_found(autopilot, expected):
 
 
 def test_the_time_limit_ends_a_flight(monkeypatch):
-    monkeypatch.setattr("mavfi.flight.judge.time_limit", lambda *_: 2.0)
+    monkeypatch.setattr("mavfi.flight.loop.time_limit", lambda *_: 2.0)
     flight = fly(mission())
     assert flight.log.status is MissionStatus.TIMEOUT
     assert flight.log.column("time")[-1] == pytest.approx(2.0)
@@ -80,7 +80,7 @@ def test_failed_plans_and_time_are_judged():
 
 def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
     monkeypatch.setattr(Simulator, "warnings", lambda _: ["BADQACC (2)", "CONTACTFULL (1)"])
-    monkeypatch.setattr("mavfi.flight.judge.time_limit", lambda *_: 0.1)
+    monkeypatch.setattr("mavfi.flight.loop.time_limit", lambda *_: 0.1)
     log = fly(mission()).log
     assert [event.data["text"] for event in log.events if event.kind == "warning"] == ["BADQACC (2)", "CONTACTFULL (1)"]
     monkeypatch.undo()
@@ -94,7 +94,9 @@ def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
         if now == 2_000_000:
             loop.plant._data.qvel[0] = 1e12
 
-    loop.before_tick.append(break_physics)
+    breaker = Listener()
+    breaker.before_tick = break_physics
+    loop.listeners.append(breaker)
     log = loop.fly().log
     assert log.status in (MissionStatus.INVALID_STATE, MissionStatus.FLY_AWAY)
     assert any("BADQVEL" in event.data["text"] for event in log.events if event.kind == "warning")

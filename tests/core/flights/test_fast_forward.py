@@ -14,13 +14,12 @@ from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight import fast_forward
 from mavfi.flight.checkpoints import take
-from mavfi.flight.decide import History
+from mavfi.flight.decide import INLINE, History, Recovery
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
+from mavfi.flight.loop import SensorMemory
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.policy import INLINE, Recovery
-from mavfi.flight.sensing import SensorMemory
 from mavfi.record import End, canonical
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
 from tests.core.flights.test_checkpoints import Nervous, content, detector_of

@@ -13,9 +13,8 @@ from examples.five_rules import (
     wrong_step,
 )
 
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import limits_of, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import limits_of
 from mavfi.mission import MissionSpec
 from mavfi.sim.environments import build_world
 

@@ -8,10 +8,9 @@ import pytest
 from mavfi.config import LocalizationConfig, parse
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MemoryFault
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
 from tests.core.flights.missions import AUTOPILOTS, Scripted, ends_as_its_status_says, fault, golden, mission

@@ -6,8 +6,8 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1.plan import Plan
 from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
-from mavfi.flight.policy import Recovery
 from mavfi.report.explain import _fault
 from tests.core.flights.missions import Scripted, golden, mission
 

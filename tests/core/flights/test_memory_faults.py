@@ -12,12 +12,11 @@ from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
 from mavfi.faults.fault import MemoryFault
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import detector_for, new_loop
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.memory_faults import DetectorMemory, MemoryInjector, flip_bit
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
 from mavfi.levels.memory import MemoryRequest
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator

@@ -2,9 +2,9 @@
 
 import pytest
 
-from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
-from mavfi.flight.policy import Recovery
 from mavfi.states import ODOMETRY
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
 

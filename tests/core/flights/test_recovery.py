@@ -4,11 +4,10 @@ import pytest
 
 from mavfi import api
 from mavfi.errors import BadInputError
-from mavfi.flight.compute import stage_latency
-from mavfi.flight.decide import MAX_UNCHANGED
+from mavfi.flight.compose import with_keys_of
+from mavfi.flight.decide import MAX_UNCHANGED, Recovery
 from mavfi.flight.fly import fly
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import with_keys_of
+from mavfi.flight.loop import stage_latency
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import PPC_STAGES, STATES, Stage
 from tests.core.flights.missions import AUTOPILOTS, GOAL, Scripted, ends_as_its_status_says, fault, golden, mission

@@ -13,7 +13,7 @@ from mavfi.campaign.run import run_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.node.host import NodeHost
 from mavfi.faults.levels.sensor.fault import UNITS, SensorFault
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
 from mavfi.flight.host import require_level
 from mavfi.flight.sensor_faults import SensorInjector

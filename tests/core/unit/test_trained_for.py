@@ -9,7 +9,7 @@ from mavfi.campaign.plan import Arm, arms_of
 from mavfi.cli.fly import load_watcher
 from mavfi.extras.bench import scores
 from mavfi.extras.paper import overheads
-from mavfi.flight import watching
+from mavfi.flight import compose as watching
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from tests.core.unit.campaign.fakes import small

@@ -13,8 +13,7 @@ from mavfi.extras.airsim.host import make_api, world_address
 from mavfi.extras.airsim.remote import Remote
 from mavfi.extras.airsim.server import Server, Steps
 from mavfi.extras.airsim.table import CALLS, Call
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fly import fly
 from mavfi.mission import MissionSpec
 

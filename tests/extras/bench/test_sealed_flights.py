@@ -5,12 +5,12 @@ import pytest
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle, RandomAlarms
 from mavfi.faults.fault import StateFault
-from mavfi.flight.assemble import new_loop, watch
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.policy import Recovery
 from mavfi.states import KERNELS
 from tests.core.flights.instruction.test_detectors import faults, scenario  # noqa: F401 - a fixture
 from tests.core.flights.missions import fault, golden, mission

@@ -13,10 +13,9 @@ from mavfi.extras.firmware.host import FirmwareHost, fly, register_fault
 from mavfi.extras.firmware.injector import CALLS, WALK
 from mavfi.extras.firmware.process import Firmware
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.observe import Attached
+from mavfi.flight.loop import Attached, Listener
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import LOST_TILT, Control, ControlErrors, control_of
 from mavfi.record import Injection
@@ -71,14 +70,19 @@ def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
     assert null.digest() == golden.log.digest()
 
 
+class BeforeTakeOff(Listener):
+    def __init__(self, change):
+        self.begin = change
+
+
 def test_another_gyro_noise_is_another_flight_that_is_controlled_as_well(golden):
-    other = fly(scenario(), observers=(lambda loop: loop.plant.controller.draw_noise(99),))
+    other = fly(scenario(), observers=(BeforeTakeOff(lambda loop: loop.plant.controller.draw_noise(99)),))
     assert other.log.digest() != golden.log.digest()
     assert control_of(golden.record(), other.record()) is Control.SLIGHT
 
 
 def test_a_vehicle_whose_rotors_stop_is_out_of_control_without_tilting(golden):
-    struck = fly(scenario(), observers=(partial(_stop_rotors, 3_000_000),))
+    struck = fly(scenario(), observers=(BeforeTakeOff(partial(_stop_rotors, 3_000_000)),))
     errors = ControlErrors.of(struck.record())
     assert struck.log.status is MissionStatus.COLLISION
     assert errors.velocity > 3.0 and errors.tilt < LOST_TILT

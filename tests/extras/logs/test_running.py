@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
+from mavfi.extras.logs.files import Maker
 from mavfi.extras.mavlink.tlog import Telemetry
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.observe import Attached
+from mavfi.flight.loop import Attached, Listener
 from mavfi.mission import MissionSpec
 from mavfi.numerics.frames import ned_of
-from mavfi.report.export.files import Maker
 from tests.extras.logs.viewer import Viewer
 
 pytestmark = pytest.mark.slow
@@ -71,15 +71,16 @@ def test_a_viewer_sees_the_flight(golden):
 
     view, viewers = LiveView(0), []
 
-    def connect(loop):
-        viewer = Viewer(view.address)
-        viewer.subscribe(12)
-        viewers.append(threading.Thread(target=viewer.collect))
-        viewers[0].viewer = viewer
-        viewers[0].start()
-        threading.Event().wait(0.3)  # the subscription arrives
+    class Connect(Listener):
+        def begin(self, loop):
+            viewer = Viewer(view.address)
+            viewer.subscribe(12)
+            viewers.append(threading.Thread(target=viewer.collect))
+            viewers[0].viewer = viewer
+            viewers[0].start()
+            threading.Event().wait(0.3)  # the subscription arrives
 
-    flight = fly(SCENARIO, FAULT, observers=[Attached(view), connect])
+    flight = fly(SCENARIO, FAULT, observers=[Attached(view), Connect()])
     threading.Event().wait(0.3)
     view.close()
     viewers[0].join()

@@ -22,7 +22,7 @@ from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped
 from mavfi.errors import BadInputError, NotInstalledError, SpecMismatchError
 from mavfi.files import is_file
-from mavfi.flight.watching import detector_for
+from mavfi.flight.compose import detector_for
 
 FOLDER = "bench"
 SCORES = "scores"

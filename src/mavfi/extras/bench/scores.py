@@ -25,9 +25,8 @@ from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
 from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.outcomes import quality_of_flight
 from mavfi.states import State

@@ -140,7 +140,7 @@ class Oracle(Sealed):
 
 
 class Duplicate(Detector):
-    """Requests that kernel steps are computed twice and compared, see `flight.duplicate`; checks nothing itself.
+    """Requests that kernel steps are computed twice and compared, see `flight.recovery`; checks nothing itself.
 
     Args:
         kernels: The kernels.

@@ -3,9 +3,8 @@
 Flights are bit-reproducible.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any, cast
 
 from mavfi.detectors.detector import Detector
@@ -16,12 +15,10 @@ from mavfi.extras.firmware.injector import NODE, WALK, FirmwareInjector
 from mavfi.extras.firmware.tracking import Tracking
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
-from mavfi.flight.loop import Loop
-from mavfi.flight.policy import INLINE, Recovery
-from mavfi.flight.recording import Record
+from mavfi.flight.loop import Listener, Record
 from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.outcomes import ControlErrors
@@ -86,7 +83,7 @@ def register_fault(time_us: int, seed: int, registers: str = "all", access: str 
 
 def fly(
     scenario: Scenario, fault: RegisterFault | SensorFault | None = None, detector: Detector | None = None, *,
-    recovery: Recovery = INLINE, profile: bool = False, observers: Sequence[Callable[[Loop], None]] = (),
+    recovery: Recovery = INLINE, profile: bool = False, observers: Sequence[Listener] = (),
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
 
@@ -98,7 +95,7 @@ def fly(
         detector: The detector; None = none.
         recovery: The recovery policy for its alarms.
         profile: Whether to record the publication times of each state.
-        observers: Called with the loop before the flight, see `flight.observe`.
+        observers: Take part in the flight.
 
     Raises:
         BadInputError: Another flight controller, or the scenario cannot be flown.
@@ -113,10 +110,10 @@ def fly(
             controller.tracking = Tracking()
             if fault is not None:
                 loop.taps.injector = controller.injector = FirmwareInjector(cast(RegisterFault, fault))
-        loop.before_tick.append(partial(_note_loss, loop.record, controller))
+        loop.listeners.append(_LossListener(loop.record, controller))
         watch(loop, detector, recovery)
-        for attach in observers:
-            attach(loop)
+        for observer in observers:
+            loop.attach(observer)
         flight = loop.fly()
         check_flown(scenario.protection)
     finally:
@@ -134,8 +131,14 @@ def _errors(controller: BetaflightController, flight: Flight) -> dict[str, Any]:
     return {ControlErrors.KEY: asdict(controller.tracking.since(since))}
 
 
-def _note_loss(record: Record, controller: BetaflightController, now: int) -> None:
-    """Record the end of the firmware, once."""
-    lost = controller.lost
-    if lost is not None and all(event.kind != CONTROLLER_LOST for event in record.events):
-        record.note(now, CONTROLLER_LOST, {"effect": lost.effect, "why": lost.detail})
+class _LossListener(Listener):
+    """Records the end of the firmware, once."""
+
+    def __init__(self, record: Record, controller: BetaflightController) -> None:
+        self._record, self._controller = record, controller
+
+    def before_tick(self, now: int) -> None:
+        """See `Listener`."""
+        lost = self._controller.lost
+        if lost is not None and all(event.kind != CONTROLLER_LOST for event in self._record.events):
+            self._record.note(now, CONTROLLER_LOST, {"effect": lost.effect, "why": lost.detail})

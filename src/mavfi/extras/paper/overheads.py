@@ -22,11 +22,8 @@ from mavfi.campaign.plan import arms_of
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, write_text
 from mavfi.extras.paper.overhead_views import ALL, FILE
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.compose import resolve
-from mavfi.flight.decide import SCANNING, Action
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
+from mavfi.flight.compose import detector_for, new_loop, resolve, watch
+from mavfi.flight.decide import SCANNING, Action, Recovery
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State

@@ -14,8 +14,8 @@ from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.errors import write_text
 from mavfi.faults.fault import Fault
+from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Flight
-from mavfi.flight.policy import Recovery
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import FlightLog
 from mavfi.report.explain import Lines, around, detector_name, end_of, lines, published_field, steps, verdict

@@ -9,13 +9,13 @@ import pytest
 
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight import forks, mission_flights
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.fast_forward import Branch, FastForward, FlownArm
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import Loop
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.restarts import Restarts
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from tests.core.flights.missions import Scripted, mission

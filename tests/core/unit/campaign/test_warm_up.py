@@ -9,8 +9,7 @@ from mavfi.campaign.mission import plan_of
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.study import load_study
 from mavfi.flight.compiling import STAGES
-from mavfi.flight.compose import resolve
-from mavfi.flight.watching import detector_for
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.mission import MissionSpec
 
 

@@ -9,9 +9,8 @@ from mavfi.detectors import acceptance, load_detector, rules
 from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
 from mavfi.errors import BadInputError
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import STATES, floats, new_state, rows
 from tests.core.unit.detectors.streams import LIMITS, odometry

@@ -11,7 +11,7 @@ from mavfi.detectors.detector import Chain, NoDetector
 from mavfi.detectors.gaussian import GaussianDetector
 from mavfi.detectors.registry import OF_OWN, OF_RECOVERY, check_detector, contains, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
-from mavfi.flight.watching import with_keys_of
+from mavfi.flight.compose import with_keys_of
 from mavfi.mission import RECOVERY, MissionSpec
 from tests.core.architecture.source import ROOT
 from tests.core.unit.campaign.fakes import small

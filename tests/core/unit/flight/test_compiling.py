@@ -5,9 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from mavfi.flight.assemble import new_loop
 from mavfi.flight.compiling import STAGES, compile_stage
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 

@@ -2,7 +2,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.flight.compute import latency, redo_latency, stage_latency
+from mavfi.flight.loop import latency, redo_latency, stage_latency
 from mavfi.states import KERNELS, PPC_STAGES, STATES, Stage
 
 

@@ -9,6 +9,7 @@ from mavfi.config import AutopilotConfig, shipped
 from mavfi.detectors import Alarm
 from mavfi.flight.decide import (
     GAP_US,
+    INLINE,
     MAX_RESTARTS,
     PERSISTS_US,
     RESTART_US,
@@ -18,12 +19,12 @@ from mavfi.flight.decide import (
     Origin,
     PathDeadline,
     PathWait,
+    Recovery,
     Rejection,
     Response,
     decide,
     decide_overdue,
 )
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.kernels.perception.collision_check import NO_COLLISION
 from mavfi.states import STATES, Stage, new_state
 

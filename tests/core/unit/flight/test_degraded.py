@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.flight.degraded import SHARE, VALID_S, HoldMemory, HoldPosition
+from mavfi.flight.decide import SHARE, VALID_S, HoldMemory, HoldPosition
 from mavfi.states import new_state
 
 V_MAX = 3.0

@@ -13,14 +13,15 @@ from mavfi.detectors.rules import NO_COLLISION
 from mavfi.errors import BadInputError
 from mavfi.flight.decide import (
     ALARMS_WITHIN_US,
+    INLINE,
     MAX_ALARMS,
     MAX_RESTARTS,
     MAX_UNCHANGED,
     RESTART_US,
     Action,
+    Recovery,
     Response,
 )
-from mavfi.flight.policy import INLINE, Recovery
 from mavfi.flight.recovery import DetectorTap, record_of
 from mavfi.mission import MissionSpec
 from mavfi.record import LIMITED, SILENCED

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.flight.assemble import new_loop
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.forks import FromTakeOff

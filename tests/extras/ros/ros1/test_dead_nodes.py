@@ -2,12 +2,11 @@
 
 import pytest
 
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.compose import resolve
+from mavfi.flight.compose import detector_for, new_loop, resolve, watch, with_keys_of
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.fly import fly as fly_here
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.loop import Listener
 from mavfi.flight.restarts import Restarts
-from mavfi.flight.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec
 from tests.core.flights.missions import Scripted
 from tests.extras.ros.ros1.flights import NODES, same, short, there
@@ -30,7 +29,9 @@ def died_here(scenario, node, detector=None, recovery=INLINE):
     loop = new_loop(scenario)
     restarts = Restarts(loop, scenario.dead_node)
     watch(loop, detector, recovery)
-    loop.before_tick.append(lambda now: restarts.die(node, now, AWAY_US) if now == ANSWERING_US else None)
+    killer = Listener()
+    killer.before_tick = lambda now: restarts.die(node, now, AWAY_US) if now == ANSWERING_US else None
+    loop.listeners.append(killer)
     return loop.fly().log
 
 

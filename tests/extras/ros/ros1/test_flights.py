@@ -16,7 +16,7 @@ import pytest
 from mavfi.cli import run
 from mavfi.detectors.detector import Chain
 from mavfi.errors import MachineError, MavfiError
-from mavfi.extras.ros.cli_nodes import effect
+from mavfi.extras.ros.cli import effect
 from mavfi.extras.ros.ros1.folder import PID
 from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.host import fly as fly_there
@@ -25,10 +25,9 @@ from mavfi.extras.ros.ros1.ports import is_alive
 from mavfi.extras.ros.ros1.register_injector import fault_in_node
 from mavfi.extras.ros.ros1.supervisor import children
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.decide import MAX_UNCHANGED
+from mavfi.flight.compose import detector_for
+from mavfi.flight.decide import MAX_UNCHANGED, Recovery
 from mavfi.flight.fly import fly as fly_here
-from mavfi.flight.policy import Recovery
-from mavfi.flight.watching import detector_for
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault, golden, mission
 from tests.extras.ros.ros1.flights import NODES, same, short, there

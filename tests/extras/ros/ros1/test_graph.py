@@ -8,7 +8,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.ros1.host import configure, isolation
 from mavfi.extras.ros.ros1.plan import DETECTOR, INJECTOR, WORLD, Graph, Plan, face_of
-from mavfi.flight.assemble import new_loop
+from mavfi.flight.compose import new_loop
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
 from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, mission

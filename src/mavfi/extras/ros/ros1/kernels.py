@@ -12,8 +12,8 @@ from mavfi.extras.ros.ros1.messages import Action, deserialized, message_type, t
 from mavfi.extras.ros.ros1.plan import ALARM, DETECTOR, INJECTOR, Plan
 from mavfi.extras.ros.ros1.ports import Inbox, Ports
 from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.ppc import build_pipeline

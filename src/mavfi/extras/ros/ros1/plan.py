@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros1.folder import flight_folder
 from mavfi.faults.fault import RegisterFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.flight.policy import INLINE, Recovery
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
@@ -193,5 +193,4 @@ class Plan:
 
 def load_plan() -> Plan:
     """The plan of the flight to which this process belongs."""
-    plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
-    return plan
+    return pickle.loads((flight_folder() / _PLAN).read_bytes())

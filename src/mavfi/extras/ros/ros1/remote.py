@@ -18,7 +18,7 @@ from mavfi.detectors.detector import Alarm, Detector
 from mavfi.extras.ros.ros1.kernels import alarm_of
 from mavfi.extras.ros.ros1.messages import Action, message_type, serialized
 from mavfi.extras.ros.ros1.plan import Face, Plan
-from mavfi.flight.compute import latency
+from mavfi.flight.loop import latency
 from mavfi.states import STATES, State
 
 HELD = -1

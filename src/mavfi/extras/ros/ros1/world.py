@@ -24,8 +24,8 @@ from mavfi.extras.ros.ros1.remote import (
     Watchdog,
 )
 from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.flight.assemble import new_loop, watch
-from mavfi.flight.loop import Loop
+from mavfi.flight.compose import new_loop, watch
+from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.restarts import Restarts
 from mavfi.flight.sensor_faults import inject_sensor_fault
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
@@ -52,7 +52,7 @@ def fly(plan: Plan) -> None:
     part.rename(flight_folder() / FLIGHT)
 
 
-class Conductor:
+class Conductor(Listener):
     """The loop with its kernels, injector and detector in other processes, in lock-step with them.
 
     The constructor waits until every node is connected; its `loop` has not started.
@@ -84,9 +84,7 @@ class Conductor:
         loop.taps.injector = Passage(self.ports, self.counter, self.links, self.registers, self._lost)
         inject_sensor_fault(loop, plan.fault)
         watch(loop, None if plan.detector is None else RemoteDetector(self.links[DETECTOR]), plan.recovery)
-        loop.before_tick.append(self._before_tick)
-        loop.after_tick.append(self._after_tick)
-        loop.before_end.append(lambda: self.registers.finish(self.loop.now))
+        loop.listeners.append(self)
         return loop
 
     def _proxies(self, config: PipelineConfig) -> dict[str, Kernel]:
@@ -97,7 +95,7 @@ class Conductor:
         }
 
     # ---- the control period -----------------------------------------------------------------------------------------
-    def _before_tick(self, now: int) -> None:
+    def before_tick(self, now: int) -> None:
         """Wait for the wall clock if requested; kill, inject and reconnect nodes."""
         if self.plan.pace > 0:
             time.sleep(max(0.0, self._began + 1e-6 * now / self.plan.pace - time.monotonic()))
@@ -108,10 +106,15 @@ class Conductor:
             del self.back_us[node]
             self._rejoin(node)
 
-    def _after_tick(self, now: int) -> None:
+    def after_tick(self, now: int) -> None:
+        """Take the image that a lost node did not ask for."""
         loop = self.loop
         if self.losses and loop.status is None and now - loop.captured_us > CAMERA_PATIENCE_US:
             loop.capture(now)
+
+    def before_end(self) -> None:
+        """Close the record of faults in registers."""
+        self.registers.finish(self.loop.now)
 
     # ---- node crashes and restarts -----------------------------------------------------------------------------------
     def _lost(self, link: Link, why: str) -> None:
