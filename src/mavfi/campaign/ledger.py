@@ -11,7 +11,7 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import differences
-from mavfi.campaign.shard import WHOLE, Shard
+from mavfi.campaign.plan import WHOLE, Shard
 from mavfi.campaign.store import (
     BOUND,
     FILE,

@@ -33,8 +33,7 @@ from mavfi.campaign.mission import (
     scenarios_of,
     share,
 )
-from mavfi.campaign.plan import Flown, Plan, Planned, arms_of
-from mavfi.campaign.shard import WHOLE, Shard
+from mavfi.campaign.plan import WHOLE, Flown, Plan, Planned, Shard, arms_of
 from mavfi.campaign.store import Store, held
 from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
 from mavfi.config import STORED
