@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from mavfi.analysis.pairs import Paired
+from mavfi.analysis.statistics import Paired
 from mavfi.extras.hardening.certification import Certification, Spending
 from mavfi.extras.hardening.certify import Certificate, Unprotected
 from mavfi.extras.hardening.observed import GoldenCheck

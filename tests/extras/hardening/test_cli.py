@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.analysis.pairs import mcnemar
+from mavfi.analysis.statistics import mcnemar
 from mavfi.campaign.config import load_campaign
 from mavfi.cli.commands import run
 from mavfi.config import config_root

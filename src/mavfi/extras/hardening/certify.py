@@ -14,8 +14,7 @@ from math import hypot, inf, sqrt
 from statistics import NormalDist
 from typing import Any
 
-from mavfi.analysis.pairs import Paired, mcnemar
-from mavfi.analysis.statistics import TAIL, Rate, wilson
+from mavfi.analysis.statistics import TAIL, Paired, Rate, mcnemar, wilson
 from mavfi.extras.hardening.advise import codes_of, times_of
 from mavfi.extras.hardening.battery import SDC, Battery, Place, counts_of
 from mavfi.extras.hardening.observed import Seen

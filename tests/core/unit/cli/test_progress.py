@@ -6,7 +6,7 @@ from mavfi.cli import progress
 from mavfi.cli.progress import Bar, compiling
 from mavfi.errors import BadInputError
 from mavfi.extras.paper.cli_report import StudyBar
-from mavfi.extras.paper.steps import Steps
+from mavfi.extras.paper.report import Steps
 
 
 @pytest.fixture

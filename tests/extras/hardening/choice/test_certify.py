@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from mavfi.analysis.pairs import mcnemar
+from mavfi.analysis.statistics import mcnemar
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.battery import SDC

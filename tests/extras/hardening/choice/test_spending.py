@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mavfi.analysis.pairs import mcnemar
+from mavfi.analysis.statistics import mcnemar
 from mavfi.extras.hardening.certification import (
     Certification,
     Spending,

@@ -5,7 +5,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
-from mavfi.analysis.pairs import mcnemar
+from mavfi.analysis.statistics import mcnemar
 from mavfi.extras.hardening.certification import Certification
 from mavfi.extras.hardening.certify import Certificate, Unprotected
 from mavfi.extras.hardening.observed import GoldenCheck
