@@ -156,8 +156,8 @@ class Tracee:
         """Wait until the thread stops."""
         deadline, spins = time.monotonic() + timeout, 0
         while True:
-            found, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
-            if found:
+            thread, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
+            if thread:
                 return self.note(status)
             spins += 1
             if spins < _SPINS:  # a step takes microseconds, less than a sleep and wake-up

@@ -44,14 +44,14 @@ def build_world(
             inside an obstacle or outside the flight volume.
     """
     generator = find_generator(environment.generator)
-    known = parameters_of("generator", environment.generator, generator)[1:]
+    parameters = parameters_of("generator", environment.generator, generator)[1:]
     chosen = {"start": start, "goal": goal}
-    ends = chosen if set(chosen) <= set(known) else {}
+    ends = chosen if set(chosen) <= set(parameters) else {}
     source = f"environment {environment.name!r}"
     try:
         inspect.signature(generator).bind(seed, **environment.parameters, **ends)
     except TypeError as error:
-        allowed = ", ".join(name for name in known if name not in ends)
+        allowed = ", ".join(name for name in parameters if name not in ends)
         raise BadInputError(f"{source}: generator {environment.generator}: {error}; allowed: {allowed}") from None
     try:
         world = generator(seed, **environment.parameters, **ends)
@@ -62,8 +62,8 @@ def build_world(
             f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
         )
     _check_boxes(f"{source}: generator {environment.generator}", world)
-    given: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
-    world = replace(world, **given)
+    ends_of_mission: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
+    world = replace(world, **ends_of_mission)
     radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
@@ -75,15 +75,15 @@ def build_world(
     return world
 
 
-def _check_boxes(place: str, world: World) -> None:
+def _check_boxes(source: str, world: World) -> None:
     """Raise a BadInputError for boxes that are none."""
     lower, upper = world.lower, world.upper
     if lower.shape != upper.shape or lower.shape[1:] != (3,):
-        raise BadInputError(f"{place}: boxes of shapes {lower.shape} and {upper.shape}; allowed: (n, 3) both")
+        raise BadInputError(f"{source}: boxes of shapes {lower.shape} and {upper.shape}; allowed: (n, 3) both")
     wrong = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all(axis=1))
     if len(wrong):
-        place = f"{place}: box {wrong[0]}: {_text(lower[wrong[0]])} to {_text(upper[wrong[0]])}"
-        raise BadInputError(f"{place}; allowed: finite corners, each coordinate of the first below that of the second")
+        source = f"{source}: box {wrong[0]}: {_text(lower[wrong[0]])} to {_text(upper[wrong[0]])}"
+        raise BadInputError(f"{source}; allowed: finite corners, each coordinate of the first below that of the second")
 
 
 def find_generator(name: str) -> Generator:
