@@ -85,14 +85,15 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 }
 """Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
-INJECTABLE: dict[str, tuple[str, ...]] = {}
+INJECTABLE: dict[str, tuple[str, ...]] = {
+    name: functions
+    for spec in _KERNEL_TABLE
+    for name, functions in (PLANNERS if spec.name == "planner" else {spec.name: spec.functions}).items()
+    if functions
+}
 """Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
-INJECTED_KERNEL: dict[str, str] = {}
+INJECTED_KERNEL: dict[str, str] = {name: "planner" if name in PLANNERS else name for name in INJECTABLE}
 """Row of `KERNELS` by the same name."""
-for _spec in _KERNEL_TABLE:
-    for _name, _functions in PLANNERS.items() if _spec.name == "planner" else ((_spec.name, _spec.functions),):
-        if _functions:
-            INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
 _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
 _ESTIMATE = ("judge_estimate", "note_estimate", "note_fix")

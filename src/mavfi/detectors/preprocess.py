@@ -111,11 +111,15 @@ class Preprocessor:
     def arrays(self) -> dict[str, np.ndarray]:
         """The memory, the last publications by state and field."""
         memory, last = self.watch.memory, self.watch.last
-        found = {"seen": memory[:, features.SEEN], "regime": memory[:, features.REGIME], "vehicle": self.watch.vehicle}
+        memory_by_name = {
+            "seen": memory[:, features.SEEN],
+            "regime": memory[:, features.REGIME],
+            "vehicle": self.watch.vehicle,
+        }
         for slot, spec in enumerate(self.specs):
             header = last[slot, : spec.header_dtype.itemsize].view(spec.header_dtype)
-            found |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
-        return found
+            memory_by_name |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
+        return memory_by_name
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -320,11 +324,11 @@ def _known(name: str, allowed: Collection[str], what: str) -> str:
 
 
 def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, int, int, int]:
-    own = [index for index, (state, _) in enumerate(watched) if state == spec.name]
-    if own != list(range(own[0], own[-1] + 1)):
+    fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
+    if fields != list(range(fields[0], fields[-1] + 1)):
         raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
     number_at, duration_at = map(spec.offset, ("trajectory_seq", "duration")) if spec.name == _PLANNED else (-1, -1)
-    return own[0], own[-1] + 1, number_at, duration_at
+    return fields[0], fields[-1] + 1, number_at, duration_at
 
 
 def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:

@@ -254,9 +254,9 @@ class ScoringDetector(Detector):
     def _alarm(self, state: State, score: float) -> Alarm:
         reading = self.scorer.judged()
         lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
-        found = self.threshold.standing_out(reading, lacking)
-        names = tuple(self.scorer.fields[index] for index in found)
-        alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(score), fields=names)
+        indices = self.threshold.standing_out(reading, lacking)
+        names = tuple(self.scorer.fields[index] for index in indices)
+        alarm = Alarm(self.source, self.scorer.stages[indices[0]], score=float(score), fields=names)
         return self.policy(alarm, state, bool(self._persists[0]))
 
     def accept(self, state: State, time_us: int) -> None:
@@ -283,8 +283,8 @@ class ScoringDetector(Detector):
     def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
         """Inverse of `memory`."""
         self._scored = None
-        kept, self._persists[0] = memory
-        self.scorer.restore(kept)
+        content, self._persists[0] = memory
+        self.scorer.restore(content)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""

@@ -78,10 +78,10 @@ def _lifted(source: str, vehicle: VehicleConfig) -> VehicleConfig:
 
 def _check(source: str, vehicle: VehicleConfig, body: RigidBody) -> None:
     ours, theirs = (vehicle.mass, *vehicle.inertia), (body.mass, *body.inertia)
-    for key, configured, modelled in zip(("mass", *["inertia"] * 3), ours, theirs, strict=True):
-        if not abs(configured - modelled) <= _TOLERANCE * modelled:
+    for key, chosen, modelled in zip(("mass", *["inertia"] * 3), ours, theirs, strict=True):
+        if not abs(chosen - modelled) <= _TOLERANCE * modelled:
             raise BadInputError(
-                f"{source}: key {key!r}: {configured:g}: the model {vehicle.mjcf} has {modelled:.4g}; allowed: within "
+                f"{source}: key {key!r}: {chosen:g}: the model {vehicle.mjcf} has {modelled:.4g}; allowed: within "
                 f"{100 * _TOLERANCE:g} % of it, or no such key"
             )
     if not vehicle.collision_radius >= body.reach:

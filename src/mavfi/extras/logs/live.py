@@ -11,12 +11,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.flight.loop import Item, Loop
-from mavfi.mission import MissionStatus
-from mavfi.record import COLUMNS
-from mavfi.report.export.files import Maker
-from mavfi.report.export.lines import INFO, lines_at
-from mavfi.report.export.timeline import (
+from mavfi.extras.logs.files import Maker
+from mavfi.extras.logs.timeline import (
     TICK_TOPICS,
     Converter,
     Message,
@@ -26,6 +22,10 @@ from mavfi.report.export.timeline import (
     stamp_ns,
     tick_messages,
 )
+from mavfi.flight.loop import Item, Loop
+from mavfi.mission import MissionStatus
+from mavfi.record import COLUMNS
+from mavfi.report.lines import INFO, lines_at
 from mavfi.states import State
 
 HOST, PORT = "127.0.0.1", 8765

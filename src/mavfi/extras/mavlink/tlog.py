@@ -21,7 +21,7 @@ from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog
-from mavfi.report.export.lines import ERROR, INFO, WARN, Line, lines_at, lines_of
+from mavfi.report.lines import ERROR, INFO, WARN, Line, lines_at, lines_of
 from mavfi.states import State
 
 _GROUND_STATION = 250

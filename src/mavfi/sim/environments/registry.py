@@ -44,14 +44,14 @@ def build_world(
             inside an obstacle or outside the flight volume.
     """
     generator = find_generator(environment.generator)
-    parameters = parameters_of("generator", environment.generator, generator)[1:]
+    known = parameters_of("generator", environment.generator, generator)[1:]
     chosen = {"start": start, "goal": goal}
-    ends = chosen if set(chosen) <= set(parameters) else {}
+    ends = chosen if set(chosen) <= set(known) else {}
     source = f"environment {environment.name!r}"
     try:
         inspect.signature(generator).bind(seed, **environment.parameters, **ends)
     except TypeError as error:
-        allowed = ", ".join(name for name in parameters if name not in ends)
+        allowed = ", ".join(name for name in known if name not in ends)
         raise BadInputError(f"{source}: generator {environment.generator}: {error}; allowed: {allowed}") from None
     try:
         world = generator(seed, **environment.parameters, **ends)
@@ -62,8 +62,8 @@ def build_world(
             f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
         )
     _check_boxes(f"{source}: generator {environment.generator}", world)
-    ends_of_mission: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
-    world = replace(world, **ends_of_mission)
+    overrides: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
+    world = replace(world, **overrides)
     radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
