@@ -9,8 +9,8 @@ import pytest
 from mavfi.faults.fault import find_level, level_names
 from tests.core.architecture.source import dotted, modules
 
-HOMES = ("levels/", "flight/", "analysis/", "extras/")
-"""Levels draw faults and describe them, hosts inject them, views show them."""
+HOMES = ("levels/", "flight/", "analysis/", "extras/", "testing.py")
+"""Levels draw faults and describe them, hosts inject them, views show them, contract suites ask all of it."""
 KINDS = {f"{level.capitalize()}{what}" for level in level_names() for what in ("Fault", "Request", "Sampling")}
 """Classes of a fault, of the request for one, and of a campaign's draws."""
 ASKED = {"level", "scheme", "host", "kernels"}

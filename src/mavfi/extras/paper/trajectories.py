@@ -162,4 +162,4 @@ def _caption(runs: Runs) -> str:
     return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {shown}."
 
 
-CHAPTER = Chapter(50, (Drawing("trajectories", trajectories, _caption, cases=_ids),))
+TRAJECTORIES = Chapter(50, (Drawing("trajectories", trajectories, _caption, cases=_ids),))

@@ -12,7 +12,7 @@ from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_
 from mavfi.cli.fly import check_company, load_watcher
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
-from mavfi.extras.registers.cli import RegistersOption, SeedOption, instant, register_options
+from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 from mavfi.extras.ros.cli_attach import corrupt, list_graph, watch
 from mavfi.mission import MissionSpec
 
