@@ -1,4 +1,7 @@
-"""Scorers of the codes of all fields (`field_codes`), in compiled code."""
+"""Detectors of all fields (`field_codes`), learned from golden runs: limits per residual, and an autoencoder.
+
+Their scorers, and those of detectors from libraries, judge codes in compiled code.
+"""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -194,7 +197,7 @@ def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndar
     return peaks.reshape(slots, REGIMES), counts.reshape(slots, REGIMES)
 
 
-# ---- Detectors of all fields (`field_codes`): limits per residual, and an autoencoder; both learned from golden runs.
+# ---- detectors ------------------------------------------------------------------------------------------------------
 
 
 @kernel_jit

@@ -11,12 +11,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Advice, Curve, Step, coverage_of, coverage_of_steps
+from mavfi.extras.hardening.advise import Advice, Curve, Step, Study, coverage_of, coverage_of_steps
 from mavfi.extras.hardening.certify import rate_of
 from mavfi.extras.hardening.choose import added
 from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.plan import Plan, Site
-from mavfi.extras.hardening.study import Study
 from mavfi.extras.hardening.target import Target
 from mavfi.outcomes import Effect
 
