@@ -9,7 +9,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from mavfi.campaign.mission import host_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.choose import NOTHING, Choice, Chooser
+from mavfi.extras.hardening.choose import NOTHING, Choice
 from mavfi.extras.hardening.compiled import Timed, compare
 from mavfi.extras.hardening.duplicate import protect
 from mavfi.extras.hardening.observed import observe
@@ -151,8 +151,7 @@ def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
 
 def every_choice(target: Target, fractions: Sequence[float] = FRACTIONS) -> Ladder:
     """Nothing, and the best choices that add at most these fractions of the instructions of full duplication."""
-    steps = [(fraction, partial(_share_of, fraction)) for fraction in (0.0, *fractions)]
-    return [(fraction, choose(target.chooser), target.judged(choose)) for fraction, choose in steps]
+    return [(fraction, target.chooser.share(fraction), target.judged(fraction)) for fraction in (0.0, *fractions)]
 
 
 def choices_of(target: Target) -> Ladder:
@@ -169,13 +168,6 @@ def choices_of(target: Target) -> Ladder:
             ladder.append(step)
         most = max(most, removed)
     return ladder
-
-
-def _share_of(fraction: float, chooser: Chooser) -> Choice:
-    """The choice that adds at most a fraction of the instructions of full duplication."""
-    if fraction in (0.0, 1.0):
-        return chooser.full if fraction else NOTHING
-    return chooser.within(fraction * chooser.full.cost)
 
 
 class Prepared(NamedTuple):

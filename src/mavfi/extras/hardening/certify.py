@@ -37,6 +37,8 @@ from mavfi.ir.module import Module
 from mavfi.states import INJECTABLE
 
 _NORMAL = NormalDist()
+NO_RATE = Rate(0, None, None, None)
+"""That of no injection, or of no prediction."""
 
 
 def coverage(before: Rate, after: Rate, growth: float) -> Rate:
@@ -150,12 +152,12 @@ class Certificate(FunctionResult):
     @property
     def sdc_before(self) -> Rate:
         """Silent corruptions per injection in plain code."""
-        return wilson(self.before.get(SDC, 0), sum(self.before.values()))
+        return _silent(self.before)
 
     @property
     def sdc_after(self) -> Rate:
         """Silent corruptions per injection in protected code."""
-        return wilson(self.after.get(SDC, 0), sum(self.after.values()))
+        return _silent(self.after)
 
     @property
     def coverage(self) -> Rate:
@@ -199,16 +201,21 @@ class Unprotected(FunctionResult):
     @property
     def sdc(self) -> Rate:
         """Silent corruptions per injection."""
-        return wilson(self.effects.get(SDC, 0), sum(self.effects.values()))
+        return _silent(self.effects)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return asdict(self) | {"sdc": asdict(self.sdc)}
 
 
+def _silent(effects: Mapping[str, int]) -> Rate:
+    """Silent corruptions per injection."""
+    return wilson(effects.get(SDC, 0), sum(effects.values()))
+
+
 def rate_of(predicted: Coverage | None) -> Rate:
     """A prediction as a rate; all None without one."""
-    return Rate(0, predicted.estimate, predicted.low, predicted.high) if predicted else Rate(0, None, None, None)
+    return Rate(0, predicted.estimate, predicted.low, predicted.high) if predicted else NO_RATE
 
 
 def verdict_of(measured: Rate, predicted: Rate) -> str:
@@ -313,7 +320,7 @@ def together(certificates: Sequence[Certificate], others: Sequence[Unprotected] 
     known = [one for one in certificates if one.sdc_before.rate is not None]
     rest = [one for one in others if one.sdc.rate is not None]
     if not known:
-        return Rate(0, None, None, None)
+        return NO_RATE
     whole = sum(one.instructions for one in known) + sum(one.instructions for one in rest)
     before = _sum([(one.instructions / whole, one.sdc_before) for one in known])
     after = _sum([(one.instructions * one.growth / whole, one.sdc_after) for one in known])
@@ -334,7 +341,7 @@ def foreseen(certificates: Sequence[Certificate], others: Sequence[Unprotected] 
     whole = sum(masses) + sum(one.instructions * (one.sdc.rate or 0.0) for one in others)
     predicted = [one.predicted_rate for one in certificates]
     if not whole or any(one.rate is None for one in predicted):
-        return Rate(0, None, None, None)
+        return NO_RATE
     return _sum([(mass / whole, one) for mass, one in zip(masses, predicted, strict=True)])
 
 

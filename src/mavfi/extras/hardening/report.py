@@ -286,10 +286,10 @@ def page(summary: AdviceSummary, directory: Path, plan: Path | None) -> str:
     )
 
 
-def _command(directory: Path, kernels: Sequence[str], plan: Path, first: str = "", last: str = "") -> str:
-    """The command that makes a plan, with the options that come before and after its kernels."""
+def _command(directory: Path, kernels: Sequence[str], plan: Path, budget: str = "", addresses: str = "") -> str:
+    """The command that makes a plan; `budget` and `addresses` are these options as text."""
     only = f" --kernels {','.join(kernels)}" if kernels else ""
-    return f"mavfi harden {shlex.quote(str(directory))}{first}{only}{last} --plan {shlex.quote(str(plan))}"
+    return f"mavfi harden {shlex.quote(str(directory))}{budget}{only}{addresses} --plan {shlex.quote(str(plan))}"
 
 
 def source(function: FunctionSummary) -> dict[str, list[Line]]:

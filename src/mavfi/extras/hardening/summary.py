@@ -276,21 +276,17 @@ def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
 
 def _lines(target: Target, sites: Collection[Site]) -> tuple[LineSummary, ...]:
     """Executed source lines, by file and number."""
-    executions: dict[tuple[str, int], float] = defaultdict(float)
-    masses: dict[tuple[str, int], float] = defaultdict(float)
-    removed: dict[tuple[str, int], float] = defaultdict(float)
-    for site, row, times, mass in target.masses:
-        line = row.file, row.line
-        executions[line] += times
-        masses[line] += mass
-        if site in sites:
-            removed[line] += mass
-    all_executions = max(sum(executions.values()), 1e-300)
-    all_masses = max(sum(masses.values()), 1e-300)
+    sums: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
+    for site, row, executions, mass in target.masses:
+        line = sums[row.file, row.line]
+        line[0] += executions
+        line[1] += mass
+        line[2] += mass if site in sites else 0.0
+    all_times = max(sum(times for times, _, _ in sums.values()), 1e-300)
+    all_masses = max(sum(mass for _, mass, _ in sums.values()), 1e-300)
     lines = []
-    for file, number in sorted(executions):
-        mass = masses[file, number]
-        protected = removed[file, number] / mass if mass else 0.0
-        share = executions[file, number] / all_executions
-        lines.append(LineSummary(file, number, share, mass / all_masses, protected))
+    for file, number in sorted(sums):
+        times, mass, removed = sums[file, number]
+        protected = removed / mass if mass else 0.0
+        lines.append(LineSummary(file, number, times / all_times, mass / all_masses, protected))
     return tuple(lines)
