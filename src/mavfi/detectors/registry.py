@@ -35,7 +35,7 @@ _SHIPPED = {
     "recommended": "mavfi.detectors.acceptance:AcceptanceTest",
     "limits": "mavfi.extras.bench.all_fields:LimitsDetector",
     "autoencoder_all": "mavfi.extras.bench.all_fields:AutoencoderAllDetector",
-    "isolation_forest": "mavfi.extras.bench.library:IsolationForestDetector",
+    "isolation_forest": "mavfi.extras.bench.trees:IsolationForestDetector",
     "pca": "mavfi.extras.bench.library:PcaDetector",
     "mahalanobis": "mavfi.extras.bench.library:MahalanobisDetector",
     "half_space_trees": "mavfi.extras.bench.trees:HalfSpaceTreesDetector",
