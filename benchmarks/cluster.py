@@ -23,9 +23,10 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost, R, T
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import processor
+from mavfi.campaign.ledger import status
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.plan import Flown, Planned, Row
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE
 from mavfi.extras.dask import executor as dask
 from mavfi.extras.dask.executor import LOOPBACK, DaskExecutor

@@ -16,6 +16,7 @@ from pathlib import Path
 from mavfi.campaign.config import load_campaign
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.node.bench import MASTER_URI, Bench
+from mavfi.extras.ros.node.config import NodeConfig
 from mavfi.extras.ros.node.message import Composer
 from mavfi.extras.ros.node.peer import Outlet
 from mavfi.extras.ros.ros1.supervisor import loopback_up

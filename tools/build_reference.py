@@ -105,7 +105,7 @@ def with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 def _models(annotation: Any) -> Iterable[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation.model_fields:
         yield annotation
     for inner in get_args(annotation):
         yield from _models(inner)
@@ -125,7 +125,9 @@ def kind(annotation: Any) -> str:
     if origin in words:
         return words[origin]()
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+        return (
+            f"[{annotation.__name__}](#{annotation.__name__.lower()})" if annotation.model_fields else "keys and values"
+        )
     name = getattr(annotation, "__name__", str(annotation))
     return NAMES.get(name, name)
 

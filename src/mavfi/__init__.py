@@ -17,7 +17,7 @@ _PUBLIC = {
     "Fault": "mavfi.faults.fault", "SensorFault": "mavfi.faults.levels.sensor.fault",
     "Injection": "mavfi.record", "FlightLog": "mavfi.record", "FlightRecord": "mavfi.record",
     "Effect": "mavfi.outcomes", "QoF": "mavfi.outcomes", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
-    "Campaign": "mavfi.campaign.config", "Study": "mavfi.extras.paper.study", "Runs": "mavfi.analysis.runs",
+    "Campaign": "mavfi.campaign.config", "Runs": "mavfi.analysis.runs",
     "Alarm": "mavfi.detectors.detector", "Detector": "mavfi.detectors.detector",
     "FlightResult": "mavfi.report.flight_result", "BadInputError": "mavfi.errors", "MavfiError": "mavfi.errors",
 }  # fmt: skip
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector as Detector
     from mavfi.errors import BadInputError as BadInputError
     from mavfi.errors import MavfiError as MavfiError
-    from mavfi.extras.paper.study import Study as Study
     from mavfi.faults.fault import Fault as Fault
     from mavfi.faults.fault import FaultSite as FaultSite
     from mavfi.faults.fault import InstructionFault as InstructionFault
@@ -63,6 +62,8 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:  # noqa: ANN401 (one of the names above)
     if name in _PUBLIC:
         return getattr(import_module(_PUBLIC[name]), name)
+    if name == "Study":
+        raise AttributeError("mavfi.Study: dropped; use mavfi.extras.paper.study.Study")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

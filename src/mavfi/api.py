@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mavfi.analysis.table import Table
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.executors.executor import Executor
-    from mavfi.campaign.session import Progress
+    from mavfi.campaign.ledger import Progress
 
 
 def fly(

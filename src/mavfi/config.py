@@ -31,6 +31,8 @@ Gain = Annotated[float, Field(ge=-1e3, le=1e3)]
 Gains = tuple[Gain, Gain, Gain]
 STRONGEST_WIND = 30.0
 """Largest gust and mean wind (m/s)."""
+SCAN_ENDINGS = (".bt", ".ot")
+"""File name extensions of scanned maps, which are environments."""
 STORED = {"stored": True}
 """Pydantic's context of data that mavfi itself has stored."""
 _FOLDER = re.compile(r"\w[\w.-]*")

@@ -37,22 +37,22 @@ from mavfi.campaign.integrity import (
     mission_checksum,
     salt_of,
 )
+from mavfi.campaign.ledger import repair, status
 from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
 from mavfi.campaign.names import check_names
 from mavfi.campaign.plan import arms_of
-from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.training import KeptRecordings
-from mavfi.cli.export import _write
 from mavfi.config import AutopilotConfig, PlatformConfig, load
 from mavfi.config import shipped as find_shipped
 from mavfi.detectors.model import Model
 from mavfi.detectors.registry import SHIPPED_MODELS, DetectorConfig, load_detector
 from mavfi.detectors.training import MONITORED_FIELDS, WATCHED, Recorder
 from mavfi.errors import BadInputError
+from mavfi.extras.logs.cli_export import _write
 from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.cli_attach import trained_on_file
 from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve

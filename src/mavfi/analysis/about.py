@@ -4,7 +4,7 @@ from typing import Any
 
 from mavfi.analysis.statistics import CONFIDENCE
 from mavfi.campaign.config import ArmConfig, Campaign, label_of
-from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import find_level
 from mavfi.mission import MissionSpec

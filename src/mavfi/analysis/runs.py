@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
@@ -11,9 +11,11 @@ from mavfi.analysis.about import describe
 from mavfi.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
-from mavfi.flight.host import Flight
 from mavfi.record import FlightRecord
 from mavfi.states import MONITORED_SETS
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Flight
 
 DEFAULT_MONITORED = "paper-13"
 ALL = "all"  # label of total rows, e.g. over all environments
@@ -34,7 +36,7 @@ class Runs:
     frame: pl.DataFrame
     records: Mapping[str, FlightRecord] = field(default_factory=dict)
     campaign: Mapping[str, Any] = field(default_factory=dict)
-    flights: Mapping[str, Flight] = field(default_factory=dict)
+    flights: Mapping[str, "Flight"] = field(default_factory=dict)
     memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @staticmethod

@@ -3,20 +3,20 @@
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field, SerializeAsAny, ValidationInfo, model_validator
 
-from mavfi.config import STORED, Config, Name, names, parse, parse_part, shipped
-from mavfi.detectors.registry import contains
+from mavfi.config import SCAN_ENDINGS, STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, hint
 from mavfi.faults.fault import find_level, level_names
-from mavfi.flight.host import GROUP, Host, host_class
 from mavfi.levels.level import Sampling, check_distinct, check_known, sampler_for
 from mavfi.mission import MissionSpec
 from mavfi.plugins import extensions
-from mavfi.sim.environments import SCAN_ENDINGS
 from mavfi.states import MONITORED_SETS, PLANNERS
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Host
 
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
@@ -118,7 +118,7 @@ class Campaign(Config):
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
     parts: dict[str, Part] = Field(default_factory=dict, description="by name in environments, e.g. one per platform")
     under_test: SerializeAsAny[Config] | None = Field(
-        None, description="what is under test instead of our pipeline, under the key that its host has for it"
+        None, description="what is under test instead of our pipeline; given under the key of its host"
     )
 
     @model_validator(mode="before")
@@ -208,6 +208,8 @@ class Campaign(Config):
         Raises:
             BadInputError: It is in no arm, or in several.
         """
+        from mavfi.detectors.registry import contains
+
         watching = ((name, arm) for name, arm in self.arms.items() if arm.detector)
         arms = [name for name, arm in watching if contains(arm.detector, arm.profile, target)]
         if len(arms) != 1:
@@ -236,6 +238,8 @@ class Campaign(Config):
         under_test = data.pop("under_test")
         data["node"] = None  # ledgers have it with every host
         if under_test is not None:
+            from mavfi.flight.host import host_class
+
             data[host_class(self.host).config_key] = under_test
         return data
 
@@ -244,10 +248,12 @@ class Campaign(Config):
         return {**self.to_json(), "sampling": self.sampling.identity()}
 
 
-def _class_of_host(name: Any) -> type[Host] | None:
+def _class_of_host(name: Any) -> "type[Host] | None":
     """The class of a host that may have keys and rules for campaigns; None = unknown, which is refused later."""
     if not isinstance(name, str) or name == _LOCAL:
         return None  # loading the simulator takes a second
+    from mavfi.flight.host import host_class
+
     try:
         return host_class(name)
     except BadInputError:
@@ -265,7 +271,7 @@ def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, An
         data = {**host.campaign_defaults(under_test), **data, "under_test": under_test}
         del data[key]
     for key in data.keys() - Campaign.model_fields.keys():
-        for other in extensions(GROUP).values():
+        for other in extensions("mavfi.hosts").values():
             if other.config_key == key:
                 raise ValueError(
                     f"host: {data.get('host', _LOCAL)!r}: the key {key} goes with host {other.name}, and only with it"

@@ -15,7 +15,6 @@ from typing import Any, Literal, NamedTuple
 from mavfi.campaign.config import Campaign, label_of
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
-from mavfi.detectors.registry import mission_keys
 from mavfi.faults.fault import Fault, fault_from_json
 from mavfi.levels.level import NULL, Draw, Sampler, draws_of, sampler_for
 from mavfi.mission import MissionStatus
@@ -251,6 +250,8 @@ def _of_shard(count: int, missions: int, first: int, step: int) -> int:
 
 def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
     """The campaign's own mission, the variants required by its sampling scheme, and its arms."""
+    from mavfi.detectors.registry import mission_keys
+
     variants = sampler_for(campaign).variants
     arms = [
         Arm(

@@ -17,9 +17,9 @@ from mavfi.campaign.divergence import (
     first_difference,
     spread,
 )
+from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of, reason_of
-from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError

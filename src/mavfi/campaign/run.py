@@ -1,6 +1,5 @@
 """Flies campaigns mission by mission, alone or together; a stopped campaign resumes."""
 
-import json
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -11,22 +10,18 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
+from mavfi.campaign.ledger import ORDERED, Progress, Status, check_shard, check_versions, status
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import host_of, model_hashes, plan_of, scenarios_of
 from mavfi.campaign.plan import arms_of
-from mavfi.campaign.session import Flying, Progress, Session, Status
+from mavfi.campaign.session import Flying, Session
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store, held
 from mavfi.campaign.warm_up import is_compiled, warm_up
-from mavfi.config import STORED, parse
+from mavfi.config import STORED
 from mavfi.detectors.registry import detector_options, mission_keys
-from mavfi.errors import BadInputError
 from mavfi.flight.host import require_level
 from mavfi.mission import Scenario
-
-SHARD = "shard"
-ORDERED = "campaign"
-"""Metadata key: the campaign as JSON text in its order of keys; the identity has sorted keys."""
 
 
 def run_campaign(
@@ -150,64 +145,3 @@ def identity_of(
         **({"mission_keys": keys} if keys else {}),
         **({"detector_options": used} if (used := {name: own for name, own in options.items() if own}) else {}),
     }
-
-
-def status(directory: Path) -> Status:
-    """Progress of a stored campaign.
-
-    Raises:
-        BadInputError: The folder holds no ledger.
-    """
-    with Store.open(directory) as store:
-        return status_of(store)
-
-
-def status_of(store: Store) -> Status:
-    """Progress of the campaign in an open ledger."""
-    counts = store.counts()
-    done = sum(number for _, number, _ in counts.values())
-    total = sum(planned for planned, _, _ in counts.values())
-    shard = shard_of(store)
-    total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(shard)
-    return Status(done, total, counts, store.unknown().total(), shard)
-
-
-def shard_of(store: Store) -> Shard:
-    """The shard of a ledger; raises a BadInputError if its entry is invalid."""
-    return Shard.parse(store.meta(SHARD) or str(WHOLE), str(store.directory))
-
-
-def stored_campaign(store: Store) -> Campaign:
-    """The campaign of a ledger (older ones do not store the order of keys); raises a BadInputError if invalid."""
-    text = store.meta(ORDERED)
-    given = store.meta("identity")["campaign"] if text is None else json.loads(text)
-    return parse(Campaign, given, str(store.directory), stored=True)
-
-
-def check_shard(store: Store, shard: Shard) -> None:
-    """Store the shard; raises a BadInputError if the ledger belongs to another one."""
-    if store.meta(SHARD) is None:
-        store.write_meta({SHARD: str(shard)})
-    if shard_of(store) != shard:
-        raise BadInputError(f"{store.directory}: holds shard {shard_of(store)}, not {shard}; choose another directory")
-
-
-def check_versions(store: Store, versions_there: Mapping[str, str], there: str = "here is") -> None:
-    """Store the versions; raises a BadInputError if an incomplete ledger was started with others.
-
-    Args:
-        store: The ledger.
-        versions_there: Versions of the runs to be added.
-        there: Words before such a version in the message.
-    """
-    held: dict[str, Any] | None = store.meta("versions")
-    if held is None:
-        store.write_meta({"versions": dict(versions_there)})
-        return
-    differing = [name for name in versions_there if held.get(name) != versions_there[name]]
-    if differing and not store.complete:
-        name = differing[0]
-        raise BadInputError(
-            f"{store.directory}: was begun with {name} {held.get(name)}, {there} {versions_there[name]}; runs "
-            "cannot be mixed"
-        )

@@ -15,10 +15,11 @@ from pathlib import Path
 
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.fingerprint import versions
+from mavfi.campaign.ledger import Progress
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import Job, MissionPlan, flights_of, fly_missions, share
 from mavfi.campaign.plan import Flown, Plan, Planned
-from mavfi.campaign.shard import WHOLE, Shard
+from mavfi.campaign.shard import Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_missions_anywhere
 from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
@@ -27,31 +28,6 @@ from mavfi.record import End, FlightRecord
 ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
 PAUSE_S = 1.0  # between retries after a machine failure
 _Place = tuple[int, tuple[str, int]]  # number of a session, and a mission in it
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """Progress of a stored campaign."""
-
-    done: int  # runs, earlier sessions included
-    total: int  # runs of the complete campaign
-    settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    """By setting: runs planned so far, done, successful."""
-    unknown: int = 0  # done runs with status unknown
-    shard: Shard = WHOLE  # shard in the ledger
-
-    @property
-    def complete(self) -> bool:
-        """Whether all runs are done."""
-        return self.done == self.total
-
-
-@dataclass(frozen=True, slots=True)
-class Progress(Status):
-    """Progress of a running campaign."""
-
-    flown: int = 0  # runs done in this session
-    compiling: bool = False  # kernels are being compiled; no run has been flown yet
 
 
 @dataclass(slots=True)

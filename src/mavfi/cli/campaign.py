@@ -124,7 +124,7 @@ def status(
 
     Example: [bold]mavfi campaign status out/states[/bold]
     """
-    from mavfi.campaign.run import status as status_of
+    from mavfi.campaign.ledger import status as status_of
     from mavfi.campaign.shard import WHOLE
     from mavfi.cli.progress import success_counts
 
@@ -180,7 +180,7 @@ def merge(
 
     Example: [bold]mavfi campaign merge out/part-* --out out/states[/bold]
     """
-    from mavfi.campaign.merge import merge as merge_ledgers
+    from mavfi.campaign.ledger import merge as merge_ledgers
 
     found = merge_ledgers(directories, out)
     rest = f"complete. Tables and figures: [bold]mavfi report {out}[/bold]"
@@ -195,8 +195,8 @@ def repair(directory: options.Ledger) -> None:
 
     Example: [bold]mavfi campaign repair out/states[/bold]
     """
-    from mavfi.campaign.repair import DAMAGED
-    from mavfi.campaign.repair import repair as repair_ledger
+    from mavfi.campaign.ledger import DAMAGED
+    from mavfi.campaign.ledger import repair as repair_ledger
 
     found = repair_ledger(directory)
     if found.was_intact:
@@ -217,7 +217,7 @@ def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
 
     Example: [bold]mavfi campaign digest out/states[/bold]
     """
-    from mavfi.campaign.run import status as status_of
+    from mavfi.campaign.ledger import status as status_of
     from mavfi.campaign.shard import WHOLE
     from mavfi.campaign.store import Store
 

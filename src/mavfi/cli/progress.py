@@ -18,7 +18,7 @@ from rich.text import Text
 from mavfi.cli.console import console
 
 if TYPE_CHECKING:
-    from mavfi.campaign.session import Progress as CampaignProgress
+    from mavfi.campaign.ledger import Progress as CampaignProgress
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""

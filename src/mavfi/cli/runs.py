@@ -136,7 +136,7 @@ def shrink(
 
 def command(found: "Shrunk") -> str:
     """Command that flies the smallest fault."""
-    from mavfi.campaign.run import stored_campaign
+    from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.faults.fault import find_level
     from mavfi.report.html.flight_page import fly_command

@@ -76,12 +76,11 @@ _JITTER_US = 300_000
 """Largest planning time in excess of that."""
 _LONG_AGO = -(1 << 62)
 
-_LIMITS = [(name, NUMBERS[name]) for name in NUMBERS.names or ()]
 _HEADERS = {
     "last_status": STATUS_TYPE, "last_path": PATH_TYPE, "last_trajectory": TRAJECTORY_TYPE,
     "last_waypoint": WAYPOINT_TYPE, "last_command": COMMAND_TYPE, "last_tracking": TRACKING_TYPE,
 }  # fmt: skip
-_REMEMBERED = [
+_REMEMBERED: list[tuple[Any, ...]] = [
     *((name, "u1", (dtype.itemsize,)) for name, dtype in _HEADERS.items()),
     ("end", "f8", (3,)), ("ended", "?"),
     ("changes", "i8"), ("times", "i8", (KEPT_COUNTERS,)), ("counters", "i8", (KEPT_COUNTERS,)),
@@ -92,7 +91,7 @@ _WORK = [
     ("planning_us", "i8"), ("blocks", "i8", (KEPT,)), ("candidate", "u1", (_WAYPOINT_SIZE,)), ("candidate_of", "i8"),
     ("accepted", "?"),
 ]  # fmt: skip
-RECORD = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
+RECORD = np.dtype([*NUMBERS.descr, *_REMEMBERED, *_WORK])
 """The record.
 
 - Limits: see `MissionLimits.numbers`.
@@ -106,8 +105,7 @@ RECORD = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
 - Work: `planning_us`, the least time from the planner's start to its path (us); block index of each stored trajectory;
   the candidate, its state, and whether it was accepted.
 """
-_FIRST, _END = len(_LIMITS), len(_LIMITS) + len(_REMEMBERED)
-MEMORY = slice(RECORD.fields[RECORD.names[_FIRST]][1], RECORD.fields[RECORD.names[_END]][1])  # type: ignore[index]
+MEMORY = slice(NUMBERS.itemsize, RECORD.fields["planning_us"][1])  # type: ignore[index]
 """Bytes of the record that form the memory."""
 
 
@@ -123,15 +121,15 @@ def new_record(limits: MissionLimits) -> np.ndarray:
 
 def named(known: np.ndarray) -> dict[str, np.ndarray]:
     """The memory by name, headers by field: the arrays themselves, not copies."""
-    found: dict[str, np.ndarray] = {}
-    for name in RECORD.names[_FIRST:_END] if RECORD.names else ():
+    arrays: dict[str, np.ndarray] = {}
+    for name, *_ in _REMEMBERED:
         array = known[name].reshape(-1)
         if name in _HEADERS:
             header = array.view(_HEADERS[name])
-            found |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
+            arrays |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
         else:
-            found[name] = array
-    return found
+            arrays[name] = array
+    return arrays
 
 
 def forget(known: np.ndarray) -> None:
@@ -430,10 +428,10 @@ class AcceptanceTest(Detector):
             return None
         if spec.name in _CANDIDATES:
             self._candidate = state
-        place = judge(state, time_us)
-        if place < 0:
+        index = judge(state, time_us)
+        if index < 0:
             return None
-        field = f"{spec.name}.{(*spec.header, *spec.elements)[place].name}"
+        field = f"{spec.name}.{(*spec.header, *spec.elements)[index].name}"
         if rule_of(field) not in self.rules:
             return None
         return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(field,), hard=True)
@@ -446,13 +444,15 @@ class AcceptanceTest(Detector):
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
-        name = state.spec.name
-        if state is not self._candidate and name in _CANDIDATES:
-            self.check(state, time_us)  # makes it the candidate, unless it is not read
+        if state is not self._candidate:
+            note = self._notes.get(state.spec.name)
+            if note is not None:
+                note(state, time_us)
+                return
+            if state.spec.name in _CANDIDATES:
+                self.check(state, time_us)  # makes it the candidate, unless it is not read
         if state is self._candidate:
             self._accepted[0] = True
-        elif name in self._notes:
-            self._notes[name](state, time_us)
 
     def _note_odometry(self, state: State, now: int) -> None:
         self.odometry = state.header
@@ -476,10 +476,10 @@ class AcceptanceTest(Detector):
 
     def memory(self) -> tuple[Any, ...]:
         """Memory between publications, see `Detector`."""
-        record = self._settled_record()
+        settle(self.record)
         vehicle = floats(self.odometry, _VEHICLE_FLOATS).tobytes()
         trajectories = tuple(points.tobytes() for points in self._trajectories())
-        return record.view(np.uint8)[MEMORY].tobytes(), vehicle, trajectories, self.estimate.tobytes()
+        return self.record.view(np.uint8)[MEMORY].tobytes(), vehicle, trajectories, self.estimate.tobytes()
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
@@ -488,31 +488,26 @@ class AcceptanceTest(Detector):
         self.estimate[:] = np.frombuffer(estimate, self.estimate.dtype)
         self.record.view(np.uint8)[MEMORY] = np.frombuffer(content, np.uint8)
         floats(self.odometry, _VEHICLE_FLOATS)[:] = np.frombuffer(vehicle)
-        for place, points in enumerate(trajectories):
-            rows = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
-            self._make_room(len(rows))
-            self.blocks[place, : len(rows)] = rows
+        for block, points in enumerate(trajectories):
+            table = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
+            self._make_room(len(table))
+            self.blocks[block, : len(table)] = table
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""
-        record = self._settled_record()
+        settle(self.record)
         self.odometry = self.odometry.copy()  # it belongs to the publication
         points = {f"trajectories[{index}]": points for index, points in enumerate(self._trajectories())}
         vehicle = {"vehicle": floats(self.odometry, _VEHICLE_FLOATS)}
         estimated = {} if self.limits.fix_noise is None else estimates.named(self.estimate)
-        return {**named(record), **vehicle, **points, **estimated}
-
-    def _settled_record(self) -> np.ndarray:
-        """The record after the candidate, if accepted, is committed."""
-        settle(self.record)
-        return self.record
+        return {**named(self.record), **vehicle, **points, **estimated}
 
     def _trajectories(self) -> list[np.ndarray]:
         """Points of the stored trajectories, oldest first."""
         record = self.record[0]
         stored = used(int(record["stored"]), 0, KEPT)
-        places = zip(record["blocks"][:stored], record["counts"][:stored], strict=True)
-        return [self.blocks[place, :count] for place, count in places]
+        lengths = zip(record["blocks"][:stored], record["counts"][:stored], strict=True)
+        return [self.blocks[block, :count] for block, count in lengths]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""

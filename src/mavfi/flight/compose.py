@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi import config as configs
-from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
+from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.detectors.detector import Detector, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
@@ -30,7 +30,7 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
-from mavfi.sim.environments import SCAN_ENDINGS, World, build_world, environment_for_file, find_generator
+from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
 from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage

@@ -208,8 +208,8 @@ class Host(ABC):
         """Keys of a campaign that follow from what is under test, unless they are given."""
         return {}
 
-    @classmethod
-    def check_sampling(cls, sampling: Any) -> None:  # noqa: B027 - most inject all faults of their levels
+    @classmethod  # noqa: B027 - most inject all faults of their levels
+    def check_sampling(cls, sampling: Any) -> None:
         """Raise a BadInputError if the host cannot inject faults that are drawn in this way."""
 
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
+from pydantic import Field
+
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint
@@ -104,11 +106,11 @@ def _refuse() -> NoReturn:
 
 # ---- the faults of a campaign ----------------------------------------------------------------------------------------
 class Sampling(Config):
-    """Base of the models of a campaign's key `sampling`: how faults of a level are drawn."""
+    """How faults are drawn; the further keys are those of the level."""
 
     null_runs: ClassVar[int] = 3
     """Default number of null runs per environment."""
-    level: str
+    level: str = Field(description="name of the level")
 
     @property
     def instrumented(self) -> tuple[str, ...]:

@@ -17,7 +17,6 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.transforms import offset_copy
 from scipy.spatial import cKDTree
 
-from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.report import style
 from mavfi.report.explain import around
@@ -208,6 +207,8 @@ def _shade(
 
 def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
     """Draw the occupied voxels of the planner's final map; return whether there are any."""
+    from mavfi.kernels.perception.clearance import OCCUPIED
+
     clearance: Any = getattr(flight.pipeline.get("planner"), "clearance_map", None)
     if clearance is None:
         return False

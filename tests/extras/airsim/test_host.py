@@ -101,7 +101,7 @@ def test_a_run_that_fails_ends_alone(monkeypatch):
 def test_another_text_of_the_program_is_another_mission(tmp_path):
     script = tmp_path / "p.py"
     script.write_text("pass\n")
-    host = find_host("airsim_program", {"program": ProgramConfig(script=str(script))})
+    host = find_host("airsim_program", ProgramConfig(script=str(script)))
     first = host.resolve(MissionSpec()).key()
     script.write_text("pass  # changed\n")
     assert host.resolve(MissionSpec()).key() != first

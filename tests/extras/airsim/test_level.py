@@ -8,9 +8,12 @@ from mavfi.campaign.config import Campaign
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.boundary import Passed
+from mavfi.extras.airsim.level import MessageLevel
+from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled, draws_of, sampler_for
 from mavfi.record import End, FlightRecord
+from mavfi.testing import HostContract, LevelContract
 
 CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
 PROGRAM = {"host": "airsim_program", "sampling": {"level": "message"}}
@@ -76,3 +79,15 @@ def test_what_does_not_go_together_is_refused(changes, message):
         del own["program"]
     with pytest.raises(BadInputError, match=message):
         parse(Campaign, own, "campaign.yaml")
+
+
+class TestMessage(LevelContract):
+    level = MessageLevel
+    faults = [MessageFault("moveToZ", "arguments#2", 5, 3, seed=1)]
+    campaign = {"host": "airsim_program", "program": {"script": "p.py"}}
+    golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN), tuple(CALLS)))}
+
+
+class TestProgramHost(HostContract):
+    host = "airsim_program"
+    under_test = {"script": "p.py"}

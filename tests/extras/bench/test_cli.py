@@ -3,7 +3,8 @@ import json
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.ledger import status
+from mavfi.campaign.run import run_campaign
 from mavfi.cli.commands import run
 from mavfi.extras.paper import overheads
 from tests.core.unit.campaign.fakes import DETECTOR, small

@@ -44,8 +44,8 @@ add_readings(
 
 
 # ---- connection ------------------------------------------------------------------------------------------------------
-@call("getSettingsString")
-def _(api: Api) -> str:
+@call
+def getSettingsString(api: Api) -> str:
     """AirSim's settings, and under a key of its own what the server flies."""
     vehicles: Data = {api.name: {}}
     own = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
@@ -53,14 +53,14 @@ def _(api: Api) -> str:
     return json.dumps(settings)
 
 
-@call("simPrintLogMessage")
-def _(api: Api, message: Any, message_param: Any = "", severity: int = 0) -> bool:
+@call
+def simPrintLogMessage(api: Api, message: Any, message_param: Any = "", severity: int = 0) -> bool:
     return True
 
 
 # ---- time ------------------------------------------------------------------------------------------------------------
-@call("simPause")
-def _(api: Api, is_paused: bool) -> None:
+@call
+def simPause(api: Api, is_paused: bool) -> None:
     api.paused, api.resume_until_us = bool(is_paused), None
 
 
@@ -76,13 +76,13 @@ def continue_for(api: Api, seconds: float) -> None:
     api.resume_until_us = api.vehicle.now_us + round(seconds * 1e6 / STEP_US) * STEP_US
 
 
-@call("simContinueForTime")
-def _(api: Api, seconds: float) -> None:
+@call
+def simContinueForTime(api: Api, seconds: float) -> None:
     continue_for(api, seconds)
 
 
-@call("simContinueForFrames")
-def _(api: Api, frames: int) -> None:
+@call
+def simContinueForFrames(api: Api, frames: int) -> None:
     continue_for(api, 1e-6 * TICK_US * frames)
 
 
@@ -129,13 +129,13 @@ def _matching(names: Iterable[str], pattern: str) -> list[str]:
         raise BadInputError(f"{pattern!r}: {error}; allowed: a regular expression") from None
 
 
-@call("simListSceneObjects")
-def _(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
+@call
+def simListSceneObjects(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
     return _matching((api.name, *api.objects), name_regex)
 
 
-@call("simGetObjectPose")
-def _(api: Api, object_name: str, ned: bool = True) -> Data:
+@call
+def simGetObjectPose(api: Api, object_name: str, ned: bool = True) -> Data:
     """NaN for an object that does not exist, as in AirSim."""
     if object_name == api.name:
         return pose(api.vehicle.position, api.vehicle.orientation)
@@ -144,27 +144,27 @@ def _(api: Api, object_name: str, ned: bool = True) -> Data:
     return pose(api.vehicle.to_ned(_box(api, object_name)[0]), LEVEL)
 
 
-@call("simSetObjectPose")
-def _(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
+@call
+def simSetObjectPose(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
     centre = api.vehicle.to_world(_box_position(pose))
     _put(api, _place(api, object_name), centre, _box(api, object_name)[1])
     return True
 
 
-@call("simGetObjectScale")
-def _(api: Api, object_name: str) -> dict[str, float]:
+@call
+def simGetObjectScale(api: Api, object_name: str) -> dict[str, float]:
     return vector(_box(api, object_name)[1])
 
 
-@call("simSetObjectScale")
-def _(api: Api, object_name: str, scale_vector: Any) -> bool:
+@call
+def simSetObjectScale(api: Api, object_name: str, scale_vector: Any) -> bool:
     centre, _ = _box(api, object_name)
     _put(api, _place(api, object_name), centre, np.array(triple(scale_vector)))
     return True
 
 
-@call("simSpawnObject")
-def _(
+@call
+def simSpawnObject(
     api: Api,
     object_name: str,
     asset_name: str,
@@ -185,8 +185,8 @@ def _(
     return name
 
 
-@call("simDestroyObject")
-def _(api: Api, object_name: str) -> bool:
+@call
+def simDestroyObject(api: Api, object_name: str) -> bool:
     if object_name not in api.objects:
         return False
     place, world = _place(api, object_name), api.vehicle.sim.world
@@ -199,20 +199,20 @@ def _(api: Api, object_name: str) -> bool:
     return True
 
 
-@call("simSetSegmentationObjectID")
-def _(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
+@call
+def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
     found = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
     api.segments.update(dict.fromkeys(found, int(object_id)))
     return bool(found)
 
 
-@call("simGetSegmentationObjectID")
-def _(api: Api, mesh_name: str) -> int:
+@call
+def simGetSegmentationObjectID(api: Api, mesh_name: str) -> int:
     return api.segment(mesh_name) if mesh_name in (*api.objects, GROUND) else -1
 
 
-@call("simLoadLevel")
-def _(api: Api, level_name: str) -> bool:
+@call
+def simLoadLevel(api: Api, level_name: str) -> bool:
     """Fly in another shipped environment, with the same seed."""
     if level_name not in names("environments"):
         raise BadInputError(f"level {level_name!r}: not known; allowed: {', '.join(names('environments'))}")
@@ -221,19 +221,19 @@ def _(api: Api, level_name: str) -> bool:
     return True
 
 
-@call("simGetWorldExtents")
-def _(api: Api) -> list[dict[str, float]]:
+@call
+def simGetWorldExtents(api: Api) -> list[dict[str, float]]:
     world = api.vehicle.sim.world
     return [geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
 
 
-@vehicle_call("simTestLineOfSightToPoint")
-def _(api: Api, point: Any) -> bool:
+@vehicle_call
+def simTestLineOfSightToPoint(api: Api, point: Any) -> bool:
     return api.vehicle.sim.is_free(api.vehicle.sim.odometry[:3].copy(), _geo(api, point))
 
 
-@call("simTestLineOfSightBetweenPoints")
-def _(api: Api, point1: Any, point2: Any) -> bool:
+@call
+def simTestLineOfSightBetweenPoints(api: Api, point1: Any, point2: Any) -> bool:
     return api.vehicle.sim.is_free(_geo(api, point1), _geo(api, point2))
 
 
@@ -242,18 +242,18 @@ def _geo(api: Api, point: Any) -> np.ndarray:
 
 
 # ---- weather, drawing, recording -------------------------------------------------------------------------------------
-@call("simSetWind")
-def _(api: Api, wind: Any) -> None:
+@call
+def simSetWind(api: Api, wind: Any) -> None:
     api.vehicle.sim.set_wind(flipped(triple(wind)))
 
 
-@call("simEnableWeather")
-def _(api: Api, enable: bool) -> None:
+@call
+def simEnableWeather(api: Api, enable: bool) -> None:
     api.weather_on = bool(enable)
 
 
-@call("simSetWeatherParameter")
-def _(api: Api, param: int, val: float) -> None:
+@call
+def simSetWeatherParameter(api: Api, param: int, val: float) -> None:
     """A value of 0 is accepted for all weather: there is none."""
     if param not in _DRAWN and not (param in _KNOWN_WEATHER and val == 0.0):
         known = _KNOWN_WEATHER.get(param, "unknown")
@@ -262,14 +262,14 @@ def _(api: Api, param: int, val: float) -> None:
     api.weather[param] = min(1.0, max(0.0, float(val)))
 
 
-@call("startRecording")
-def _(api: Api) -> None:
+@call
+def startRecording(api: Api) -> None:
     """Nothing is written; the program flies as if it were."""
     api.recording = True
 
 
-@call("stopRecording")
-def _(api: Api) -> None:
+@call
+def stopRecording(api: Api) -> None:
     api.recording = False
 
 
@@ -278,7 +278,7 @@ def _nothing(api: Api, *arguments: Any) -> None:
 
 
 for _name in _NOTHING:
-    call(_name)(_nothing)
+    call(_nothing, _name)
 
 
 # ---- calls that are refused ------------------------------------------------------------------------------------------
@@ -337,7 +337,7 @@ def _refuse(name: str, reason: str) -> None:
     def refused(api: Api, *arguments: Any) -> None:
         raise BadInputError(f"{name}: {reason}")
 
-    call(name)(refused)
+    call(refused, name)
 
 
 for _name, _reason in REFUSED.items():

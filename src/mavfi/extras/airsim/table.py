@@ -8,6 +8,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.flight.piloted import PilotedVehicle
+from mavfi.numerics.frames import Quaternion, Triple
 
 GROUND = "Ground"
 """Name of the ground plane."""
@@ -37,8 +38,8 @@ class Camera:
         aperture: What the program has set (f-number).
     """
 
-    position: tuple[float, float, float]
-    orientation: tuple[float, float, float, float]
+    position: Triple
+    orientation: Quaternion
     fov_deg: float = 90.0
     film_mm: tuple[float, float] = FILM_MM
     focus_distance: float = 100_000.0
@@ -174,15 +175,12 @@ _EXTERNAL = Parameter("external", _KIND, default=False)
 
 
 def call(
-    name: str, *, is_task: bool = False, ending: tuple[Parameter, ...] = ()
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Register a function as the call of this name."""
-
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        CALLS[name] = Call(name, function, is_task, ending)
-        return function
-
-    return add
+    function: Callable[..., Any], name: str = "", *, is_task: bool = False, ending: tuple[Parameter, ...] = ()
+) -> Callable[..., Any]:
+    """Register a function as the call of its own or another name."""
+    name = name or function.__name__
+    CALLS[name] = Call(name, function, is_task, ending)
+    return function
 
 
 vehicle_call = partial(call, ending=(_VEHICLE,))
@@ -193,10 +191,10 @@ task = partial(vehicle_call, is_task=True)
 """Register a function that returns a `Task`, which needs running motors."""
 
 
-def add_readings(register: Callable[[str], Any], readings: Mapping[str, Callable[[Api], Any]]) -> None:
+def add_readings(register: Callable[..., Any], readings: Mapping[str, Callable[[Api], Any]]) -> None:
     """Register functions of the `Api` alone, by name; `register`: `call` or `vehicle_call`."""
     for name, read in readings.items():
-        register(name)(read)
+        register(read, name)
 
 
 def find_call(name: Any) -> Call:

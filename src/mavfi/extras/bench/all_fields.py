@@ -9,7 +9,7 @@ import numpy as np
 from mavfi.detectors.autoencoder import INPUT_LIMIT, Network, fit_autoencoder, network_of
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold, Verdict, score_of
+from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold, score_of
 from mavfi.detectors.training import Sample, TrainedDetector, regime_limits
 from mavfi.extras.bench.field_codes import ALL_FIELDS, COMPILED, FieldCodes
 from mavfi.extras.bench.residual_state import LEARNED, NEVER, REGIME, SLOT, ResidualState
@@ -24,7 +24,7 @@ class Judged(NamedTuple):
     Attributes:
         distance: See `scoring.Reading`. Shape (n,).
         unit: See `scoring.Reading`. Shape (n,).
-        ratios: See `scoring.Verdict`. Shape (n,).
+        ratios: See `scoring.Threshold`. Shape (n,).
         score: Shape (1,).
     """
 
@@ -113,12 +113,11 @@ class CodeScorer(Scorer):
         self.field_codes.read(state, slot)
         return float(self._judge(*self._tables))
 
-    def judged(self) -> tuple[Reading, Verdict]:
-        """Reading and verdict of the publication scored last."""
+    def judged(self) -> Reading:
+        """Reading of the publication scored last."""
         judged, place = self._judged_last, self.field_codes.measured.place
         first, last = self.span(int(place[SLOT]))
-        reading = Reading(judged.distance, judged.unit, first, last, int(place[REGIME]))
-        return reading, Verdict(float(judged.score[0]), judged.ratios)
+        return Reading(judged.distance, judged.unit, first, last, int(place[REGIME]))
 
     def accept(self, state: State) -> None:
         """Record a published value."""

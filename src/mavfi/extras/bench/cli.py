@@ -119,7 +119,7 @@ def overheads(
     Example: [bold]mavfi bench overheads out/reproduce[/bold]
     """
     from mavfi.analysis import Runs, table
-    from mavfi.campaign.run import stored_campaign
+    from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
     from mavfi.cli.progress import Bar
     from mavfi.extras.paper.overheads import measure, save

@@ -2,7 +2,9 @@
 
 import math
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -85,6 +87,15 @@ class _OutlierDetector(LibraryDetector):
     """Base: a PyOD class with its options."""
 
     package = "pyod"
+    model: ClassVar[str]
+    """Module and class of the model."""
+    options: ClassVar[Mapping[str, Any]]
+
+    @classmethod
+    def make(cls) -> Any:  # noqa: ANN401 - the library has no types
+        """The model before fitting."""
+        module, _, name = cls.model.partition(":")
+        return getattr(import_module(module), name)(**cls.options)
 
     @classmethod
     def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Any:  # noqa: ANN401
@@ -96,11 +107,6 @@ class _OutlierDetector(LibraryDetector):
 
     @classmethod
     @abstractmethod
-    def make(cls) -> Any:  # noqa: ANN401 - the library has no types
-        """The model before fitting."""
-
-    @classmethod
-    @abstractmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
         """The tables of a fitted model of these inputs, for this number of states."""
 
@@ -109,13 +115,7 @@ class IsolationForestDetector(_OutlierDetector):
     """Isolation forest (Liu, Ting and Zhou, ICDM 2008): 100 trees of 256 rows."""
 
     model_kind = "isolation_forest"
-
-    @classmethod
-    def make(cls) -> Any:  # noqa: ANN401
-        """See the base class."""
-        from pyod.models.iforest import IForest
-
-        return IForest(n_estimators=100, random_state=0, n_jobs=1)
+    model, options = "pyod.models.iforest:IForest", {"n_estimators": 100, "random_state": 0, "n_jobs": 1}
 
     @classmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
@@ -155,13 +155,7 @@ class PcaDetector(_OutlierDetector):
     """Weighted distances along the principal components (Shyu et al., ICDM Workshop 2003)."""
 
     model_kind = "pca"
-
-    @classmethod
-    def make(cls) -> Any:  # noqa: ANN401
-        """See the base class."""
-        from pyod.models.pca import PCA
-
-        return PCA(random_state=0, svd_solver="full")
+    model, options = "pyod.models.pca:PCA", {"random_state": 0, "svd_solver": "full"}
 
     @classmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
@@ -176,13 +170,7 @@ class MahalanobisDetector(_OutlierDetector):
     """Mahalanobis distance with the minimum covariance determinant (Rousseeuw and Van Driessen, Technometrics 1999)."""
 
     model_kind = "mahalanobis"
-
-    @classmethod
-    def make(cls) -> Any:  # noqa: ANN401
-        """See the base class."""
-        from pyod.models.mcd import MCD
-
-        return MCD(random_state=0)
+    model, options = "pyod.models.mcd:MCD", {"random_state": 0}
 
     @classmethod
     def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401

@@ -18,8 +18,8 @@ from mavfi.analysis.statistics import Rate, wilson
 from mavfi.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
+from mavfi.campaign.ledger import ORDERED
 from mavfi.campaign.plan import FI, Arm, arms_of
-from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
 from mavfi.detectors.detector import Detector

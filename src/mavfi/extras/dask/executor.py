@@ -254,5 +254,4 @@ def _flyer(function: Callable[[Any], Iterator[Any]], topic: str) -> Worker[Any]:
     _THREAD.topic = topic
     if getattr(_THREAD, "worker", None) is None:
         _THREAD.worker = Worker.started(function)
-    worker: Worker[Any] = _THREAD.worker
-    return worker
+    return _THREAD.worker

@@ -10,7 +10,7 @@ import typer
 from mavfi.cli import options
 from mavfi.cli.console import console, write_json
 from mavfi.errors import BadInputError
-from mavfi.extras.registers.cli import RegistersOption, SeedOption, instant, register_options
+from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import RegisterFault

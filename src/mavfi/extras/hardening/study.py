@@ -10,8 +10,8 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import processor
+from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.mission import host_of
-from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import (

@@ -17,7 +17,7 @@ from mavfi.errors import BadInputError, writing
 from mavfi.flight.log_readers import LoggedMessage, Record, check_topics, numeric, reading
 from mavfi.numerics.frames import ned_of
 from mavfi.record import FlightLog
-from mavfi.report.export.lines import ERROR, INFO, WARN, Line, line_of, lines_of
+from mavfi.report.lines import ERROR, INFO, WARN, Line, line_of, lines_of
 
 _LANDED = "vehicle_land_detected"
 _FILE_HEADER = 16

@@ -94,8 +94,7 @@ class Parameters:
 
 
 def _from_wire(value: float) -> int:
-    found: int = struct.unpack("<i", struct.pack("<f", value))[0]
-    return found
+    return struct.unpack("<i", struct.pack("<f", value))[0]
 
 
 # ---- missions --------------------------------------------------------------------------------------------------------

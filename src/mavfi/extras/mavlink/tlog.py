@@ -21,7 +21,7 @@ from mavfi.flight.loop import Item, Loop
 from mavfi.mission import MissionStatus
 from mavfi.numerics.frames import Triple, euler, geodetic, ned_of
 from mavfi.record import FlightLog
-from mavfi.report.export.lines import ERROR, INFO, WARN, Line, end_line, line_of, lines_of
+from mavfi.report.lines import ERROR, INFO, WARN, Line, lines_at, lines_of
 from mavfi.states import State
 
 _GROUND_STATION = 250
@@ -238,10 +238,7 @@ class Telemetry:
         for message in self._messages.motion(row, self._rows):
             self._link.send(message)
         self._rows += 1
-        lines = [line for item in items if (line := line_of(item)) is not None]
-        if status is not None:
-            lines.append(end_line(float(row[0]), status))
-        for line in lines:
+        for line in lines_at(float(row[0]), items, status):
             self._texts += 1
             for message in self._messages.text(line, self._texts):
                 self._link.send(message)

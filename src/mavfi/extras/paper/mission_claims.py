@@ -275,7 +275,7 @@ def _of_success(campaign: str, level: str, end: str) -> list[Claim]:
 
 
 _MISSED = "Table I, faults in states: in Dense most faults go undetected"
-CHAPTER = Chapter(10, (
+MISSIONS = Chapter(10, (
     *_of_kernels(), *_of_states(), *_of_success(INSTRUCTIONS, "instructions", ""),
     *_of_success(VALUES, "states", "_in_states"),
     *_claims("VI-A", VALUES, ("dense_most_missed_in_states", _MISSED, _most_missed), method=_BETWEEN),

@@ -130,4 +130,4 @@ def _of_overhead() -> Iterable[Claim]:
     yield Claim("gaussian_recovery_of_early_stages", text, "VI-C", INSTRUCTIONS, WITHIN, _of_early_stages)
 
 
-CHAPTER = Chapter(20, tuple(_of_overhead()))
+OVERHEADS = Chapter(20, tuple(_of_overhead()))

@@ -109,4 +109,4 @@ def _of_platforms() -> Iterable[Claim]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter(30, (*_of_redundancy(), *_of_platforms()))
+PLATFORMS = Chapter(30, (*_of_redundancy(), *_of_platforms()))

@@ -57,6 +57,6 @@ def flight_times(runs: Runs) -> Figure | None:
     return figure
 
 
-CHAPTER = Chapter(
+PLATFORMS = Chapter(
     30, (Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),)
 )

@@ -18,7 +18,7 @@ from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.extras.paper.worlds import CONTRAST, contrast_measure
 from mavfi.plugins import Chapter
 
-_SECONDS, _KJ, _TIMES = "number .1f s", "number .1f kJ", "number .2f ×"
+_SECONDS, _KJ, _RATIO = "number .1f s", "number .1f kJ", "number .2f ×"
 
 
 def platforms(runs: Runs) -> dict[str, str]:
@@ -50,7 +50,7 @@ def _power(own: Runs) -> float | None:
     return sum(own["energy_j"]) / seconds if seconds else None
 
 
-def _papers(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
+def _papers_platform(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
     """A value of the paper's table, shown in the rows of one setting."""
 
     def of(own: Runs) -> Any:
@@ -66,7 +66,7 @@ def _platform(own: Runs) -> str:
 
 
 def _papers_power(own: Runs) -> float | None:
-    time, energy = _papers("flight_time_s")(own), _papers("energy_kj")(own)
+    time, energy = _papers_platform("flight_time_s")(own), _papers_platform("energy_kj")(own)
     return 1000 * energy / time if time and energy else None
 
 
@@ -101,7 +101,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     yield ratio("median_ratio", "median ratio", "flight_time_s", 0.5)
     yield ratio("energy_ratio", "of energy", "energy_j", 0.5)
     yield ratio("worst_ratio", "worst ratio", "flight_time_s", 1.0)
-    yield Measure("paper_ratio", "paper", _TIMES, papers_ratio)
+    yield Measure("paper_ratio", "paper", _RATIO, papers_ratio)
     yield contrast_measure(
         "recovered", "recovered", PERCENT_TEST, recoverable, "flight_time_s", 1.0,
         lambda fi, dr, golden: np.where(fi > golden, (fi - dr) / (fi - golden), 0.0),  # of a sample without a worse one
@@ -139,18 +139,20 @@ def _explanation(runs: Runs) -> list[str]:
     ]
 
 
-CHAPTER = Chapter(90, (
+PLATFORMS = Chapter(90, (
     View(
         "platforms", "Computing platforms (Fig. 9): flights that succeed", ("environment", "setting"),
         (
             m.count("n", "flights"),
             Measure("median_s", "median time", _SECONDS, _median), Measure("worst_s", "worst time", _SECONDS, _worst),
-            Measure("paper_s", "paper", _SECONDS, _papers("flight_time_s")),
+            Measure("paper_s", "paper", _SECONDS, _papers_platform("flight_time_s")),
             m.median("energy_j", "median energy", _KJ),
-            Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_papers("energy_kj")(own))),
+            Measure("paper_kj", "paper", _KJ, lambda own: _kilo(_papers_platform("energy_kj")(own))),
             Measure("power_w", "power", "number .0f W", _power),
             Measure("paper_w", "paper", "number .0f W", _papers_power), _against_first,
-            Measure("paper_processor", "paper: processor", "text", lambda own: _watts(_papers("power_w")(own))),
+            Measure(
+                "paper_processor", "paper: processor", "text", lambda own: _watts(_papers_platform("power_w")(own))
+            ),
         ),
         where=compared, headings=("platform", "setting"),
         notes=lambda runs: (

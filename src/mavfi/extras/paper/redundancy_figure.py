@@ -1,5 +1,6 @@
 """Fig. 8 of the paper: flight time with redundant processors relative to that with a detector."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -13,7 +14,7 @@ from mavfi.plugins import Chapter
 from mavfi.report import style
 from mavfi.report.figures import Drawing
 
-_LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PURPLE, "D"))
+_DESIGN_LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PURPLE, "D"))
 
 
 def redundancy(designs: Sequence[DesignConfig]) -> Figure:
@@ -30,7 +31,7 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         top = 1.0 + 1.08 * max(0.05, max(finite) - 1.0)
         for design in own:
             place = calibrations.index(design.calibration)
-            colour, marker = _LOOKS[place % len(_LOOKS)]
+            colour, marker = _DESIGN_LOOKS[place % len(_DESIGN_LOOKS)]
             for x, name in enumerate(names):
                 at = x + (place - (len(calibrations) - 1) / 2) * width
                 low, high = band(design, name)
@@ -55,8 +56,11 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         axes.grid(axis="y")
         axes.set_title(vehicle.replace("_", " "))
     panels[0].set_ylabel("against the autoencoder scheme")
-    handles = [Line2D([], [], linestyle="", marker=_LOOKS[place % len(_LOOKS)][1], color=_LOOKS[place % len(_LOOKS)][0],
-                      label=f"flight time, {name}") for place, name in enumerate(calibrations)]  # fmt: skip
+    looks = itertools.cycle(_DESIGN_LOOKS)
+    handles = [
+        Line2D([], [], linestyle="", marker=marker, color=color, label=f"flight time, {name}")
+        for name, (color, marker) in zip(calibrations, looks, strict=False)
+    ]
     handles += [
         Line2D([], [], linestyle="", marker="o", color=style.GREY, fillstyle="none", label="energy (hover power)"),
         Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
@@ -72,7 +76,7 @@ def _energy(design: DesignConfig, scheme: str) -> float:
     return energy_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
 
 
-CHAPTER = Chapter(40, (
+REDUNDANCY = Chapter(40, (
     Drawing(
         "redundancy", lambda _: redundancy(shipped_designs()),
         "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "

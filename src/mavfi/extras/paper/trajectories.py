@@ -1,7 +1,7 @@
 """Fig. 7: paths of a golden run, with a fault, and with the fault and a detector, in plan view and 3-D."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,13 +13,15 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 
 from mavfi.analysis.runs import Runs
 from mavfi.extras.paper.cases import RULE, Case, path_cases
-from mavfi.flight.host import Flight
 from mavfi.mission import MissionStatus
 from mavfi.plugins import Chapter
 from mavfi.report import links, style
 from mavfi.report.figures import Drawing
 from mavfi.report.numbers import signed_percent
 from mavfi.report.picture import near_boxes, positions
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Flight
 
 _SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
 _MARGIN = 2.0
@@ -62,7 +64,7 @@ def trajectories(runs: Runs) -> Figure | None:
     return figure
 
 
-def _from_above(axes: Axes, flights: Sequence[Flight]) -> None:
+def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
     world, points = flights[0].world, [positions(flight) for flight in flights]
     for path, look in zip(points, _LOOKS, strict=False):
         axes.plot(path[:, 0], path[:, 1], **look)
@@ -92,7 +94,7 @@ def _from_above(axes: Axes, flights: Sequence[Flight]) -> None:
     axes.set_ylabel("y (m)")
 
 
-def _in_space(axes: Any, flights: Sequence[Flight]) -> None:
+def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     world, lower, upper = flights[0].world, *_limits(flights)
     points = [positions(flight) for flight in flights]
     shown = near_boxes(world, np.concatenate(points)) if len(world.lower) else np.zeros(0, bool)
@@ -117,7 +119,7 @@ def _in_space(axes: Any, flights: Sequence[Flight]) -> None:
     axes.view_init(elev=32, azim=-70)
 
 
-def _limits(flights: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
+def _limits(flights: Sequence["Flight"]) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the displayed volume: paths, start and goal, with a margin."""
     world = flights[0].world
     points = np.concatenate([*(positions(flight) for flight in flights), world.start[None], world.goal[None]])
@@ -128,18 +130,18 @@ def _limits(flights: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
     return lower - (0.0, more, 0.0), upper + (0.0, more, 0.0)
 
 
-def _injection(flight: Flight) -> np.ndarray:
+def _injection(flight: "Flight") -> np.ndarray:
     """Positions of the vehicle at the injections. Shape (n, 3)."""
     return positions(flight, [injection.time_s for injection in flight.log.injections if injection.activated])
 
 
-def _fault(flight: Flight) -> str:
+def _fault(flight: "Flight") -> str:
     injection = flight.log.injections[0]
     bit = "" if injection.bit is None else f", bit {injection.bit}"
     return f"{injection.site}{bit} at {injection.time_s:.1f} s"
 
 
-def _ends(case: Case, flights: Sequence[Flight]) -> str:
+def _ends(case: Case, flights: Sequence["Flight"]) -> str:
     ends = []
     for flight, change in zip(flights, (None, case.inflation, case.recovered_inflation), strict=False):
         more = "" if change is None else f" ({signed_percent(change)})"
@@ -160,4 +162,4 @@ def _caption(runs: Runs) -> str:
     return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {shown}."
 
 
-CHAPTER = Chapter(50, (Drawing("trajectories", trajectories, _caption, cases=_ids),))
+TRAJECTORIES = Chapter(50, (Drawing("trajectories", trajectories, _caption, cases=_ids),))

@@ -8,7 +8,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_seed, console, write_json
+from mavfi.cli.console import check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import DEFAULT_WALK
 from mavfi.plugins import extensions
@@ -19,38 +19,6 @@ if TYPE_CHECKING:
 PROCESSES = "mavfi.processes"
 """Group of entry points: objects with `options` (see `with_extra_options`), each of which names a process in another
 way than its id, and `pid_of(values)`, the process id; None = their options are not set."""
-_LONGEST_S = 1e6
-
-RegistersOption = Annotated[
-    str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
-]
-SeedOption = Annotated[
-    int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
-]
-
-
-def register_options(registers: str | None, seed: int | None, *, has_fault: bool) -> tuple[str, int]:
-    """Values of `--registers` and `--register-seed`, which need a register fault."""
-    from mavfi.faults.fault import REGISTERS
-
-    for option, value in (("--registers", registers), ("--register-seed", seed)):
-        if value is not None and not has_fault:
-            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
-    check_name("--registers", registers or "all", REGISTERS)
-    check_seed("--register-seed", seed or 0)
-    return registers or "all", seed or 0
-
-
-def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, int]:
-    """Parse node and instant (s), as in `example`, to name and microseconds; raises `BadInputError` if invalid."""
-    node, separator, seconds = text.partition("@")
-    try:
-        time_s = float(seconds)
-    except ValueError:
-        separator, time_s = "", 0.0
-    if not separator or not 0.0 <= time_s < _LONGEST_S:
-        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. {example}")
-    return node, round(1e6 * time_s)
 
 
 @options.with_extra_options(PROCESSES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,22 +11,36 @@ from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_json
 from mavfi.cli.fly import check_company, watched
 from mavfi.cli.stopping import stoppable
-from mavfi.extras.registers.cli import RegistersOption, SeedOption, instant
-from mavfi.extras.ros import cli_attach as ros_attach
-from mavfi.extras.ros import cli_nodes as ros_nodes
+from mavfi.errors import BadInputError
+from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
+from mavfi.extras.ros.cli_attach import corrupt, list_graph, watch
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mavfi.extras.ros.ros1.host import RosFlight
     from mavfi.extras.ros.ros1.plan import Plan
+    from mavfi.faults.fault import RegisterFault
+    from mavfi.flight.host import Flight
+    from mavfi.levels.level import Request
+    from mavfi.mission import Scenario
+    from mavfi.record import FlightLog, Injection
     from mavfi.report.flight_result import FlightResult
 
+_KillOption = Annotated[
+    list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch restarts it.")
+]
+_FaultOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. octomap@5."),
+]
 _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
 
 app = typer.Typer(no_args_is_help=True)
-app.command("list")(ros_attach.list_graph)
-app.command("corrupt")(ros_attach.corrupt)
-app.command("watch")(ros_attach.watch)
+app.command("list")(list_graph)
+app.command("corrupt")(corrupt)
+app.command("watch")(watch)
 
 
 @app.callback()
@@ -51,8 +65,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     pace: Annotated[
         float, typer.Option(help="Flight time per wall time, to look at it; 0 = as fast as possible.")
     ] = 0.0,
-    kill: ros_nodes.KillOption = None,
-    register_fault: ros_nodes.FaultOption = None,
+    kill: _KillOption = None,
+    register_fault: _FaultOption = None,
     registers: RegistersOption = None,
     register_seed: SeedOption = None,
     allow_bind_all: Annotated[
@@ -67,13 +81,13 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
-    mission = ros_nodes.mission_with(mission, detector)
+    mission = mission_with(mission, detector)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
     check_number("--pace", pace, 0, 1000)
-    request = ros_nodes.request_of(fault, mission)
+    request = request_of(fault, mission)
     kills = tuple(instant("--kill", text) for text in kill or ())
-    faults = ros_nodes.register_faults(register_fault or (), registers, register_seed)
+    faults = register_faults(register_fault or (), registers, register_seed)
     from mavfi.extras.ros.ros1 import finder
 
     finder.require()
@@ -82,10 +96,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     setup, label, _ = watched(mission, detector, profile, models)
     plan = Plan(
-        setup.scenario, configure(setup.scenario), ros_nodes.drawn(setup.scenario, request, fault_seed),
-        setup.detector(), setup.recovery, kills, register_faults=faults, pace=pace,
+        setup.scenario, configure(setup.scenario), drawn(setup.scenario, request, fault_seed), setup.detector(),
+        setup.recovery, kills, register_faults=faults, pace=pace,
     )  # fmt: skip
-    ros_nodes.check(plan)
+    check(plan)
     with stoppable("Stopped; every process of the flight has ended."):
         result, flight = _fly(plan, label, allow_bind_all, quiet=as_json)
     _show(plan, result, flight, as_json, save)
@@ -98,7 +112,7 @@ def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[
 
     tell = _invite if plan.pace > 0 and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
-    golden = None if plan.fault is None else ros_nodes.without_registers(plan, with_fault=False)
+    golden = None if plan.fault is None else without_registers(plan, with_fault=False)
     return FlightResult(plan.scenario, flight.flight, golden, plan.fault, label), flight
 
 
@@ -118,7 +132,7 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
             "nodes": list(plan.nodes), "coupling": plan.recovery.coupling if plan.detector is not None else None,
             "wall_s": flight.times,
             "lives": [{"time_s": 1e-6 * event.time_us, "event": event.kind, **event.data} for event in nodes],
-            **ros_nodes.to_json(plan, log),
+            "register_effect": effect(plan, log),
         }  # fmt: skip
         write_json({**result.to_json(), "ros": ros})
         return
@@ -130,9 +144,100 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
         node, what = event.data["node"], _NODE_EVENTS[event.kind]
         detail = event.data.get("why") or f"pid {event.data['pid']}"
         out.print(f"{1e-6 * event.time_us:8.3f} s  node [bold]{node}[/bold] {what} [dim]({detail})[/dim]")
-    for line in ros_nodes.lines(plan, log):
-        out.print(line, markup=False)
+    for injection in log.injections:  # into registers; the other fault is in the panel
+        if "node" in injection.details:
+            out.print(_line(injection), markup=False)
+    register_effect = effect(plan, log)
+    if register_effect is not None:
+        out.print(f"           effect: {register_effect}")
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in flight.times.items())
     out.print(f"[dim]{1 + len(plan.nodes)} nodes · wall clock: {spent}[/dim]")
     if written is not None:
         out.print(f"[dim]wrote[/dim] {written}")
+
+
+# ---- killed nodes and register faults --------------------------------------------------------------------------------
+
+
+def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
+    """Add the mission keys of a detector; raises `BadInputError` if the mission is not supported on ROS.
+
+    A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
+    """
+    from mavfi.extras.ros.ros1.plan import check_supported
+    from mavfi.flight.compose import with_keys_of
+
+    resolved = with_keys_of(mission, detector)
+    if "grain" not in mission.model_fields_set and resolved.grain == "message":
+        resolved = resolved.model_copy(update={"grain": "kernel"})
+    check_supported(resolved)
+    return resolved
+
+
+def request_of(text: str | None, mission: MissionSpec) -> Request | None:
+    """The requested fault, of a level that the nodes or their world inject; raises `BadInputError` for another one."""
+    from mavfi.extras.ros.ros1.host import Ros1Host
+    from mavfi.levels.level import parse
+
+    return None if text is None else parse(text, mission.localization, Ros1Host.levels)
+
+
+def drawn(scenario: Scenario, request: Request | None, seed: int | None) -> Any:  # noqa: ANN401 - a fault of these levels
+    """The fault that a request of `request_of` draws in a mission; None without a request."""
+    from mavfi.flight.host import ArmSetup
+
+    return None if request is None else request.draw(ArmSetup(scenario), seed or 0)[0]
+
+
+def register_faults(texts: Sequence[str], registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
+    """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`."""
+    from mavfi.extras.ros.ros1.register_injector import fault_in_node
+
+    kind, first_seed = register_options(registers, seed, has_fault=bool(texts))
+    named = (instant("--register-fault", text) for text in texts)
+    return tuple(fault_in_node(*each, kind, first_seed + place) for place, each in enumerate(named))
+
+
+def check(plan: Plan) -> None:
+    """Refuse nodes that are not part of the flight."""
+    named = [("--kill", node) for node, _ in plan.kills]
+    named += [("--register-fault", fault.node) for fault in plan.register_faults]
+    for option, node in named:
+        if node not in plan.nodes:
+            raise BadInputError(f"{option}: no node {node!r} in this flight; allowed: {', '.join(plan.nodes)}")
+
+
+def without_registers(plan: Plan, with_fault: bool) -> Flight:
+    """The flight in this process, without faults in registers, with or without the fault in a state.
+
+    Its digest is that of the flight on ROS.
+    """
+    from mavfi.flight.fly import fly
+
+    return fly(plan.scenario, plan.fault if with_fault else None, plan.detector, recovery=plan.recovery)
+
+
+def effect(plan: Plan, log: FlightLog) -> str | None:
+    """Effect of the faults in registers; None without an injection.
+
+    "crash" or "hang": an injected node died, or was killed because it did not respond; "masked" or "sdc": the flight is
+    bit-identical to that without the injection, or not; "unknown": no reference flight (nodes were killed).
+    """
+    from mavfi.extras.ros.ros1.register_injector import end_of_nodes
+
+    end = end_of_nodes(log.injections, log.events)
+    if end != "alive":
+        return end
+    if plan.kills:
+        return "unknown"
+    return "masked" if without_registers(plan, with_fault=True).log.digest() == log.digest() else "sdc"
+
+
+def _line(injection: Injection) -> str:
+    """One injection in one line, or the reason for its absence."""
+    details = injection.details
+    what = details.get("why")
+    if what is None:
+        instruction = f" of {details['instruction']!r}" if "instruction" in details else ""
+        what = f"{injection.site} bit {injection.bit}{instruction}: {injection.before} → {injection.after}"
+    return f"{injection.time_s:8.3f} s  register of {details['node']}: {what}"

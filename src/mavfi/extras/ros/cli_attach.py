@@ -19,11 +19,11 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.extras.ros.node.injector import MessageInjector
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.extras.ros.node.survey import Survey
     from mavfi.extras.ros.node.watch import Listener
     from mavfi.faults.levels.message.definition import Definition
-    from mavfi.faults.levels.message.injector import MessageInjector
     from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
 
@@ -114,10 +114,10 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     """
     check_seed("--seed", seed)
     check_number("--duration", duration, 0.0, _LONGEST_S)
+    from mavfi.extras.ros.node.injector import MessageInjector, check_fault
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.faults.fault import MessageFault
-    from mavfi.faults.levels.message.injector import MessageInjector, check_fault
 
     fault = MessageFault(topic, field, bit, at, rate, seed=seed)
     injector = MessageInjector(fault, None if as_json else _tell)

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from mavfi.analysis.listing import ordered, partner
 from mavfi.analysis.table import Table
 from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.run import stored_campaign
+from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, write_text
 from mavfi.report.campaign_report import REMARKS, Report

@@ -6,8 +6,8 @@ from contextlib import suppress
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.merge import merge
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.ledger import merge, status
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.repair import DAMAGED, repair
+from mavfi.campaign.ledger import DAMAGED, repair
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import run

@@ -18,7 +18,8 @@ from mavfi.campaign import run as run_module
 from mavfi.campaign import session as session_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import run_campaign, status, stored_campaign
+from mavfi.campaign.ledger import status, stored_campaign
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, MachineError, SpecMismatchError
 from mavfi.record import End

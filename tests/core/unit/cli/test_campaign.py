@@ -123,7 +123,8 @@ def test_the_long_way_gives_the_same_digest(capsys, really_flown, tmp_path):
 
 def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, config):
     from mavfi.campaign.config import load_campaign
-    from mavfi.campaign.run import run_campaign, status
+    from mavfi.campaign.ledger import status
+    from mavfi.campaign.run import run_campaign
     from tests.core.unit.campaign.fakes import OneByOne
 
     def stop(progress):
@@ -299,7 +300,7 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_resumes(capsys, tmp_path, mon
 
 
 def _flown(directory):
-    from mavfi.campaign.run import status
+    from mavfi.campaign.ledger import status
 
     try:
         return status(directory).done

@@ -1,7 +1,7 @@
 import pytest
 from rich.console import Console
 
-from mavfi.campaign.session import Progress
+from mavfi.campaign.ledger import Progress
 from mavfi.cli import progress
 from mavfi.cli.progress import Bar, compiling
 from mavfi.errors import BadInputError

@@ -5,8 +5,9 @@ import yaml
 
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.ledger import status
 from mavfi.campaign.replay import replay
-from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run as cli
 from mavfi.errors import BadInputError, MavfiError

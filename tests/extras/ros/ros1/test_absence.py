@@ -9,7 +9,7 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from mavfi.extras.ros.cli_nodes import mission_with
+from mavfi.extras.ros.cli import mission_with
 from mavfi.extras.ros.ros1 import finder
 from mavfi.mission import MissionSpec
 from tests.core.architecture.source import ROOT
@@ -41,7 +41,7 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
-    names = ("session", "plan", "graph", "messages", "world", "kernels", "taps", "supervisor")
+    names = ("host", "plan", "messages", "world", "kernels", "supervisor")
     code = "; ".join(f"import mavfi.extras.ros.ros1.{name}" for name in names)
     done = python(f"import sys; {code}; print([m for m in ('rospy', 'genpy') if m in sys.modules])")
     assert done.stdout == "[]\n", done.stderr

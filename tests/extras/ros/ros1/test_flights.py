@@ -16,7 +16,7 @@ import pytest
 from mavfi.cli import run
 from mavfi.detectors.detector import Chain
 from mavfi.errors import MachineError, MavfiError
-from mavfi.extras.ros.cli_nodes import effect
+from mavfi.extras.ros.cli import effect
 from mavfi.extras.ros.ros1.folder import PID
 from mavfi.extras.ros.ros1.host import configure
 from mavfi.extras.ros.ros1.host import fly as fly_there

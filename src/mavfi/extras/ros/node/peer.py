@@ -125,7 +125,7 @@ class Source:
 
 # ---- the peer --------------------------------------------------------------------------------------------------------
 LOOPBACK = "127.0.0.1"
-_SEND_PATIENCE_S = 1.0
+_SEND_PATIENCE = struct.pack("ll", 1, 0)  # struct timeval: 1 s
 
 
 class _Server(ThreadingMixIn, SimpleXMLRPCServer):
@@ -292,7 +292,7 @@ class Peer:
                 connection.sendall(encode_header({"error": refusal}))
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_PATIENCE_S))
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_PATIENCE)
             connection.sendall(encode_header(outlet.header))
             reader = Reader(request.get("callerid", ""), connection, outlet.active)
             outlet.join(reader)
@@ -349,7 +349,3 @@ def _mismatch(request: Mapping[str, str], header: Mapping[str, str]) -> str:
     if wanted in ("*", header["md5sum"]) or header["md5sum"] == "*":
         return ""
     return f"md5sum of {request.get('type')} is {wanted}, not {header['md5sum']}"
-
-
-def _timeval(seconds: float) -> bytes:
-    return struct.pack("ll", int(seconds), int(1e6 * (seconds % 1)))

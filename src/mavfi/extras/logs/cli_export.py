@@ -138,7 +138,7 @@ def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
 
 def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
-    from mavfi.report.export.files import write_bag, write_csv, write_mcap
+    from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
 
     if to.suffix == ".csv":
         return write_csv(log, to)
@@ -147,9 +147,9 @@ def _write(log: FlightLog, to: Path, source: str, published: list[Publication] |
         return count
     import numpy as np
 
+    from mavfi.extras.logs.timeline import Publications, timeline
     from mavfi.flight.compose import pipeline_config
     from mavfi.pipeline.kernel import map_grid
-    from mavfi.report.export.timeline import Publications, timeline
     from mavfi.sim.environments import build_world
 
     scenario = _scenario(log, source)

@@ -1,0 +1,15 @@
+"""Faults in registers keep the contract of all levels."""
+
+from mavfi.extras.registers.level import RegisterLevel
+from mavfi.faults.fault import RegisterFault
+from mavfi.flight.host import RunResult
+from mavfi.levels.level import Sampled
+from mavfi.record import End, FlightRecord
+from mavfi.testing import LevelContract
+
+
+class TestRegister(LevelContract):
+    level = RegisterLevel
+    faults = [RegisterFault("fp", "read", symbol="f", node="pid", time_us=5, seed=3), RegisterFault()]
+    campaign = {"host": "firmware", "mission": {"flight_controller": "betaflight"}}
+    golden = {"": Sampled(RunResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}
