@@ -136,7 +136,7 @@ class HostContract:
         found = host_class(self.host)
         make: Any = found
         assert (found.config is None) == (self.under_test is None) == (not found.config_key)
-        return make() if found.config is None else make(found.config.model_validate(self.under_test))  # type: ignore[no-any-return]
+        return make() if found.config is None else make(found.config.model_validate(self.under_test))
 
     def test_it_declares_what_it_is(self) -> None:
         """The declarations are of the declared types."""

@@ -28,8 +28,7 @@ from mavfi.analysis import VIEWS, Runs, table
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import repair, status
-from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
-from mavfi.campaign.names import check_names
+from mavfi.campaign.mission import check_names, model_hashes, plan_of, scenarios_of
 from mavfi.campaign.plan import WHOLE, arms_of
 from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.run import run_campaign

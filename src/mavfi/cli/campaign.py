@@ -65,7 +65,7 @@ def run(  # noqa: PLR0913 - options
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
     from mavfi.campaign.config import load_campaign
-    from mavfi.campaign.names import check_names
+    from mavfi.campaign.mission import check_names
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
     from mavfi.cli.progress import Bar, success_counts

@@ -153,7 +153,7 @@ def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path)
 
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
     """Refuse a campaign of a file that names what does not exist, or whose ledger holds another one."""
-    from mavfi.campaign.names import check_names
+    from mavfi.campaign.mission import check_names
 
     check_names(campaign, source)
     _check_ledger(campaign, ledger)
