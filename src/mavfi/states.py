@@ -85,14 +85,15 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 }
 """Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
-INJECTABLE: dict[str, tuple[str, ...]] = {}
+INJECTABLE: dict[str, tuple[str, ...]] = {
+    name: functions
+    for spec in _KERNEL_TABLE
+    for name, functions in (PLANNERS if spec.name == "planner" else {spec.name: spec.functions}).items()
+    if functions
+}
 """Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
-INJECTED_KERNEL: dict[str, str] = {}
+INJECTED_KERNEL: dict[str, str] = {name: "planner" if name in PLANNERS else name for name in INJECTABLE}
 """Row of `KERNELS` by the same name."""
-for _spec in _KERNEL_TABLE:
-    for _name, _functions in PLANNERS.items() if _spec.name == "planner" else ((_spec.name, _spec.functions),):
-        if _functions:
-            INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
 _MESSAGES = ("status", "path", "trajectory", "waypoint", "command", "tracking")
 _ESTIMATE = ("judge_estimate", "note_estimate", "note_fix")
@@ -196,6 +197,10 @@ class StateSpec:
         """Lengths of the lists of a serialized message, one per field of the elements (see `faults.transit`)."""
         return tuple(Field(f"length_{f.name}", "u4", "-") for f in self.elements)
 
+    def offset(self, name: str) -> int:
+        """Byte offset of a field of the header."""
+        return int(self.header_dtype.fields[name][1])  # type: ignore[index]
+
     def in_elements(self, name: str) -> bool:
         """Whether the named field belongs to the elements (which take precedence if a name is in both)."""
         return any(f.name == name for f in self.elements)
@@ -265,19 +270,19 @@ def new_state(name: str, count: int = 0) -> State:
 
 _HARDENED = ("hardened",)
 _PUBLISHED = ("published",)
-_XYZ = (Field("x", "f8", "m"), Field("y", "f8", "m"), Field("z", "f8", "m"))
+
+
+def _vector(prefix: str, unit: str, read_in: tuple[str, ...] = AUTOPILOTS, dtype: str = "f8") -> tuple[Field, ...]:
+    """Components of a vector."""
+    return tuple(Field(f"{prefix}{axis}", dtype, unit, read_in) for axis in "xyz")
+
+
+_XYZ, _VELOCITY = _vector("", "m"), _vector("v", "m/s")
 _QUATERNION = tuple(Field(f"q{axis}", "f8", "-") for axis in "wxyz")
-_VELOCITY = (Field("vx", "f8", "m/s"), Field("vy", "f8", "m/s"), Field("vz", "f8", "m/s"))
-_DEAD_RATES = tuple(Field(f"w{axis}", "f8", "rad/s", ()) for axis in "xyz")
+_DEAD_RATES = _vector("w", "rad/s", ())
 _POINT = (
-    *_XYZ,
-    Field("yaw", "f8", "rad"),
-    *_VELOCITY,
-    Field("ax", "f8", "m/s^2", _HARDENED),
-    Field("ay", "f8", "m/s^2", _HARDENED),
-    Field("az", "f8", "m/s^2", _HARDENED),
-    Field("duration", "f8", "s"),
-)
+    *_XYZ, Field("yaw", "f8", "rad"), *_VELOCITY, *_vector("a", "m/s^2", _HARDENED), Field("duration", "f8", "s"),
+)  # fmt: skip
 """One "MultiDOF" point of the paper: position, yaw, velocity, acceleration, and its duration."""
 
 _TABLE = (
@@ -291,11 +296,7 @@ _TABLE = (
     ),
     StateSpec(
         "sensor.imu", "imu", Stage.SENSOR, "250 Hz",
-        header=(
-            *(Field(f"f{axis}", "f8", "m/s^2") for axis in "xyz"),
-            *(Field(f"w{axis}", "f8", "rad/s") for axis in "xyz"),
-        ),
-        only_with="estimator",
+        header=(*_vector("f", "m/s^2"), *_vector("w", "rad/s")), only_with="estimator",
     ),
     StateSpec(
         "sensor.position", "positioning", Stage.SENSOR, "10 Hz",
@@ -305,14 +306,13 @@ _TABLE = (
         "perception.odometry", "state_estimation", Stage.PERCEPTION, "per sample of the IMU",
         header=(
             *_XYZ, *_VELOCITY, *_QUATERNION, *_DEAD_RATES,
-            *(Field(f"bias_f{axis}", "f8", "m/s^2", ()) for axis in "xyz"),
-            *(Field(f"bias_w{axis}", "f8", "rad/s", ()) for axis in "xyz"),
+            *_vector("bias_f", "m/s^2", ()), *_vector("bias_w", "rad/s", ()),
         ),
         only_with="estimator",
     ),
     StateSpec(
         "perception.point_cloud", "point_cloud", Stage.PERCEPTION, "per depth image",
-        header=_XYZ, elements=(Field("x", "f4", "m"), Field("y", "f4", "m"), Field("z", "f4", "m")), element="point",
+        header=_XYZ, elements=_vector("", "m", dtype="f4"), element="point",
     ),
     StateSpec(
         "perception.map_update", "octomap", Stage.PERCEPTION, "per point cloud",
@@ -367,20 +367,18 @@ def states_with(localization: str) -> dict[str, StateSpec]:
     return {name: spec for name, spec in STATES.items() if spec.exists_with(localization)}
 
 
+_MONITORED_POINT = {
+    "paper-13": "x y z yaw vx vy vz",
+    "published-19": "x y z vx vy vz ax ay az yaw duration trajectory_seq future_collision_seq",
+}
 MONITORED_SETS: dict[str, tuple[tuple[str, str], ...]] = {
-    "paper-13": (
+    name: (
         ("perception.collision_status", "time_to_collision"),
         ("perception.collision_status", "future_collision_seq"),
-        *(("planning.waypoint", name) for name in ("x", "y", "z", "yaw", "vx", "vy", "vz")),
-        *(("control.command", name) for name in ("vx", "vy", "vz", "yaw_rate")),
-    ),
-    "published-19": (
-        ("perception.collision_status", "time_to_collision"),
-        ("perception.collision_status", "future_collision_seq"),
-        *(("planning.waypoint", name) for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")),
-        *(("planning.waypoint", name) for name in ("yaw", "duration", "trajectory_seq", "future_collision_seq")),
-        *(("control.command", name) for name in ("vx", "vy", "vz", "yaw_rate")),
-    ),
+        *(("planning.waypoint", field) for field in point.split()),
+        *(("control.command", field) for field in ("vx", "vy", "vz", "yaw_rate")),
+    )
+    for name, point in _MONITORED_POINT.items()
 }
 """Fields monitored by detectors, by the name of the set: (state, field), in the order of the input vector."""
 

@@ -24,7 +24,7 @@ from mavfi.campaign.store import Run, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight import recorded
+from mavfi.flight import mission_flights
 from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.mission import Scenario
@@ -204,7 +204,7 @@ def _setup_to_record(store: Store, spec: RunSpec) -> ArmSetup:
 
 def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
     """Fly one mission on the deterministic host and record its publications, in order."""
-    flight, published = recorded.fly_recorded(setup.scenario, fault, setup.detector(), setup.recovery)
+    flight, published = mission_flights.fly_recorded(setup.scenario, fault, setup.detector(), setup.recovery)
     return flight, [Publication(time_us, state) for state, time_us in published]
 
 

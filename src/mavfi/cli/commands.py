@@ -32,7 +32,6 @@ VERBS = {
     "replay": "mavfi.cli.runs:replay",
     "explain": "mavfi.cli.runs:explain",
     "shrink": "mavfi.cli.runs:shrink",
-    "export": "mavfi.cli.export:export",
     "train": "mavfi.cli.train:train",
     "states": "mavfi.cli.states:states",
 }

@@ -4,10 +4,10 @@ from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import Model, check_fits
 from mavfi.detectors.registry import detector_names, load_detector
-from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold, Verdict
+from mavfi.detectors.scoring import Reading, Scorer, ScoringDetector, Threshold
 from mavfi.detectors.training import Recorder, Recording
 
 __all__ = [
     "Alarm", "Detector", "MissionLimits", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",
-    "Threshold", "Verdict", "check_fits", "detector_names", "load_detector",
+    "Threshold", "check_fits", "detector_names", "load_detector",
 ]  # fmt: skip

@@ -76,12 +76,11 @@ _JITTER_US = 300_000
 """Largest planning time in excess of that."""
 _LONG_AGO = -(1 << 62)
 
-_LIMITS = [(name, NUMBERS[name]) for name in NUMBERS.names or ()]
 _HEADERS = {
     "last_status": STATUS_TYPE, "last_path": PATH_TYPE, "last_trajectory": TRAJECTORY_TYPE,
     "last_waypoint": WAYPOINT_TYPE, "last_command": COMMAND_TYPE, "last_tracking": TRACKING_TYPE,
 }  # fmt: skip
-_REMEMBERED = [
+_REMEMBERED: list[tuple[Any, ...]] = [
     *((name, "u1", (dtype.itemsize,)) for name, dtype in _HEADERS.items()),
     ("end", "f8", (3,)), ("ended", "?"),
     ("changes", "i8"), ("times", "i8", (KEPT_COUNTERS,)), ("counters", "i8", (KEPT_COUNTERS,)),
@@ -92,7 +91,7 @@ _WORK = [
     ("planning_us", "i8"), ("blocks", "i8", (KEPT,)), ("candidate", "u1", (_WAYPOINT_SIZE,)), ("candidate_of", "i8"),
     ("accepted", "?"),
 ]  # fmt: skip
-RECORD = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
+RECORD = np.dtype([*NUMBERS.descr, *_REMEMBERED, *_WORK])
 """The record.
 
 - Limits: see `MissionLimits.numbers`.
@@ -106,8 +105,7 @@ RECORD = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
 - Work: `planning_us`, the least time from the planner's start to its path (us); block index of each stored trajectory;
   the candidate, its state, and whether it was accepted.
 """
-_FIRST, _END = len(_LIMITS), len(_LIMITS) + len(_REMEMBERED)
-MEMORY = slice(RECORD.fields[RECORD.names[_FIRST]][1], RECORD.fields[RECORD.names[_END]][1])  # type: ignore[index]
+MEMORY = slice(NUMBERS.itemsize, RECORD.fields["planning_us"][1])  # type: ignore[index]
 """Bytes of the record that form the memory."""
 
 
@@ -123,15 +121,15 @@ def new_record(limits: MissionLimits) -> np.ndarray:
 
 def named(known: np.ndarray) -> dict[str, np.ndarray]:
     """The memory by name, headers by field: the arrays themselves, not copies."""
-    found: dict[str, np.ndarray] = {}
-    for name in RECORD.names[_FIRST:_END] if RECORD.names else ():
+    arrays: dict[str, np.ndarray] = {}
+    for name, *_ in _REMEMBERED:
         array = known[name].reshape(-1)
         if name in _HEADERS:
             header = array.view(_HEADERS[name])
-            found |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
+            arrays |= {f"{name}.{field}": header[field] for field in header.dtype.names or ()}
         else:
-            found[name] = array
-    return found
+            arrays[name] = array
+    return arrays
 
 
 def forget(known: np.ndarray) -> None:
@@ -319,20 +317,12 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
     return rules.tracking(header, record[0]["last_tracking"].view(TRACKING_TYPE), duration, record)
 
 
-COMPILED: Mapping[str, Compiled] = {
-    "judge_status": judge_status,
-    "judge_path": judge_path,
-    "judge_trajectory": judge_trajectory,
-    "judge_waypoint": judge_waypoint,
-    "judge_command": judge_command,
-    "judge_tracking": judge_tracking,
-    "note_status": note_status,
-    "note_path": note_path,
-    "note_trajectory": note_trajectory,
-    "judge_estimate": estimates.judge_estimate,
-    "note_estimate": estimates.note_estimate,
-    "note_fix": estimates.note_fix,
-}
+_ENTRIES: tuple[Compiled, ...] = (
+    judge_status, judge_path, judge_trajectory, judge_waypoint, judge_command, judge_tracking,
+    note_status, note_path, note_trajectory,
+    estimates.judge_estimate, estimates.note_estimate, estimates.note_fix,
+)  # fmt: skip
+COMPILED: Mapping[str, Compiled] = {function.__name__: function for function in _ENTRIES}
 """Entry points from Python into compiled code, by name."""
 
 
@@ -376,15 +366,16 @@ class AcceptanceTest(Detector):
     def instrument(self, made: Mapping[str, Compiled]) -> None:
         """See `Detector`."""
         functions, record, estimate = {**COMPILED, **made}, self.record, self.estimate
-        header = {name: new_state(name).header for name in (_TRUTH, _STATUS, *_CANDIDATES)}
-        judge_status = entry(functions["judge_status"], header[_STATUS], record)
-        judge_waypoint = entry(
-            functions["judge_waypoint"], header[_WAYPOINT], bytes_of(header[_TRUTH]), record, self.blocks
-        )
-        judge_command = entry(functions["judge_command"], header[_COMMAND], record)
-        note_status = entry(functions["note_status"], header[_STATUS], 0, record)
+
+        def of_header(name: str, header: np.ndarray) -> Callable[[State, int], int]:
+            function = entry(functions[name], header, record)
+            return lambda state, now: function(state.header, record)
+
+        status, waypoint, command, tracking = (new_state(name).header for name in (_STATUS, *_CANDIDATES))
+        judge_waypoint = entry(functions["judge_waypoint"], waypoint, bytes_of(self.odometry), record, self.blocks)
+        note_status = entry(functions["note_status"], status, 0, record)
         self._judges: dict[str, Callable[[State, int], int]] = {
-            _STATUS: lambda state, now: judge_status(state.header, record),
+            _STATUS: of_header("judge_status", status),
             _PATH: lambda state, now: functions["judge_path"](
                 state.header, rows(state.elements, 3), now, bytes_of(self.odometry), record, self.blocks
             ),
@@ -392,7 +383,7 @@ class AcceptanceTest(Detector):
                 state.header, rows(state.elements, rules.POINT_WIDTH), bytes_of(self.odometry), record
             ),
             _WAYPOINT: lambda state, now: judge_waypoint(state.header, bytes_of(self.odometry), record, self.blocks),
-            _COMMAND: lambda state, now: judge_command(state.header, record),
+            _COMMAND: of_header("judge_command", command),
         }
         self._notes: dict[str, Callable[[State, int], None]] = {
             _STATUS: lambda state, now: note_status(state.header, now, record),
@@ -402,8 +393,7 @@ class AcceptanceTest(Detector):
         }
         self._function_of_trajectory = functions["note_trajectory"]
         if self.limits.held:
-            judge_tracking = entry(functions["judge_tracking"], header[_TRACKING], record)
-            self._judges[_TRACKING] = lambda state, now: judge_tracking(state.header, record)
+            self._judges[_TRACKING] = of_header("judge_tracking", tracking)
         if self.limits.fix_noise is None:
             return
         odometry, fix = (bytes_of(new_state(name).header) for name in (_ESTIMATE, estimates.FIX))
@@ -430,10 +420,10 @@ class AcceptanceTest(Detector):
             return None
         if spec.name in _CANDIDATES:
             self._candidate = state
-        place = judge(state, time_us)
-        if place < 0:
+        index = judge(state, time_us)
+        if index < 0:
             return None
-        field = f"{spec.name}.{(*spec.header, *spec.elements)[place].name}"
+        field = f"{spec.name}.{(*spec.header, *spec.elements)[index].name}"
         if rule_of(field) not in self.rules:
             return None
         return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(field,), hard=True)
@@ -446,13 +436,15 @@ class AcceptanceTest(Detector):
 
     def accept(self, state: State, time_us: int) -> None:
         """Record a published value."""
-        name = state.spec.name
-        if state is not self._candidate and name in _CANDIDATES:
-            self.check(state, time_us)  # makes it the candidate, unless it is not read
+        if state is not self._candidate:
+            note = self._notes.get(state.spec.name)
+            if note is not None:
+                note(state, time_us)
+                return
+            if state.spec.name in _CANDIDATES:
+                self.check(state, time_us)  # makes it the candidate, unless it is not read
         if state is self._candidate:
             self._accepted[0] = True
-        elif name in self._notes:
-            self._notes[name](state, time_us)
 
     def _note_odometry(self, state: State, now: int) -> None:
         self.odometry = state.header
@@ -476,10 +468,10 @@ class AcceptanceTest(Detector):
 
     def memory(self) -> tuple[Any, ...]:
         """Memory between publications, see `Detector`."""
-        record = self._settled_record()
+        settle(self.record)
         vehicle = floats(self.odometry, _VEHICLE_FLOATS).tobytes()
         trajectories = tuple(points.tobytes() for points in self._trajectories())
-        return record.view(np.uint8)[MEMORY].tobytes(), vehicle, trajectories, self.estimate.tobytes()
+        return self.record.view(np.uint8)[MEMORY].tobytes(), vehicle, trajectories, self.estimate.tobytes()
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
@@ -488,31 +480,26 @@ class AcceptanceTest(Detector):
         self.estimate[:] = np.frombuffer(estimate, self.estimate.dtype)
         self.record.view(np.uint8)[MEMORY] = np.frombuffer(content, np.uint8)
         floats(self.odometry, _VEHICLE_FLOATS)[:] = np.frombuffer(vehicle)
-        for place, points in enumerate(trajectories):
-            rows = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
-            self._make_room(len(rows))
-            self.blocks[place, : len(rows)] = rows
+        for block, points in enumerate(trajectories):
+            table = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
+            self._make_room(len(table))
+            self.blocks[block, : len(table)] = table
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""
-        record = self._settled_record()
+        settle(self.record)
         self.odometry = self.odometry.copy()  # it belongs to the publication
         points = {f"trajectories[{index}]": points for index, points in enumerate(self._trajectories())}
         vehicle = {"vehicle": floats(self.odometry, _VEHICLE_FLOATS)}
         estimated = {} if self.limits.fix_noise is None else estimates.named(self.estimate)
-        return {**named(record), **vehicle, **points, **estimated}
-
-    def _settled_record(self) -> np.ndarray:
-        """The record after the candidate, if accepted, is committed."""
-        settle(self.record)
-        return self.record
+        return {**named(self.record), **vehicle, **points, **estimated}
 
     def _trajectories(self) -> list[np.ndarray]:
         """Points of the stored trajectories, oldest first."""
         record = self.record[0]
         stored = used(int(record["stored"]), 0, KEPT)
-        places = zip(record["blocks"][:stored], record["counts"][:stored], strict=True)
-        return [self.blocks[place, :count] for place, count in places]
+        lengths = zip(record["blocks"][:stored], record["counts"][:stored], strict=True)
+        return [self.blocks[block, :count] for block, count in lengths]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""

@@ -70,7 +70,7 @@ class Scratch(NamedTuple):
         deltas: Shape (n,), int16.
         distance: See `scoring.Reading`. Shape (n,).
         unit: See `scoring.Reading`. Shape (n,).
-        ratios: See `scoring.Verdict`. Shape (n,).
+        ratios: See `scoring.Threshold`. Shape (n,).
     """
 
     content: np.ndarray

@@ -33,26 +33,13 @@ _SLOTS = {name: slot for slot, name in enumerate(STATES_JUDGED)}
 _STATUS, _WAYPOINT, _COMMAND = range(3)
 _COUNTER, _COUNTED, _NUMBER, _NUMBERED, _POSITION = range(5)
 _ACCEPTED = 7
-_NAMED = {
-    "future_collision_seq": slice(_COUNTER, _COUNTED), "counted": slice(_COUNTED, _NUMBER),
-    "trajectory_seq": slice(_NUMBER, _NUMBERED), "numbered": slice(_NUMBERED, _POSITION),
-    "position": slice(_POSITION, _ACCEPTED),
-}  # fmt: skip
+_NAMES = ("future_collision_seq", "counted", "trajectory_seq", "numbered", "position")
 """Names of the memory."""
-
-
-def _places(slot: int, *names: str) -> list[int]:
-    """Byte offsets of header fields, followed by their indices."""
-    dtype = STATES[STATES_JUDGED[slot]].header_dtype
-    known = list(dtype.names or ())
-    return [
-        *(sum(dtype[name].itemsize for name in known[: known.index(own)]) for own in names),
-        *map(known.index, names),
-    ]
-
-
-_TIME_AT, _COUNTER_AT, _TIME_FIELD, _COUNTER_FIELD = _places(_STATUS, "time_to_collision", "future_collision_seq")
-_NUMBER_AT, _ = _places(_WAYPOINT, "trajectory_seq")
+_SPECS = tuple(STATES[name] for name in STATES_JUDGED)
+_TIME, _COLLISION_COUNTER = _SPECS[_STATUS].find("time_to_collision"), _SPECS[_STATUS].find("future_collision_seq")
+_TIME_FIELD, _COUNTER_FIELD = map(_SPECS[_STATUS].header.index, (_TIME, _COLLISION_COUNTER))
+_TIME_AT, _COUNTER_AT = (_SPECS[_STATUS].offset(field.name) for field in (_TIME, _COLLISION_COUNTER))
+_NUMBER_AT = _SPECS[_WAYPOINT].offset("trajectory_seq")
 
 
 @kernel_jit
@@ -248,7 +235,7 @@ class PhysicsGate(Detector):
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""
         self.memory()
-        return {name: self._kept[place] for name, place in _NAMED.items()}
+        return dict(zip(_NAMES, np.split(self._kept, range(_COUNTED, _POSITION + 1)), strict=True))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without machine code, which is valid in one process only."""

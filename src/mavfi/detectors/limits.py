@@ -98,14 +98,10 @@ class MissionLimits:
         values = {
             "speed": SPEED_MARGIN * self.v_max,
             "command": _ROUNDING * self.command_limit * self.v_max,
-            "command_step": self.command_step,
             "acceleration": change / self.point_period,
             "clock": _CLOCK_MARGIN * self.a_max,
             "lower": np.array(self.flight[0]) - BOX_MARGIN,
             "upper": np.array(self.flight[1]) + BOX_MARGIN,
-            "goal": self.goal,
-            "point_period": self.point_period,
-            "control_period": self.control_period,
             "longest_time": max(_SHORTEST_ALARM, self.camera_range / (_SLOW * self.v_max)),
             "near": max(NEAR, travel),
             "entry": max(1.0, self.a_max * (self.plan_latency + 0.1)),
@@ -115,10 +111,7 @@ class MissionLimits:
             "hold": SPEED_MARGIN * self.v_max * self.control_period,
             "slowest": self.control_period / (self.slowdown_cap * self.tracker_slowdown),
             "fastest": self.control_period / self.tracker_slowdown,
-            "held": self.held,
-            "every_map": self.every_map,
-            "repeated": self.repeated,
         }
-        for name, value in values.items():
-            record[name] = value
+        for name in NUMBERS.names or ():
+            record[name] = values[name] if name in values else getattr(self, name)
         return record

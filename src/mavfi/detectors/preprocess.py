@@ -4,14 +4,14 @@
 float64 difference from the prediction.  Integers: difference, saturated to 16 bits.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.scoring import Reading, Scorer, Threshold, Verdict, score_of
-from mavfi.detectors.vehicle import VehicleQueue
+from mavfi.detectors.scoring import Reading, Scorer, Threshold, checked_name, score_of
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
 from mavfi.numerics.stored import Stored
@@ -28,6 +28,8 @@ leg that leads to them, "trapezoid" if they carry the velocity at their position
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
+_MOST_WAITING = 100
+"""Largest number of publications of odometry queued; older ones are forgotten."""
 _UNPICKLED = ("_judge", "_stored", "_address")
 
 
@@ -38,7 +40,6 @@ class Preprocessor:
         fields: Names of the watched fields, "state.field", in the order of the vector.
         stages: Stage of each.
         slots: Index of each watched state, by name.
-        specs: Definitions of the watched states, by slot.
         predicts: Whether a watched state, by slot, has fields that are predicted from the vehicle's odometry.
         states: States that it reads: the watched ones and, for predictions, the vehicle's odometry.
         watch: Tables and memory.
@@ -55,9 +56,9 @@ class Preprocessor:
         Raises:
             BadInputError: Unknown name.
         """
-        watched = MONITORED_SETS[_known(monitored, MONITORED_SETS, "monitored set")]
-        _known(profile, PROFILES, "profile")
-        _known(prediction, PREDICTIONS, "prediction")
+        watched = MONITORED_SETS[checked_name(monitored, MONITORED_SETS, "monitored set")]
+        checked_name(profile, PROFILES, "profile")
+        checked_name(prediction, PREDICTIONS, "prediction")
         specs = {state: STATES[state] for state, _ in watched}
         self._fill(specs, watched, [_row(STATES[state], field, profile, prediction) for state, field in watched])
 
@@ -70,10 +71,12 @@ class Preprocessor:
             profile: "paper" or "tuned".
             thresholds: Exponent threshold of each field's code, see `sign_exponent_code`.
         """
-        rule = features.DELTA_OF_CODES if _known(profile, PROFILES, "profile") == "paper" else features.CODE_OF_DELTA
+        rule = (
+            features.DELTA_OF_CODES if checked_name(profile, PROFILES, "profile") == "paper" else features.CODE_OF_DELTA
+        )
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
         rows = [
-            (_offset(specs[state], field), rule, threshold, -1, 0)
+            (specs[state].offset(field), rule, threshold, -1, 0)
             for (state, field), threshold in zip(watched, thresholds, strict=True)
         ]
         made = cls.__new__(cls)
@@ -87,7 +90,7 @@ class Preprocessor:
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
         self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
-        self.specs = tuple(specs.values())
+        self._specs = tuple(specs.values())
         size = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.Watch(
             places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
@@ -108,12 +111,12 @@ class Preprocessor:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The memory, the last publications by state and field."""
-        memory, last = self.watch.memory, self.watch.last
-        found = {"seen": memory[:, features.SEEN], "regime": memory[:, features.REGIME], "vehicle": self.watch.vehicle}
-        for slot, spec in enumerate(self.specs):
-            header = last[slot, : spec.header_dtype.itemsize].view(spec.header_dtype)
-            found |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
-        return found
+        seen, regime = self.watch.memory[:, features.SEEN], self.watch.memory[:, features.REGIME]
+        memory = {"seen": seen, "regime": regime, "vehicle": self.watch.vehicle}
+        for spec, content in zip(self._specs, self.watch.last, strict=True):
+            header = content[: spec.header_dtype.itemsize].view(spec.header_dtype)
+            memory |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
+        return memory
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -138,6 +141,43 @@ def conclude(regime: int, place: np.ndarray, scratch: features.Scratch, limit: n
     score = score_of(reading, limit, scratch.ratios)
     scratch.score[0] = score
     return score
+
+
+class VehicleQueue:
+    """Headers of odometry, of which the latest that is finite will be stored: most of them are never needed.
+
+    Args:
+        place: Where position and velocity are stored.
+
+    Attributes:
+        store: Compiled: bytes of a header, then `place`; stores position and velocity, and returns whether they are
+            finite.
+    """
+
+    store: Callable[..., bool]
+
+    def __init__(self, place: Any) -> None:  # noqa: ANN401 - an array, or a tuple of them
+        self._place = place
+        self._headers: deque[np.ndarray] = deque(maxlen=_MOST_WAITING)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without machine code, which is valid in one process only."""
+        return {name: value for name, value in self.__dict__.items() if name != "store"}
+
+    def add(self, header: np.ndarray) -> None:
+        """Queue a header."""
+        self._headers.append(header)
+
+    def settle(self) -> None:
+        """Store the latest that is finite."""
+        headers = self._headers
+        while headers:
+            if self.store(bytes_of(headers.pop()), self._place):
+                headers.clear()
+
+    def forget(self) -> None:
+        """Forget what is queued."""
+        self._headers.clear()
 
 
 class DeltaScorer(Scorer):
@@ -170,8 +210,7 @@ class DeltaScorer(Scorer):
         self.features, self.kept = preprocessor, preprocessor.kept
         self.fields, self.stages, self.states = preprocessor.fields, preprocessor.stages, preprocessor.states
         self._tables: tuple[Any, ...] = tables
-        self._slots, self._last = preprocessor.slots, preprocessor.watch.last
-        self._predicts = preprocessor.predicts
+        self._slots, self._predicts = preprocessor.slots, preprocessor.predicts
         self._odometry = preprocessor.states.difference(preprocessor.slots)
         self._vehicles = VehicleQueue(preprocessor.watch.vehicle)
 
@@ -180,8 +219,8 @@ class DeltaScorer(Scorer):
         super().use(threshold)
         size = len(self.fields)
         self.scratch = features.Scratch(
-            np.zeros(self._last.shape[1], np.uint8), np.zeros(4, np.int64), np.zeros(1), np.zeros(size, np.int16),
-            np.zeros(size), np.ones(size), threshold.ratios,
+            np.zeros(self.features.watch.last.shape[1], np.uint8), np.zeros(4, np.int64), np.zeros(1),
+            np.zeros(size, np.int16), np.zeros(size), np.ones(size), threshold.ratios,
         )  # fmt: skip
         self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
         self._place = self.scratch.place
@@ -233,12 +272,11 @@ class DeltaScorer(Scorer):
         self.candidate = state
         return self._judge(bytes_of(state.header), slot, self._address)
 
-    def judged(self) -> tuple[Reading, Verdict]:
-        """Reading and verdict of the publication scored last."""
+    def judged(self) -> Reading:
+        """Reading of the publication scored last."""
         own, place = self.scratch, self.scratch.place
         first, last = self.features.range_of(int(place[features.SLOT]))
-        reading = Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
-        return reading, Verdict(float(own.score[0]), own.ratios)
+        return Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
 
     def accept(self, state: State) -> None:
         """Record a published value."""
@@ -276,40 +314,28 @@ class DeltaScorer(Scorer):
         return first + np.flatnonzero(found)
 
 
-def _known(name: str, allowed: Collection[str], what: str) -> str:
-    if name not in allowed:
-        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(allowed)}")
-    return name
-
-
-def _offset(spec: StateSpec, field: str) -> int:
-    names = [candidate.name for candidate in spec.header]
-    sizes = [np.dtype(candidate.dtype).itemsize for candidate in spec.header]
-    return sum(sizes[: names.index(field)])
-
-
 def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, int, int, int]:
-    own = [index for index, (state, _) in enumerate(watched) if state == spec.name]
-    if own != list(range(own[0], own[-1] + 1)):
+    fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
+    if fields != list(range(fields[0], fields[-1] + 1)):
         raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
-    if spec.name != _PLANNED:
-        return own[0], own[-1] + 1, -1, -1
-    return own[0], own[-1] + 1, _offset(spec, "trajectory_seq"), _offset(spec, "duration")
+    number_at, duration_at = map(spec.offset, ("trajectory_seq", "duration")) if spec.name == _PLANNED else (-1, -1)
+    return fields[0], fields[-1] + 1, number_at, duration_at
 
 
 def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:
-    offset = _offset(spec, field)
-    position = spec.name == _PLANNED and field in _POSITIONS
+    is_position = spec.name == _PLANNED and field in _POSITIONS
+    velocity, axis = (spec.offset(_POSITIONS[field]), list(_POSITIONS).index(field)) if is_position else (-1, 0)
     kind = spec.find(field).dtype
     if kind == "i4":
-        return offset, features.INTEGER, 0, -1, 0
-    if kind != "f8":
+        rule, threshold = features.INTEGER, 0
+    elif kind != "f8":
         raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
-    if field == "time_to_collision":
-        return offset, features.DELTA_OF_CODES, _ONE_SECOND, -1, 0
-    if profile == "paper":
-        return offset, features.DELTA_OF_CODES, _HALF_METRE if position else _QUARTER, -1, 0
-    if position:
-        velocity, axis = _offset(spec, _POSITIONS[field]), list(_POSITIONS).index(field)
-        return offset, PREDICTIONS[prediction], _EIGHTH, velocity, axis
-    return offset, features.CODE_OF_ANGLE if field == "yaw" else features.CODE_OF_DELTA, _EIGHTH, -1, 0
+    elif field == "time_to_collision":
+        rule, threshold = features.DELTA_OF_CODES, _ONE_SECOND
+    elif profile == "paper":
+        rule, threshold = features.DELTA_OF_CODES, _HALF_METRE if is_position else _QUARTER
+    elif is_position:
+        rule, threshold = PREDICTIONS[prediction], _EIGHTH
+    else:
+        rule, threshold = features.CODE_OF_ANGLE if field == "yaw" else features.CODE_OF_DELTA, _EIGHTH
+    return spec.offset(field), rule, threshold, velocity, axis

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from mavfi.config import Config, names, shipped
-from mavfi.detectors.detector import Chain, Detector, require_detector
+from mavfi.detectors.detector import Chain, Detector, part_of, require_detector
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
@@ -18,6 +18,7 @@ from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file
 from mavfi.plugins import build, known, load_object, parameters_of
+from mavfi.states import DETECTORS, INJECTABLE, PLANNERS
 
 GROUP = "mavfi.detectors"
 """Entry points of this group are classes that inherit `Detector`; `mavfi train` fits those that inherit
@@ -107,6 +108,40 @@ def check_detector(name: str, profile: str) -> None:
     if name not in every:
         text = f"not known{hint(name, every)}; allowed: {', '.join(every)}, or package:object"
         raise BadInputError(f"detector {name!r}: {text}")
+
+
+def check_kernel(kernel: str, planner: str, detector: Detector | None = None) -> None:
+    """Check that a kernel, or detector, can be injected in a mission with this planner and detector.
+
+    Raises:
+        BadInputError: The kernel is unknown, is a planner that the mission does not use, or is a detector that does not
+            monitor the mission.
+    """
+    if kernel in DETECTORS:
+        check_watched(kernel, detector)
+        return
+    if dropped_name("kernels", kernel):
+        raise BadInputError(dropped_name("kernels", kernel))
+    if kernel not in INJECTABLE:
+        configured = next((source for source in DETECTORS if is_named(kernel, source)), "")
+        why = f"is a configuration of {configured!r}, whose instructions can be injected" if configured else "not known"
+        raise BadInputError(f"kernel {kernel!r}: {why}; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
+    if kernel in PLANNERS and kernel != planner:
+        raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
+
+
+def check_watched(target: str, detector: Detector | None) -> None:
+    """Check that a detector is part of a flight with `detector`; `BadInputError` if not."""
+    if part_of(detector, target) is not None:
+        return
+    if target not in DETECTORS:
+        raise BadInputError(f"kernel {target!r}: is not part of this mission; allowed: with a detector")
+    names = []
+    for name in detector_names():
+        profiles = [profile for profile in PROFILES if contains(name, profile, target)]
+        if profiles:
+            names.append(name if PROFILES[0] in profiles else f"{name} (profile {profiles[0]})")
+    raise BadInputError(f"kernel {target!r}: is not part of this mission; allowed: with {', '.join(names)}")
 
 
 def mission_keys(detector: str | Detector) -> Mapping[str, Any]:

@@ -5,7 +5,7 @@ recovery that an alarm requests.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -38,18 +38,6 @@ class Reading(NamedTuple):
     first: int
     last: int
     regime: int
-
-
-class Verdict(NamedTuple):
-    """Result of applying a threshold to a reading.
-
-    Attributes:
-        score: In units of the threshold; > 1 is an alarm.
-        ratios: Distance / limit of each updated field. Shape (n,).
-    """
-
-    score: float
-    ratios: np.ndarray
 
 
 class Scorer(ABC):
@@ -93,8 +81,8 @@ class Scorer(ABC):
         """Score of a publication, None if it is not watched; does not change the memory."""
 
     @abstractmethod
-    def judged(self) -> "tuple[Reading, Verdict]":
-        """Reading and verdict of the publication scored last; their arrays are valid until the next call."""
+    def judged(self) -> Reading:
+        """Reading of the publication scored last; its arrays are valid until the next call."""
 
     @abstractmethod
     def accept(self, state: State) -> None:
@@ -170,7 +158,7 @@ class Threshold:
 
     Attributes:
         limit: See `limit` below.
-        ratios: Ratios of the reading judged last, see `Verdict`.
+        ratios: Distance / limit of each field updated by the reading judged last. Shape (n,).
 
     Args:
         limit: By field and regime, shape (n, regimes); or for the mean squared distance, shape (1, 1).
@@ -183,19 +171,18 @@ class Threshold:
         self.limit, self._usual = limit, usual
         self.ratios = np.zeros(size)
 
-    def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
+    def standing_out(self, reading: Reading, not_finite: np.ndarray) -> np.ndarray:
         """Indices of the fields that an alarm names.
 
         Args:
-            reading: Reading of a publication.
-            verdict: Verdict on it.
+            reading: The reading judged last.
             not_finite: Indices of fields that are not finite; if there are any, the alarm names these.
         """
         if self._usual is not None:
             return not_finite[:1] if len(not_finite) else np.array([np.argmax(reading.distance / self._usual)])
         if len(not_finite):
             return not_finite
-        return reading.first + np.flatnonzero(verdict.ratios[reading.first : reading.last] > 1.0)
+        return reading.first + np.flatnonzero(self.ratios[reading.first : reading.last] > 1.0)
 
 
 Policy = Callable[[Alarm, State, bool], Alarm]
@@ -222,9 +209,14 @@ POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
 
 def find_policy(name: str) -> Policy:
     """A recovery policy by name; `BadInputError` if unknown."""
-    if name not in POLICIES:
-        raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
-    return POLICIES[name]
+    return POLICIES[checked_name(name, POLICIES, "recovery policy")]
+
+
+def checked_name(name: str, allowed: Collection[str], what: str) -> str:
+    """The name, or a `BadInputError` if it is not allowed."""
+    if name not in allowed:
+        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(allowed)}")
+    return name
 
 
 class ScoringDetector(Detector):
@@ -265,11 +257,11 @@ class ScoringDetector(Detector):
         return None if score is None or score <= 1.0 else self._alarm(state, score)
 
     def _alarm(self, state: State, score: float) -> Alarm:
-        reading, verdict = self.scorer.judged()
+        reading = self.scorer.judged()
         lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
-        found = self.threshold.standing_out(reading, verdict, lacking)
-        names = tuple(self.scorer.fields[index] for index in found)
-        alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(score), fields=names)
+        indices = self.threshold.standing_out(reading, lacking)
+        names = tuple(self.scorer.fields[index] for index in indices)
+        alarm = Alarm(self.source, self.scorer.stages[indices[0]], score=float(score), fields=names)
         return self.policy(alarm, state, bool(self._persists[0]))
 
     def accept(self, state: State, time_us: int) -> None:
@@ -296,8 +288,8 @@ class ScoringDetector(Detector):
     def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
         """Inverse of `memory`."""
         self._scored = None
-        kept, self._persists[0] = memory
-        self.scorer.restore(kept)
+        content, self._persists[0] = memory
+        self.scorer.restore(content)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Memory between publications by name, see `Detector`."""

@@ -1,6 +1,6 @@
 """Checkpoints: complete state of a flight just before a control period; saved, restored and compared."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -30,7 +30,7 @@ class Checkpoint:
     """An instant of a flight (None = its end) from which this or another flight can continue.
 
     It holds the numbers of rows, events and publications, the alarms with their outcomes so far, counts (see
-    `Record.counts`), a copy of the injector tap, and the memory of detector (see `DetectorKeeper`) and recovery.
+    `Record.counts`), a copy of the injector tap, and the memory of detector and recovery.
     """
 
     instant: Instant | None
@@ -49,46 +49,23 @@ class Checkpoint:
         return self.instant
 
 
-class DetectorKeeper:
-    """Saves and restores a detector, `content`."""
-
-    def __init__(self, detector: Detector) -> None:
-        self.content = detector
-
-    def save(self) -> Any:  # noqa: ANN401
-        """The detector's memory."""
-        return self.content.memory()
-
-    def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Inverse of `save`."""
-        self.content.restore(saved)
-
-    def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether the current memory equals `saved`."""
-        return bool(self.content.memory() == saved)
-
-
 def can_save_detector(detector: Detector | None) -> bool:
     """Whether checkpoints can contain a detector: not if it has attributes that cannot be copied."""
     if detector is None:
         return True
     detector.start()
-    try:
-        detector.memory()
-    except Exception:  # noqa: BLE001 - any exception of a user's object
-        return False
-    return True
+    return _succeeds(detector.memory)
 
 
 def can_save_kernels(loop: Loop) -> bool:
     """Whether checkpoints can contain all kernels: a user's own planner and map are copied whole."""
     keepers = [keeper for kernel in _kernels(loop).values() for keeper in kernel.keepers]
-    return all(_can_copy(keeper) for keeper in keepers if isinstance(keeper, Foreign))
+    return all(_succeeds(keeper.save) for keeper in keepers if isinstance(keeper, Foreign))
 
 
-def _can_copy(keeper: Foreign[Any]) -> bool:
+def _succeeds(save: Callable[[], object]) -> bool:
     try:
-        keeper.save()
+        save()
     except Exception:  # noqa: BLE001 - any exception of a user's object
         return False
     return True

@@ -29,7 +29,6 @@ from mavfi.faults.levels.instruction import Resolving
 from mavfi.faults.levels.state_injector import CounterWatch, StateInjector
 from mavfi.flight.checkpoints import (
     Checkpoint,
-    DetectorKeeper,
     Instant,
     can_save_kernels,
     has_scratch,
@@ -250,20 +249,20 @@ class Branch:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
 
         # Attach the detector.
-        self._detector = None if arm.detector is None else DetectorKeeper(arm.detector)
+        self._detector = arm.detector
         self._restarts = None if arm.detector is None else restarts_for(self.loop, arm.recovery)
         self._tap = self._new_tap()
 
     def _new_tap(self) -> Any:  # noqa: ANN401 - the tap of the detector; None = there is no detector
         if self._detector is None:
             return None
-        return install(self.loop, self._detector.content, self._arm.recovery, self._restarts)
+        return install(self.loop, self._detector, self._arm.recovery, self._restarts)
 
     def _detector_memory(self) -> Any:  # noqa: ANN401
         """The memory of detector and recovery; None = there is no detector."""
         if self._detector is None:
             return None
-        return self._detector.save(), self._tap.memory.copy()
+        return self._detector.memory(), self._tap.memory.copy()
 
     def restore_detector(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of detector and recovery, if there is a detector, from a checkpoint."""
@@ -271,7 +270,7 @@ class Branch:
             return
         detector_memory, recovery_memory = saved
         self._detector.restore(detector_memory)
-        self._tap = self._new_tap()  # restoring may have replaced the detector
+        self._tap = self._new_tap()  # a new one asks a detector that has been disabled
         self._tap.memory = recovery_memory.copy()
 
     def _has_detector_memory(self, checkpoint: Checkpoint) -> bool:
@@ -279,7 +278,7 @@ class Branch:
         if self._detector is None:
             return True
         detector_memory, recovery_memory = checkpoint.detector
-        return self._detector.same(detector_memory) and bool(self._tap.memory.same(recovery_memory))
+        return bool(self._detector.memory() == detector_memory and self._tap.memory.same(recovery_memory))
 
     # ---- the record -------------------------------------------------------------------------------------------------
     def begin_empty(self) -> None:
@@ -380,7 +379,7 @@ class Branch:
         assert self._detector is not None  # precondition
         if self._tap.gave_up:
             return False
-        detector, watched_states = self._detector.content, self.loop.taps.watched
+        detector, watched_states = self._detector, self.loop.taps.watched
         for state, now in track.publications[here.publications : there.publications]:
             if watched_states is not None and state.spec.name not in watched_states:
                 continue

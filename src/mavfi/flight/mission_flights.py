@@ -12,23 +12,29 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.custom import is_custom
-from mavfi.detectors.detector import Detector, part_of
+from mavfi.detectors.detector import Detector, is_custom, part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving
 from mavfi.flight.checkpoints import can_save_detector
 from mavfi.flight.compose import new_loop, resolve, watch
+from mavfi.flight.decide import INLINE, Recovery
 from mavfi.flight.fast_forward import FastForward, FlownArm, check_prefix, fly_until, takes_part
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import InjectedRuns, fly_from_checkpoints, fly_instruction_faults
-from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one
+from mavfi.flight.forks import (
+    InjectedRuns,
+    Published,
+    fly_from_checkpoints,
+    fly_instruction_faults,
+    fly_with_publications,
+)
+from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one, require_level
 from mavfi.flight.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.sim.controller import is_rewindable
 from mavfi.sim.simulator import Simulator
-from mavfi.states import DETECTORS
+from mavfi.states import DETECTORS, State
 
 
 class LocalHost(Host):
@@ -238,8 +244,7 @@ class LocalFlights(ArmFlights):
                 if forward is not None and forward.scratch:
                     flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
                     return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
-        flights = fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery).flights
-        return InjectedRuns(flights, {})
+        return fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery)
 
     def _watched_arms(self, plain: str, arms: Collection[str]) -> list[FlownArm]:
         """Arms that differ from one without a detector by a detector alone, and can be fast-forwarded.
@@ -277,3 +282,23 @@ def _instrumented(detector: Detector | None, functions: Mapping[str, Any]) -> It
     finally:
         for part in parts:
             part.instrument({})
+
+
+def fly_recorded(
+    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, recovery: Recovery = INLINE
+) -> tuple[Flight, list[Published]]:
+    """Fly one mission; also returns the publications as received by consumers, in order.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, or the fault is of another level.
+    """
+    if isinstance(fault, InstructionFault):
+        return fly_with_publications(scenario, fault, detector, recovery)
+    if fault is not None:
+        require_level(LocalHost(), fault.level)
+    seen: list[Published] = []
+
+    def note(state: State, time_us: int) -> None:
+        seen.append((state.copy(), time_us))
+
+    return fly(scenario, fault, detector, recovery=recovery, recorders=(note,)), seen

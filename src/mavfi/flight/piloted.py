@@ -138,8 +138,8 @@ class PilotedVehicle:
 
     def in_ned(self, odometry: np.ndarray) -> tuple[Triple, Quaternion, Triple, Triple]:
         """Position (m), orientation, velocity (m/s) and rates (rad/s) of a state."""
-        place, velocity, rates = odometry[:3] - self.origin, odometry[3:6], odometry[10:13]
-        return flipped(place), turned(odometry[6:10]), flipped(velocity), flipped(rates)
+        position, velocity, rates = odometry[:3] - self.origin, odometry[3:6], odometry[10:13]
+        return flipped(position), turned(odometry[6:10]), flipped(velocity), flipped(rates)
 
     @property
     def position(self) -> Triple:
@@ -189,12 +189,11 @@ class PilotedVehicle:
 
     def to_world(self, ned: Triple) -> np.ndarray:
         """A place in the world's frame (m). Shape (3,)."""
-        place: np.ndarray = np.array(flipped(ned)) + self.origin
-        return place
+        return np.array(flipped(ned)) + self.origin
 
-    def to_ned(self, place: np.ndarray) -> Triple:
+    def to_ned(self, point: np.ndarray) -> Triple:
         """A place of the world in NED (m)."""
-        return flipped(place - self.origin)
+        return flipped(point - self.origin)
 
     def digest(self) -> str:
         """SHA-256 of all states so far, every 20 ms and at the end of each step."""
@@ -270,7 +269,7 @@ class PilotedVehicle:
         """Command a velocity (NED, m/s) and yaw rate (rad/s, clockwise) for a time (s)."""
         self.sim.command(np.array([*flipped(velocity), -yaw_rate]), seconds)
 
-    def place(self, position: Triple, orientation: tuple[float, float, float, float]) -> None:
+    def place(self, position: Triple, orientation: Quaternion) -> None:
         """Put it to a pose (NED)."""
         collided = self.has_ever_collided
         self.sim.place(self.to_world(position), np.array(turned(orientation)))
@@ -499,9 +498,7 @@ def _collective(vehicle: PilotedVehicle, vertical: Vertical, odometry: np.ndarra
     return frame.mass * (GRAVITY + _THRUST_CLIMB_GAIN * (climb - float(odometry[5]))) / max(up, 0.5)
 
 
-def _mixed(
-    vehicle: PilotedVehicle, rates: tuple[float, float, float], vertical: Vertical, odometry: np.ndarray
-) -> np.ndarray:
+def _mixed(vehicle: PilotedVehicle, rates: Triple, vertical: Vertical, odometry: np.ndarray) -> np.ndarray:
     """Rotor commands (N) for body rates (FLU, rad/s) and a collective thrust. Shape (4,)."""
     frame = airframe_of(vehicle.scenario.vehicle)
     matrix, wanted = np.empty((3, 3)), np.empty(4)

@@ -187,7 +187,7 @@ def draw_instruction_faults(
 
 def _functions(kernel: str, scenario: Scenario, detector: "Detector | None") -> dict[str, Any]:
     """The compiled functions of a kernel, or of the detector of that name; a BadInputError if the mission has none."""
-    from mavfi.flight.case import check_kernel
+    from mavfi.detectors.registry import check_kernel
 
     check_kernel(kernel, scenario.planner.name, detector)
     if kernel in DETECTORS:

@@ -62,7 +62,7 @@ class MemoryRequest:
 
     def draw(self, setup: "ArmSetup", seed: int) -> "tuple[MemoryFault, Flight | None]":
         """See `Request.draw`; a BadInputError if the target has no such word or bit at that instant."""
-        from mavfi.flight.case import check_watched
+        from mavfi.detectors.registry import check_watched
 
         watched = self.kernel in WATCHING
         if watched:

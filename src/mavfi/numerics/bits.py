@@ -7,7 +7,6 @@ from mavfi.numerics.jit import kernel_jit
 MANTISSA_BITS = 52
 EXPONENT_MASK = 0x7FF
 EXPONENT_BIAS = 1023
-MANTISSA_MASK = (1 << MANTISSA_BITS) - 1
 INT16_MAX = 32767
 
 
@@ -21,12 +20,6 @@ def sign_field(value: float) -> int:
 def exponent_field(value: float) -> int:
     """Biased exponent (bits 52 to 62): 0 for zeros and denormals, 2047 for infinities and NaN."""
     return int((np.float64(value).view(np.int64) >> MANTISSA_BITS) & EXPONENT_MASK)
-
-
-@kernel_jit
-def mantissa_field(value: float) -> int:
-    """Stored mantissa (bits 0 to 51), without the implicit one."""
-    return int(np.float64(value).view(np.int64) & MANTISSA_MASK)
 
 
 @kernel_jit

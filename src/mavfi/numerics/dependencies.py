@@ -48,12 +48,6 @@ class _Body:
 
 
 _bodies: "weakref.WeakKeyDictionary[Any, _Body]" = weakref.WeakKeyDictionary()
-_used_by: "weakref.WeakKeyDictionary[Any, Mapping[Any, Any]]" = weakref.WeakKeyDictionary()
-
-
-def uses(stub: Any, functions: Mapping[Any, Any]) -> None:
-    """Declare which compiled functions the `overload` of a plain function calls; without it, any of mavfi's."""
-    _used_by[stub] = functions
 
 
 def content_digest(dispatcher: Any) -> bytes:
@@ -131,13 +125,13 @@ def _same_objects(before: dict[str, Any], now: dict[str, Any]) -> bool:
 def _surroundings(function: Any) -> dict[str, Any]:
     """Values that a function takes from enclosing functions, from its module, and from modules named there."""
     names = set(_names(function.__code__))
-    found = dict(_named_in(function.__globals__, names, ""))
+    values = dict(_named_in(function.__globals__, names, ""))
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
-            found[name] = cell.cell_contents
+            values[name] = cell.cell_contents
         except ValueError:
             raise UnknownDependencyError(f"{function.__qualname__}: {name} has no value yet") from None
-    return dict(sorted(found.items()))
+    return dict(sorted(values.items()))
 
 
 def _names(code: python.CodeType) -> Iterator[str]:
@@ -257,15 +251,10 @@ class _Content:
             self.value(tuple(sorted(getattr(value, "_field_defaults", {}).items())))
 
     def _plain_function(self, value: python.FunctionType) -> None:
-        """Add a function that has an `overload`: the text of its module, and the functions that the overload uses."""
+        """Add a function that has an `overload`, which may call any of mavfi's: the text of its module, and theirs."""
         self.text("plain function", value.__qualname__)
         self._source(value.__module__)
-        if value not in _used_by:
-            self.text(packages_digest())
-            return
-        for key, function in _used_by[value].items():
-            self.text(str(key))
-            self.value(function)
+        self.text(packages_digest())
 
     def _source(self, module: str) -> None:
         """Add the text of a module."""

@@ -20,7 +20,7 @@ import tempfile
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -222,13 +222,9 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; the pure Python function is `function.py_func`.
     """
-    return _compiled(function, _FLAGS)
-
-
-def _compiled(function: F, flags: Mapping[str, Any]) -> F:
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    compiled: Any = Kernel(py_func=function, targetoptions=dict(flags), pipeline_class=LineTables)
+    compiled: Any = Kernel(py_func=function, targetoptions=dict(_FLAGS), pipeline_class=LineTables)
     compiled._cache = CodeFiles(compiled)
     return cast(F, compiled)
 

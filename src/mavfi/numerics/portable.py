@@ -36,8 +36,8 @@ def call_portably(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -
         capture_output=True, check=False,
     )  # fmt: skip
     if done.returncode != 0:
-        said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2] or f"status {done.returncode}"
-        raise MachineError(f"{function.__name__}: its process failed ({said})")
+        reason = done.stderr.decode(errors="replace").strip().rpartition("\n")[2] or f"status {done.returncode}"
+        raise MachineError(f"{function.__name__}: its process failed ({reason})")
     result: R = pickle.loads(done.stdout)
     return result
 

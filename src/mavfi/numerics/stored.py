@@ -9,48 +9,41 @@ from typing import Any, cast
 import numba
 import numpy as np
 from numba.core import cgutils, types
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from mavfi.numerics.jit import is_compiled, kernel_jit
 
 
 def _load(typingctx: Any, address: Any, kind: Any) -> Any:  # noqa: ANN401 - Numba's types
-    found = kind.instance_type
+    loaded = kind.instance_type
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
-        place = builder.inttoptr(arguments[0], context.get_data_type(found).as_pointer())
-        return context.unpack_value(builder, found, place)
+        pointer = builder.inttoptr(arguments[0], context.get_data_type(loaded).as_pointer())
+        return context.unpack_value(builder, loaded, pointer)
 
-    return found(types.int64, kind), codegen
+    return loaded(types.int64, kind), codegen
 
 
 def _put_at(typingctx: Any, values: Any, address: Any) -> Any:  # noqa: ANN401
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
-        place = builder.inttoptr(arguments[1], context.get_data_type(values).as_pointer())
-        context.pack_value(builder, values, _borrowed(context, builder, values, arguments[0]), place)
+        pointer = builder.inttoptr(arguments[1], context.get_data_type(values).as_pointer())
+        context.pack_value(builder, values, _borrowed(context, builder, values, arguments[0]), pointer)
         return context.get_dummy_value()
 
     return types.void(values, types.int64), codegen
 
 
-def _size(typingctx: Any, values: Any) -> Any:  # noqa: ANN401
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ANN401
-        return context.get_constant(types.int64, context.get_abi_sizeof(context.get_data_type(values)))
-
-    return types.int64(values), codegen
-
-
 load: Any = intrinsic(_load)
 """In compiled code, `load(address, kind)`: the values at an address, see `Stored`; `kind` is their `kind_of`."""
 _store: Any = intrinsic(_put_at)
-_size_of: Any = intrinsic(_size)
 
 
 def _borrowed(context: Any, builder: Any, kind: Any, value: Any) -> Any:  # noqa: ANN401
     """A value without references to Python objects: compiled code does not count references to its arrays."""
     if isinstance(kind, types.BaseTuple):
-        for index, own in enumerate(cast(Any, kind).types):
-            part = _borrowed(context, builder, own, builder.extract_value(value, index))
+        for index, part_kind in enumerate(cast(Any, kind).types):
+            part = _borrowed(context, builder, part_kind, builder.extract_value(value, index))
             value = builder.insert_value(value, part, index)
     elif isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder, value)
@@ -63,11 +56,6 @@ def _borrowed(context: Any, builder: Any, kind: Any, value: Any) -> Any:  # noqa
 @kernel_jit
 def _put(values: Any, address: int) -> None:  # noqa: ANN401
     _store(values, address)
-
-
-@kernel_jit
-def _space(values: Any) -> int:  # noqa: ANN401
-    return int(_size_of(values))
 
 
 _type_of: Any = numba.typeof
@@ -95,10 +83,11 @@ class Stored:
 
     def __init__(self, kind: Any, *values: Any) -> None:  # noqa: ANN401
         self.values, self.address = values, 0
-        found = _type_of(values)
-        if found != kind:
-            raise TypeError(f"stored values: {found}; allowed: {kind}")
+        actual = _type_of(values)
+        if actual != kind:
+            raise TypeError(f"stored values: {actual}; allowed: {kind}")
         if is_compiled(_put):
-            self._content = np.zeros(_space(values), np.uint8)
+            context: Any = cpu_target.target_context
+            self._content = np.zeros(context.get_abi_sizeof(context.get_data_type(kind)), np.uint8)
             self.address = int(self._content.ctypes.data)
             _put(values, self.address)

@@ -4,9 +4,9 @@ import numpy as np
 
 from mavfi.kernels.perception import clearance
 from mavfi.numerics.voxels import offsets_within
-from mavfi.pipeline.changes import Change, Changes
 from mavfi.pipeline.functions import Compiled
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
+from mavfi.pipeline.memory import Change, Changes
 from mavfi.states import State
 
 
@@ -28,8 +28,10 @@ class ClearanceMap:
         self.wide = np.zeros(self.grid.size, np.int16)
         self.narrow = np.zeros(self.grid.size, np.int16)
         boxes = config.autopilot.distance == "boxes"
-        self._wide_offsets = offsets_within(config.plan_radius, self.grid.resolution, boxes)
-        self._narrow_offsets = offsets_within(config.check_radius, self.grid.resolution, boxes)
+        wide_offsets, narrow_offsets = (
+            offsets_within(radius, self.grid.resolution, boxes) for radius in (config.plan_radius, config.check_radius)
+        )
+        self._counters = self.cells, self.wide, wide_offsets, self.narrow, narrow_offsets
         self._rewindable = config.rewindable
         self._changes = Changes(self.cells)
         self._marked = 0
@@ -40,20 +42,15 @@ class ClearanceMap:
         voxels, log_odds = update.elements["voxel"], update.elements["log_odds"]
         changed_voxels = np.zeros(len(voxels), np.int32)
         changed_cells = np.zeros(len(voxels), np.uint8)
-        count = self._apply_updates(
-            voxels, log_odds, self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets,
-            changed_voxels, changed_cells,
-        )  # fmt: skip
+        count = self._apply_updates(voxels, log_odds, self.grid, *self._counters, changed_voxels, changed_cells)
         voxels = changed_voxels[:count].copy()
         self._changes.note(voxels, changed_cells[:count].copy(), self.cells[voxels])
         self.updates += 1
 
     def _put(self, voxels: np.ndarray, cells: np.ndarray) -> None:
         """Set the states of voxels, and update the counters accordingly."""
-        clearance.undo_updates(
-            self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets,
-            np.ascontiguousarray(voxels[::-1]), np.ascontiguousarray(cells[::-1]), len(voxels),
-        )  # fmt: skip
+        backwards = np.ascontiguousarray(voxels[::-1]), np.ascontiguousarray(cells[::-1])
+        clearance.undo_updates(self.grid, *self._counters, *backwards, len(voxels))
 
     def mark(self) -> None:
         """Save the current map for `rollback`."""

@@ -8,7 +8,7 @@ import numpy as np
 from mavfi.kernels.control import pid
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.states import Stage, State, floats, new_state
 
 MAX_YAW_RATE = 1.5707963267948966
@@ -19,11 +19,11 @@ MAX_YAW_RATE = 1.5707963267948966
 class _TrackerMemory(Memory):
     """Controller memory, remaining time of the way-point in force, inputs, and their values at the mark."""
 
-    law: np.ndarray = field(default_factory=lambda: np.zeros(pid.MEMORY_WIDTH))
+    law: np.ndarray = zeros(pid.MEMORY_WIDTH)
     remaining: float = 0.0
     waypoint: State | None = None
     fresh: bool = False
-    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    odometry: np.ndarray = zeros(13)
     marked: tuple[np.ndarray, float, bool, State | None] = field(
         default_factory=lambda: (np.zeros(pid.MEMORY_WIDTH), 0.0, False, None)
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavfi.kernels.perception import state_estimation as filtering
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.states import ODOMETRY, Stage, State, floats, new_state
 
 AT_REST = filtering.Spread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
@@ -25,9 +25,9 @@ _ODOMETRY_WIDTH = 19
 class _Filter(Memory):
     """State of the filter, and the pending fix."""
 
-    nominal: np.ndarray = field(default_factory=lambda: np.zeros(filtering.NOMINAL_WIDTH))
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((filtering.ERROR_WIDTH, filtering.ERROR_WIDTH)))
-    sample: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    nominal: np.ndarray = zeros(filtering.NOMINAL_WIDTH)
+    covariance: np.ndarray = zeros(filtering.ERROR_WIDTH, filtering.ERROR_WIDTH)
+    sample: np.ndarray = zeros(6)
     time_us: int = 0
     aligned: bool = False
     refused: int = 0
@@ -38,7 +38,7 @@ class _Filter(Memory):
 class _EstimatorMemory(Memory):
     """The last sample, the current filter, and the filter at the mark."""
 
-    sample: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    sample: np.ndarray = zeros(6)
     filter: _Filter = field(default_factory=_Filter)
     marked: _Filter = field(default_factory=_Filter)
 
@@ -59,11 +59,6 @@ class StateEstimator(Remembers):
     def __init__(self, noise: filtering.Noise) -> None:
         self._noise = noise
         self.memory = _EstimatorMemory()
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Error covariance, see `kernels.perception.state_estimation`. Shape (15, 15)."""
-        return self.memory.filter.covariance
 
     def receive(self, state: State, time_us: int) -> bool:
         """An IMU sample makes a step due; a fix is stored until the next step."""

@@ -4,8 +4,7 @@ An instrumented function has the same arguments and result, and additionally cou
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from importlib import import_module
+from dataclasses import dataclass, replace
 from pickle import PicklingError
 from typing import Any
 
@@ -39,26 +38,14 @@ class KernelFunctions:
         return replace(self, **{name: make(name, getattr(self, name)) for name in names})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by name: Numba would send the source, which another process would recompile, bypassing its cache.
+        """Pickle as the plain table: Numba would send the source, which another process would compile again.
 
         Raises:
-            PicklingError: A function differs from the module attribute of its name.
+            PicklingError: A function is not the plain one.
         """
-        places = [(function.__module__, function.__qualname__) for function in self._table()]
-        if [_imported(*place) for place in places] != self._table():
+        if self != PLAIN:
             raise PicklingError("instrumented kernel functions stay in their process")
-        return _from_places, (places,)
-
-    def _table(self) -> list[Compiled]:
-        return [getattr(self, field.name) for field in fields(self)]
-
-
-def _imported(module: str, name: str) -> Any:
-    return getattr(import_module(module), name, None)
-
-
-def _from_places(places: list[tuple[str, str]]) -> KernelFunctions:
-    return KernelFunctions(*(_imported(*place) for place in places))
+        return KernelFunctions, ()
 
 
 PLAIN = KernelFunctions()

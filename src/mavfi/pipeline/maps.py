@@ -1,7 +1,7 @@
 """Occupancy maps of kernel `octomap`: a dense array, OctoMap's octree with equal occupancy, or a user's own class."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, cast
+from typing import Protocol
 
 import numpy as np
 
@@ -10,17 +10,16 @@ from mavfi.kernels.perception import octree
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule, insert_scan, undo_scan
 from mavfi.kernels.perception.octree import Octree
-from mavfi.pipeline.changes import Change, Changes, common_length
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.pipeline.memory import Foreign
+from mavfi.pipeline.memory import Change, Changes, Foreign, Keeper, common_length
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
 """Initial capacity of an octree (nodes), doubled on demand."""
 
 
-class OccupancyMap(Protocol):
-    """A map that integrates scans, and supports rollback."""
+class OccupancyMap(Keeper, Protocol):
+    """A map that integrates scans, and supports rollback; its rollback data is part of what it saves."""
 
     @property
     def log_odds(self) -> np.ndarray:
@@ -42,18 +41,6 @@ class OccupancyMap(Protocol):
 
     def rollback(self) -> None:
         """Restore the map of the last mark."""
-
-    def save(self) -> Any:  # noqa: ANN401 (each kind of map has its own form)
-        """Immutable copy of the map and its rollback data."""
-
-    def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Restore the result of `save`."""
-
-    def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether the map and its rollback data are bit-identical to `saved`."""
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Numeric memory by name: the arrays themselves, not copies."""
 
 
 Scan = tuple[np.ndarray, np.ndarray] | None
@@ -286,8 +273,8 @@ class OctreeMap:
         return {"children": tree.children[:used], "log_odds": tree.log_odds[:used], "counters": tree.counters}
 
 
-def _same_nodes(one: Octree, other: Octree) -> bool:
-    return one is other or all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
+def _same_nodes(nodes: Octree, others: Octree) -> bool:
+    return nodes is others or all(a.tobytes() == b.tobytes() for a, b in zip(nodes, others, strict=True))
 
 
 class GuardedMap(Foreign[OccupancyMap]):
@@ -338,9 +325,9 @@ class GuardedMap(Foreign[OccupancyMap]):
         """Restore the map of the last mark."""
         self.content.rollback()
 
-    def _must(self, right: bool, found: str, allowed: str) -> None:
+    def _must(self, right: bool, fault: str, allowed: str) -> None:
         if not right:
-            raise self._wrong(f"{found}; allowed: {allowed}")
+            raise self._wrong(f"{fault}; allowed: {allowed}")
 
     def _wrong(self, text: str) -> BadInputError:
         return BadInputError(f"map {self._name!r}: {text}")
@@ -352,13 +339,17 @@ MAPS: dict[str, Callable[..., OccupancyMap]] = {"dense": DenseMap, "octree": Oct
 _SHIPPED = {kind: f"{__name__}:{factory.__name__}" for kind, factory in MAPS.items()}
 
 
-def find_map(kind: str) -> Callable[[KeyFrame, UpdateRule, float], OccupancyMap]:
-    """Find a map class: a shipped kind, an entry point of the group `mavfi.maps`, or "package:Class".
+def find_map(kind: str) -> Callable[..., OccupancyMap]:
+    """Find a map class, called with grid, update rule and range, see `make_map`.
+
+    Args:
+        kind: A shipped kind, an entry point of the group `mavfi.maps`, or "package:Class".
 
     Raises:
         BadInputError: It does not exist or cannot be imported.
     """
-    return cast(Callable[[KeyFrame, UpdateRule, float], OccupancyMap], load_object("map", kind, GROUP, _SHIPPED))
+    factory: Callable[..., OccupancyMap] = load_object("map", kind, GROUP, _SHIPPED)
+    return factory
 
 
 _METHODS = {"insert": "points, origin", "mark": "", "rollback": ""}
@@ -384,8 +375,7 @@ def make_map(
     """
     if kind in MAPS:
         return MAPS[kind](frame, rule, max_range, functions, rewindable)
-    factory = find_map(kind)
-    made = build("map", kind, factory, frame, rule, max_range, needs=_METHODS)
+    made = build("map", kind, find_map(kind), frame, rule, max_range, needs=_METHODS)
     guarded = GuardedMap(kind, made, frame.nx * frame.ny * frame.nz)
     _ = guarded.log_odds  # validated before the first scan
-    return cast(OccupancyMap, guarded)
+    return guarded

@@ -14,7 +14,7 @@ from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
 from mavfi.pipeline.maps import make_map
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.states import Stage, State, floats, new_state, rows
 
 _UNKNOWN_HORIZON = 15.0
@@ -152,7 +152,7 @@ class _CheckMemory(Memory):
     published: State
     trajectories: dict[int, State] = field(default_factory=dict)
     waypoint: State | None = None
-    position: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    position: np.ndarray = zeros(3)
     remaining: float = 0.0
     escaping: int = -1
     used: "_Inputs | None" = None

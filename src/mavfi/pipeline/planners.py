@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -109,6 +109,22 @@ class SamplingSearch(ABC):
         self._path = np.zeros((vertices + _SHORTCUT_ROOM, 3))
         self._buffer = np.zeros_like(self._path)
 
+    def save(self) -> np.ndarray:
+        """See `Keeper.save`."""
+        return self.random.copy()
+
+    def restore(self, saved: np.ndarray) -> None:
+        """See `Keeper.restore`."""
+        self.random[:] = saved
+
+    def same(self, saved: np.ndarray) -> bool:
+        """See `Keeper.same`."""
+        return bool((self.random == saved).all())
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """See `Keeper.arrays`."""
+        return {"random": self.random}
+
     @abstractmethod
     def _run(self, problem: _Problem) -> int:
         """Write a path to `_path`; returns its number of vertices, 0 = none found."""
@@ -201,13 +217,17 @@ _METHODS = {"search": "counter, grid, start, goal, lower, upper"}
 """Parameters of a planner's methods."""
 
 
-def find_search(name: str) -> Callable[[PlannerConfig, int], PathSearch]:
-    """A planner's class: a shipped name, an entry point of `mavfi.planners`, or "package.module:Class".
+def find_search(name: str) -> Callable[..., PathSearch]:
+    """A planner's class, called with its configuration and the mission's seed.
+
+    Args:
+        name: A shipped name, an entry point of `mavfi.planners`, or "package.module:Class".
 
     Raises:
         BadInputError: It is not known, not allowed, or cannot be imported.
     """
-    return cast(Callable[[PlannerConfig, int], PathSearch], load_object("planner", name, GROUP, _SHIPPED))
+    factory: Callable[..., PathSearch] = load_object("planner", name, GROUP, _SHIPPED)
+    return factory
 
 
 def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = PLAIN) -> PathSearch:
@@ -217,7 +237,7 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
         BadInputError: It does not exist or cannot be constructed.
     """
     factory = find_search(config.name)
-    search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=_METHODS))
+    search: PathSearch = build("planner", config.name, factory, config, seed, needs=_METHODS)
     if not hasattr(search, "random"):
         raise BadInputError(f"planner {config.name!r}: lacks random, the state of its generator: shape (4,), uint64")
     if isinstance(search, SamplingSearch):
@@ -225,26 +245,26 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
     return search
 
 
-def checked_path(search: PathSearch, found: np.ndarray) -> np.ndarray:
+def checked_path(search: PathSearch, returned: np.ndarray) -> np.ndarray:
     """The path that a planner returned, whose start and goal are finite also after a fault.  Shape (n, 3).
 
     Raises:
         BadInputError: A user's planner returned something else than `PathSearch.search` promises.
     """
     if isinstance(search, SamplingSearch):
-        return found
+        return returned
     kind = type(search)
     try:
-        path = np.asarray(found)
+        path = np.asarray(returned)
         is_path = path.shape[:1] == (0,) or (path.ndim == 2 and path.shape[1] == 3 and path.dtype.kind in "fiu")
     except ValueError:  # rows of different lengths
         is_path = False
-    place = f"planner {kind.__module__}:{kind.__qualname__}: search returned"
+    source = f"planner {kind.__module__}:{kind.__qualname__}: search returned"
     if not is_path:
-        text = f"{' '.join(repr(found).split())[:60]}; allowed: an array of shape (n, 3), n = 0 if there is no path"
-        raise BadInputError(f"{place} {text}")
+        text = f"{' '.join(repr(returned).split())[:60]}; allowed: an array of shape (n, 3), n = 0 if there is no path"
+        raise BadInputError(f"{source} {text}")
     if not np.isfinite(path).all():
-        raise BadInputError(f"{place} vertices that are not finite; allowed: finite ones, or an empty array")
+        raise BadInputError(f"{source} vertices that are not finite; allowed: finite ones, or an empty array")
     if len(path) > MOST_VERTICES:
-        raise BadInputError(f"{place} {len(path)} vertices; allowed: at most {MOST_VERTICES}")
+        raise BadInputError(f"{source} {len(path)} vertices; allowed: at most {MOST_VERTICES}")
     return path

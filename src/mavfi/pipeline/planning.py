@@ -16,7 +16,7 @@ from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.vectors import length
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.pipeline.routes import PLANNING_ACCELERATION, Routes
 from mavfi.pipeline.trajectories import BRAKING
 from mavfi.states import Stage, State, floats, new_state, rows
@@ -55,10 +55,10 @@ class _PlannerMemory(Memory):
 
     marked: tuple[_Decisions, np.ndarray]
     status: State | None = None
-    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    odometry: np.ndarray = zeros(13)
     waypoint: State | None = None
     trajectory: State | None = None
-    arc: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    arc: np.ndarray = zeros(0)
     crumbs: list[np.ndarray] = field(default_factory=list)
     decisions: _Decisions = field(default_factory=_Decisions)
 
@@ -81,7 +81,7 @@ class MotionPlanner(Remembers):
         self._every_map = config.autopilot.replanning == "every_map"
         self.routes = Routes(config)
         self.clearance_map = self.routes.clearance_map
-        self.keepers = (self.clearance_map, self.routes)
+        self.keepers = (self.clearance_map, self.routes.keeper)
         self.scratch = self.routes.scratch
         self.memory = _PlannerMemory((_Decisions(), self.routes.random.copy()))
 
@@ -220,8 +220,8 @@ class MotionPlanner(Remembers):
         config, position, velocity = self._config, self.memory.odometry[:3], self.memory.odometry[3:6]
         is_plausible = length(velocity) < 2.0 * config.v_max
         stop = position + velocity * config.velocity_lag if is_plausible else position.copy()
-        found = self.routes.first_found(stop)
-        return None if found is None else self._path(found, 0.0)
+        vertices = self.routes.first_found(stop)
+        return None if vertices is None else self._path(vertices, 0.0)
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Plan a replacement without stopping, if the predicted collision is late enough."""
@@ -234,13 +234,13 @@ class MotionPlanner(Remembers):
         lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))
         if not segment_free(clearance.narrow, clearance.grid, start, lead):
             return None
-        found = self.routes.between(lead, clearance.wide)
-        if found is None:
+        vertices = self.routes.between(lead, clearance.wide)
+        if vertices is None:
             return None
         leading = [start] if speed < 0.2 else [start, lead]
-        if paths.distance(found[0], leading[-1]) < 1e-6:
+        if paths.distance(vertices[0], leading[-1]) < 1e-6:
             leading.pop()
-        return self._path(np.vstack([*leading, found]), speed)
+        return self._path(np.vstack([*leading, vertices]), speed)
 
     def _plan_from_junction(self) -> State | None:
         """Plan from the point of the current trajectory at which the vehicle can be when the plan arrives."""
@@ -260,8 +260,8 @@ class MotionPlanner(Remembers):
             junction = min(int(np.searchsorted(memory.arc, distance)), len(memory.arc) - 1)
             point = rows(memory.trajectory.elements, POINT_WIDTH)[junction]  # type: ignore[union-attr]
             start, velocity = point[:3].copy(), point[4:7].copy()
-        found = self.routes.fastest(start, velocity)
-        return None if found is None else self._path(found, speed, junction)
+        vertices = self.routes.fastest(start, velocity)
+        return None if vertices is None else self._path(vertices, speed, junction)
 
     def _standing_point(self) -> np.ndarray:
         """Reference position while no trajectory is flown."""

@@ -4,8 +4,6 @@ A path keeps the planner's radius where possible.  If this causes a long detour 
 are searched with the checker's radius; the fastest path is selected.
 """
 
-from typing import Any
-
 import numpy as np
 
 from mavfi.kernels.perception.clearance import OCCUPIED
@@ -14,7 +12,7 @@ from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.clearance_map import ClearanceMap
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Foreign
+from mavfi.pipeline.memory import Foreign, Keeper
 from mavfi.pipeline.planners import PathSearch, SamplingSearch, checked_path, make_search
 
 TIGHT_SPEED = 2.0
@@ -41,6 +39,8 @@ class Routes:
 
     Attributes:
         clearance_map: The clearance map for the searches.
+        keeper: The searches' memory: the generator; for a user's planner the whole object.
+        scratch: Work arrays of the searches; None = they cannot be saved.
     """
 
     def __init__(self, config: PipelineConfig) -> None:
@@ -51,9 +51,10 @@ class Routes:
         local = make_search(small, config.seed, config.functions)
         local.random = search.random  # a single stream to roll back
         self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
-        found = [one.scratch if isinstance(one, SamplingSearch) else None for one in (search, local)]
-        known = [one for one in found if one is not None]
-        self.scratch = tuple(known) if len(known) == len(found) else None
+        self.keeper: Keeper = search if isinstance(search, SamplingSearch) else self._searches
+        scratch = [planner.scratch for planner in (search, local) if isinstance(planner, SamplingSearch)]
+        known = tuple(arrays for arrays in scratch if arrays is not None)
+        self.scratch = known if len(known) == 2 else None
         v_max = config.v_max
         self._pace = travel.Pace(
             v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,
@@ -72,27 +73,6 @@ class Routes:
         """State of the planner's generator. Shape (4,), uint64."""
         return self.search.random
 
-    def save(self) -> Any:  # noqa: ANN401
-        """Snapshot of the searches' memory: the generator; for a user's planner the whole object."""
-        return self.random.copy() if isinstance(self.search, SamplingSearch) else self._searches.save()
-
-    def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Restore the result of `save`."""
-        if isinstance(self.search, SamplingSearch):
-            self.random[:] = saved
-        else:
-            self._searches.restore(saved)
-
-    def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether the current memory equals `saved`."""
-        if isinstance(self.search, SamplingSearch):
-            return bool((self.random == saved).all())
-        return self._searches.same(saved)
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """State of the generator; empty for a user's planner, which is opaque."""
-        return {"random": self.random} if isinstance(self.search, SamplingSearch) else {}
-
     def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
         """Vertices from (near) `start` to (near) the goal (None = the mission's) in `counter`; None = no path."""
         config, clearance = self._config, self.clearance_map
@@ -104,8 +84,8 @@ class Routes:
             return None
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
-        found = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box))
-        return found if len(found) else None
+        path = checked_path(self.search, self.search.search(counter, clearance.grid, first, last, *box))
+        return path if len(path) else None
 
     def _core(self) -> np.ndarray:
         """Voxels (> 0) that an escape from a blocked place must avoid; the published code has none. Shape (size,)."""
@@ -116,9 +96,9 @@ class Routes:
     def first_found(self, start: np.ndarray) -> np.ndarray | None:
         """A path with the planner's radius or, failing that, with the checker's."""
         for counter in (self.clearance_map.wide, self.clearance_map.narrow):
-            found = self.between(start, counter)
-            if found is not None:
-                return _from(start, found)
+            path = self.between(start, counter)
+            if path is not None:
+                return _from(start, path)
         return None
 
     def fastest(self, start: np.ndarray, velocity: np.ndarray) -> np.ndarray | None:
@@ -131,14 +111,14 @@ class Routes:
         best, least = None, np.inf
         for counter, tight in ((self.clearance_map.wide, False), (self.clearance_map.narrow, True)):
             for _ in range(self._config.autopilot.searches):
-                found = self.between(start, counter)
-                if found is None:
+                path = self.between(start, counter)
+                if path is None:
                     break
-                found = _from(start, found)
-                found = self._quickened(self._widened(found) if tight else found, velocity, counter)
-                time = self._time(found, velocity)
+                path = _from(start, path)
+                path = self._quickened(self._widened(path) if tight else path, velocity, counter)
+                time = self._time(path, velocity)
                 if time < least:
-                    best, least = found, time
+                    best, least = path, time
                 if least <= enough:
                     return best
         return best
@@ -165,17 +145,17 @@ class Routes:
         """The path, rerouted with the planner's radius where possible."""
         points = _samples(path)
         tight = [self._is_tight(point) for point in points]
-        kept: list[np.ndarray] = [points[:1]]
+        pieces: list[np.ndarray] = [points[:1]]
         last = 0
         for i in range(1, len(points)):
             if tight[i] and i < len(points) - 1:
                 continue
             if i > last + 1 and not tight[last]:
-                kept.append(self._around(points[last : i + 1]))
+                pieces.append(self._around(points[last : i + 1]))
             else:
-                kept.append(points[last + 1 : i + 1])
+                pieces.append(points[last + 1 : i + 1])
             last = i
-        return self._shortened(np.vstack(kept))
+        return self._shortened(np.vstack(pieces))
 
     def _is_tight(self, point: np.ndarray) -> bool:
         voxel = voxel_of(self.clearance_map.grid, point[0], point[1], point[2])
@@ -189,10 +169,10 @@ class Routes:
         if not self._is_tight(stretch[-1]):
             local = self._searches.content[1]
             ends = stretch[0], stretch[-1]
-            found = checked_path(local, local.search(clearance.wide, clearance.grid, *ends, lower, upper))
+            bypass = checked_path(local, local.search(clearance.wide, clearance.grid, *ends, lower, upper))
             still = np.zeros(3)
-            if len(found) and self._time(found, still) < self._time(stretch, still):
-                return found[1:]
+            if len(bypass) and self._time(bypass, still) < self._time(stretch, still):
+                return bypass[1:]
         return stretch[1:]
 
     def _shortened(self, path: np.ndarray) -> np.ndarray:

@@ -221,5 +221,7 @@ class TrajectoryGenerator(Remembers):
 
 def _without_repeats(vertices: np.ndarray) -> np.ndarray:
     """Vertices without consecutive duplicates."""
-    kept = [row for row in range(len(vertices)) if row == 0 or paths.distance(vertices[row], vertices[row - 1]) > 1e-3]
-    return np.ascontiguousarray(vertices[kept])
+    distinct = [
+        row for row in range(len(vertices)) if row == 0 or paths.distance(vertices[row], vertices[row - 1]) > 1e-3
+    ]
+    return np.ascontiguousarray(vertices[distinct])

@@ -14,7 +14,7 @@ from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import yaw_of
 from mavfi.numerics.vectors import length
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.memory import Memory, Remembers
+from mavfi.pipeline.memory import Memory, Remembers, zeros
 from mavfi.pipeline.routes import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state, rows
 
@@ -49,11 +49,11 @@ class _SetpointMemory(Memory):
 
     now: _InForce = field(default_factory=_InForce)
     inbox: list[State] = field(default_factory=list)
-    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    odometry: np.ndarray = zeros(13)
     remaining: float = 0.0
     limits: tuple[float, float, int] = (np.inf, np.inf, -1)
-    points: np.ndarray = field(default_factory=lambda: np.zeros((0, POINT_WIDTH)))
-    arc: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    points: np.ndarray = zeros(0, POINT_WIDTH)
+    arc: np.ndarray = zeros(0)
     published: State | None = None
     marked: _InForce = field(default_factory=_InForce)
     marked_inputs: tuple[list[State], float, State | None] = field(default_factory=lambda: ([], 0.0, None))

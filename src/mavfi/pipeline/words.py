@@ -104,8 +104,8 @@ def _in_value(name: str, value: Any) -> Iterator[Words]:
     elif isinstance(value, Memory):
         yield from _in_memory(f"{name}.", value)
     elif isinstance(value, (list, tuple, dict)):
-        for place, item in enumerate(value.values() if isinstance(value, dict) else value):
-            yield from _in_value(f"{name}[{place}]", item)
+        for position, item in enumerate(value.values() if isinstance(value, dict) else value):
+            yield from _in_value(f"{name}[{position}]", item)
     elif isinstance(value, (bool, int, float)):
         yield Words(name, _scalar_type(value), 1)
 

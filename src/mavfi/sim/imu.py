@@ -64,8 +64,7 @@ class Imu:
         white, walk = normals(stream, 12).reshape(2, 6)
         self.bias = self.bias + self._scale * _WALK * math.sqrt(interval) * walk
         self.time_us = time_us
-        measured: np.ndarray = truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white
-        return measured
+        return truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white
 
 
 # ---- position fixes and compass --------------------------------------------------------------------------------------

@@ -78,10 +78,10 @@ def _lifted(source: str, vehicle: VehicleConfig) -> VehicleConfig:
 
 def _check(source: str, vehicle: VehicleConfig, body: RigidBody) -> None:
     ours, theirs = (vehicle.mass, *vehicle.inertia), (body.mass, *body.inertia)
-    for key, given, found in zip(("mass", *["inertia"] * 3), ours, theirs, strict=True):
-        if not abs(given - found) <= _TOLERANCE * found:
+    for key, chosen, modelled in zip(("mass", *["inertia"] * 3), ours, theirs, strict=True):
+        if not abs(chosen - modelled) <= _TOLERANCE * modelled:
             raise BadInputError(
-                f"{source}: key {key!r}: {given:g}: the model {vehicle.mjcf} has {found:.4g}; allowed: within "
+                f"{source}: key {key!r}: {chosen:g}: the model {vehicle.mjcf} has {modelled:.4g}; allowed: within "
                 f"{100 * _TOLERANCE:g} % of it, or no such key"
             )
     if not vehicle.collision_radius >= body.reach:

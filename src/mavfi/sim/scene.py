@@ -56,10 +56,10 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
     site = mujoco.mjtObj.mjOBJ_SITE
     spec.add_sensor(type=mujoco.mjtSensor.mjSENS_ACCELEROMETER, objtype=site, objname="imu")
     spec.add_sensor(type=mujoco.mjtSensor.mjSENS_GYRO, objtype=site, objname="imu")
-    found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+    count_contacts = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
     spec.add_sensor(
         type=mujoco.mjtSensor.mjSENS_CONTACT,
         objtype=mujoco.mjtObj.mjOBJ_GEOM,
         objname=_SPHERE,
-        intprm=[found, 0, 1],
+        intprm=[count_contacts, 0, 1],
     )

@@ -48,14 +48,14 @@ class Stop:
 
     instant: checkpoints.Instant
     loop: Loop
-    keeper: object
+    watching: Detector
     record: tuple = field(init=False)
 
     def __post_init__(self):
         record = self.loop.record
         self.record = record.rows[:], record.events[:], record.alarms[:], record.counts()
         self.injector = None if self.loop.taps.injector is None else self.loop.taps.injector.copy()
-        self.detector = self.keeper.save()
+        self.detector = self.watching.memory()
         self.redoing = bool(self.loop.awaited)
 
     def resume(self):
@@ -65,9 +65,9 @@ class Stop:
         loop.record.rows, loop.record.events, loop.record.alarms = rows[:], events[:], alarms[:]
         loop.record.set_counts(counts)
         loop.taps.injector = None if self.injector is None else self.injector.copy()
-        self.keeper.restore(self.detector)
-        if not isinstance(self.keeper.content, NoDetector):
-            loop.taps.detector = DetectorTap(loop, self.keeper.content)
+        self.watching.restore(self.detector)
+        if not isinstance(self.watching, NoDetector):
+            loop.taps.detector = DetectorTap(loop, self.watching)
         with np.errstate(all="ignore"):
             loop.run()
         return loop.flight().log
@@ -76,13 +76,12 @@ class Stop:
 def fly_with_stops(scenario, detector=None, injected=None, pitch=20):
     loop = new_loop(scenario, rewindable=True)
     loop.taps.injector = None if injected is None else StateInjector(injected)
-    keeper = checkpoints.DetectorKeeper(detector or NoDetector())
     watch(loop, detector)
     loop.begin()
     stops = []
     with np.errstate(all="ignore"):
         while loop.status is None:
-            stops.append(Stop(checkpoints.take(loop), loop, keeper))
+            stops.append(Stop(checkpoints.take(loop), loop, detector or NoDetector()))
             loop.run(len(loop.record.rows) // pitch * pitch + pitch)
     return loop.flight().log, stops
 
@@ -194,7 +193,7 @@ def test_a_checkpoint_that_forgets_a_part_of_the_loop_is_noticed(name, monkeypat
     assert not same_from_everywhere()
 
 
-@pytest.mark.parametrize("forgets", [checkpoints.DetectorKeeper, Simulator])
+@pytest.mark.parametrize("forgets", [Nervous, Simulator])
 def test_a_checkpoint_that_forgets_the_detector_or_the_vehicle_is_noticed(forgets, monkeypatch):
     monkeypatch.setattr(forgets, "restore", lambda *_: None)
     assert not same_from_everywhere()

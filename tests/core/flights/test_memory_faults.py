@@ -232,16 +232,16 @@ def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
 def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
     watching = detector("acceptance")
     part, spoilt, calls = part_of(watching, "acceptance"), [], []
-    judge = part._judges_at_ticks["control.command"]
+    judge = part._judges["control.command"]
 
-    def raising(header, record):
-        calls.append(header)
-        if record[0]["changes"] > 1 << 20:
-            spoilt.append(header)
+    def raising(state, now):
+        calls.append(state)
+        if part.record[0]["changes"] > 1 << 20:
+            spoilt.append(state)
             raise IndexError("of such a number")
-        return judge(header, record)
+        return judge(state, now)
 
-    part._judges_at_ticks["control.command"] = raising
+    part._judges["control.command"] = raising
     log = fly(mission(), MemoryFault("acceptance", "changes", None, "i8", AT, 40), watching).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "IndexError: of such a number")
     assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS

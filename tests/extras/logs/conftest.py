@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from mavfi.extras.airsim.calls import Call
+from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
+from mavfi.extras.logs.timeline import Message, tick_messages
 from mavfi.extras.logs.ulog import write_ulog
 from mavfi.extras.mavlink.tlog import write_tlog
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS, FlightLog, Injection
-from mavfi.report.export.files import write_bag, write_csv, write_mcap
-from mavfi.report.export.timeline import Message, tick_messages
 
 
 def make_log(seed, seconds=12.0, onset=None):

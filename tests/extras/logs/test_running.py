@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
+from mavfi.extras.logs.files import Maker
 from mavfi.extras.mavlink.tlog import Telemetry
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.flight.compose import resolve
@@ -14,7 +15,6 @@ from mavfi.flight.fly import fly
 from mavfi.flight.loop import Attached, Listener
 from mavfi.mission import MissionSpec
 from mavfi.numerics.frames import ned_of
-from mavfi.report.export.files import Maker
 from tests.extras.logs.viewer import Viewer
 
 pytestmark = pytest.mark.slow

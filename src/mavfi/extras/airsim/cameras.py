@@ -31,7 +31,7 @@ from mavfi.extras.airsim.table import (
     vehicle_call,
 )
 from mavfi.numerics.elementary import atan2, exp, tan
-from mavfi.numerics.frames import Triple, flipped, turned
+from mavfi.numerics.frames import Quaternion, Triple, flipped, turned
 from mavfi.numerics.rotations import rotation_matrix
 
 # ---- images, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG --------------------
@@ -70,15 +70,13 @@ class View:
 
     def planar(self) -> np.ndarray:
         """Distance of each pixel from the image plane (m). Shape (height * width,), float32."""
-        found: np.ndarray = self.ranges * self.rays[:, 0].astype(np.float32)
-        return found
+        return self.ranges * self.rays[:, 0].astype(np.float32)
 
     def points(self) -> np.ndarray:
         """Points in the world (m), infinite for the sky. Shape (height * width, 3)."""
         matrix = np.empty((3, 3))
         rotation_matrix(np.array(self.pose[3:]), matrix)
-        found: np.ndarray = np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
-        return found
+        return np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
 
 
 def check_kind(kind: int) -> None:
@@ -95,8 +93,7 @@ def floats(view: View, kind: int, sky: float) -> list[float]:
     depth = view.ranges if kind == PERSPECTIVE else view.planar()
     if kind == DISPARITY:
         depth = np.where(np.isfinite(depth), np.float32(_BASELINE_M) / np.maximum(depth, np.float32(1e-3)), 0.0)
-    found: list[float] = np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
-    return found
+    return np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
 
 
 def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
@@ -126,18 +123,17 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
     haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST)) if api.weather_on else 0.0
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
-    veiled: np.ndarray = clear * grey + (1.0 - clear) * 200.0
-    return veiled
+    return clear * grey + (1.0 - clear) * 200.0
 
 
 def owners(api: Api, view: View) -> np.ndarray:
     """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
     points, world = view.points(), api.vehicle.sim.world
-    found = np.where(np.isfinite(view.ranges), -1, -2)
-    for place in range(len(api.objects)):
-        lower, upper = world.lower[place] - _SURFACE_M, world.upper[place] + _SURFACE_M
-        found[((points >= lower) & (points <= upper)).all(axis=1)] = place
-    return found
+    owner = np.where(np.isfinite(view.ranges), -1, -2)
+    for index in range(len(api.objects)):
+        lower, upper = world.lower[index] - _SURFACE_M, world.upper[index] + _SURFACE_M
+        owner[((points >= lower) & (points <= upper)).all(axis=1)] = index
+    return owner
 
 
 def _segments(api: Api, view: View, kind: int) -> np.ndarray:
@@ -146,8 +142,7 @@ def _segments(api: Api, view: View, kind: int) -> np.ndarray:
     ids = np.array(segments, np.int64)[owners(api, view)]
     if kind == INFRARED:
         return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)
-    picture: np.ndarray = _colours()[ids % 256].reshape(view.height, view.width, 3)
-    return picture
+    return _colours()[ids % 256].reshape(view.height, view.width, 3)
 
 
 def _colours() -> np.ndarray:
@@ -189,38 +184,40 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
     Raises:
         BadInputError: There is none.
     """
-    known = _NUMBERS.get(str(name), str(name))
-    if known not in _CAMERAS:
+    camera_name = _NUMBERS.get(str(name), str(name))
+    if camera_name not in _CAMERAS:
         raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
-    if known not in api.cameras:
-        api.cameras[known] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[known]))
-    return api.cameras[known]
+    if camera_name not in api.cameras:
+        api.cameras[camera_name] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
+    return api.cameras[camera_name]
 
 
 def view(api: Api, name: Any, kind: int) -> View:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
-    found, (width, height) = find_camera(api, name), api.pixels
-    config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
-    placed = mount(found.position, found.orientation)
-    ranges, rays = api.vehicle.sim.ranges(config, placed)
+    camera, (width, height) = find_camera(api, name), api.pixels
+    config = CameraConfig(width=width, height=height, field_of_view=math.radians(camera.fov_deg), range=CAMERA_RANGE)
+    camera_mount = mount(camera.position, camera.orientation)
+    ranges, rays = api.vehicle.sim.ranges(config, camera_mount)
     if kind in DEPTH:
         ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
+    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
 
 
 def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
-    found = find_camera(api, name)
-    at = api.vehicle.sim.sensor_pose(mount(found.position, found.orientation))
+    camera = find_camera(api, name)
+    at = api.vehicle.sim.sensor_pose(mount(camera.position, camera.orientation))
     return api.vehicle.to_ned(np.array(at[:3])), (at[3], at[4], -at[5], -at[6])
 
 
-@call("simGetImage")
-def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = "") -> bytes:
+@call
+def simGetImage(
+    api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = ""
+) -> bytes:
     return encoded(api, view(api, camera_name, image_type), image_type)
 
 
-@camera_call("simGetImages")
-def _(api: Api, requests: Any) -> list[Data]:
+@camera_call
+def simGetImages(api: Api, requests: Any) -> list[Data]:
     return [_response(api, request) for request in requests]
 
 
@@ -242,8 +239,8 @@ def _response(api: Api, request: Any) -> Data:
     }  # fmt: skip
 
 
-@camera_call("simGetCameraInfo")
-def _(api: Api, camera_name: str) -> Data:
+@camera_call
+def simGetCameraInfo(api: Api, camera_name: str) -> Data:
     width, height = api.pixels
     fov = find_camera(api, camera_name).fov_deg
     x = 1.0 / tan(math.radians(0.5 * fov))
@@ -251,12 +248,12 @@ def _(api: Api, camera_name: str) -> Data:
     return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
 
 
-@camera_call("simSetCameraPose")
-def _(api: Api, camera_name: str, pose: Any) -> None:
+@camera_call
+def simSetCameraPose(api: Api, camera_name: str, pose: Any) -> None:
     place_camera(find_camera(api, camera_name), *pose_numbers(pose))
 
 
-def place_camera(camera: Camera, position: Triple, orientation: tuple[float, float, float, float]) -> None:
+def place_camera(camera: Camera, position: Triple, orientation: Quaternion) -> None:
     """Set position and orientation in the body frame FRD (m, w x y z).
 
     Raises:
@@ -270,15 +267,15 @@ def place_camera(camera: Camera, position: Triple, orientation: tuple[float, flo
     camera.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
 
 
-@camera_call("simSetCameraFov")
-def _(api: Api, camera_name: str, fov_degrees: float) -> None:
+@camera_call
+def simSetCameraFov(api: Api, camera_name: str, fov_degrees: float) -> None:
     if not NARROWEST <= fov_degrees <= WIDEST:
         raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: {NARROWEST:g} to {WIDEST:g} deg")
     find_camera(api, camera_name).fov_deg = float(fov_degrees)
 
 
-@vehicle_call("simSetCameraOrientation")
-def _(api: Api, camera_name: str, orientation: Any) -> None:
+@vehicle_call
+def simSetCameraOrientation(api: Api, camera_name: str, orientation: Any) -> None:
     camera = find_camera(api, camera_name)
     place_camera(camera, camera.position, quaternion(orientation))
 
@@ -303,9 +300,9 @@ def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: flo
     camera.film_mm, camera.fov_deg = film, fov
 
 
-def _preset(name: str, given: str, only: str) -> None:
-    if given != only:
-        raise BadInputError(f"{name}: {given!r}: allowed: {only!r}")
+def _preset(name: str, preset: str, only: str) -> None:
+    if preset != only:
+        raise BadInputError(f"{name}: {preset!r}: allowed: {only!r}")
 
 
 # ---- readings --------------------------------------------------------------------------------------------------------
@@ -342,7 +339,7 @@ def _add_reading(name: str, read: Callable[[Camera], Any]) -> None:
     def get(api: Api, camera_name: str) -> Any:
         return read(find_camera(api, camera_name))
 
-    camera_call(name)(get)
+    camera_call(get, name)
 
 
 for _name, _read in _READINGS.items():
@@ -350,27 +347,27 @@ for _name, _read in _READINGS.items():
 
 
 # ---- settings --------------------------------------------------------------------------------------------------------
-@camera_call("simSetPresetLensSettings")
-def _(api: Api, preset_lens_settings: str, camera_name: str) -> None:
+@camera_call
+def simSetPresetLensSettings(api: Api, preset_lens_settings: str, camera_name: str) -> None:
     find_camera(api, camera_name)
     _preset("simSetPresetLensSettings", preset_lens_settings, LENS)
 
 
-@camera_call("simSetFocalLength")
-def _(api: Api, focal_length: float, camera_name: str) -> None:
+@camera_call
+def simSetFocalLength(api: Api, focal_length: float, camera_name: str) -> None:
     camera = find_camera(api, camera_name)
     _set_optics("simSetFocalLength", camera, camera.film_mm, focal_length)
 
 
-@camera_call("simSetPresetFilmbackSettings")
-def _(api: Api, preset_filmback_settings: str, camera_name: str) -> None:
+@camera_call
+def simSetPresetFilmbackSettings(api: Api, preset_filmback_settings: str, camera_name: str) -> None:
     camera = find_camera(api, camera_name)
     _preset("simSetPresetFilmbackSettings", preset_filmback_settings, FILM)
     _set_optics("simSetPresetFilmbackSettings", camera, FILM_MM, focal_length(camera))
 
 
-@camera_call("simSetFilmbackSettings")
-def _(api: Api, sensor_width: float, sensor_height: float, camera_name: str) -> float:
+@camera_call
+def simSetFilmbackSettings(api: Api, sensor_width: float, sensor_height: float, camera_name: str) -> float:
     """Sides of the film (mm); the focal length stays.  Returns their ratio."""
     camera = find_camera(api, camera_name)
     _set_optics("simSetFilmbackSettings", camera, (sensor_width, sensor_height), focal_length(camera))
@@ -382,16 +379,16 @@ def _enable(api: Api, enable: bool, camera_name: str) -> None:
 
 
 for _name in ("simEnableManualFocus", "simEnableFocusPlane"):
-    camera_call(_name)(_enable)
+    camera_call(_enable, _name)
 
 
-@camera_call("simSetFocusDistance")
-def _(api: Api, value: float, camera_name: str) -> None:
+@camera_call
+def simSetFocusDistance(api: Api, value: float, camera_name: str) -> None:
     find_camera(api, camera_name).focus_distance = float(value)
 
 
-@camera_call("simSetFocusAperture")
-def _(api: Api, value: float, camera_name: str) -> None:
+@camera_call
+def simSetFocusAperture(api: Api, value: float, camera_name: str) -> None:
     find_camera(api, camera_name).aperture = float(value)
 
 
@@ -407,38 +404,38 @@ def _wanted(api: Api, camera_name: str, kind: int) -> Wanted:
     return api.detected.setdefault((str(camera_name), int(kind)), Wanted())
 
 
-@camera_call("simSetDetectionFilterRadius")
-def _(api: Api, camera_name: str, image_type: int, radius_cm: float) -> None:
+@camera_call
+def simSetDetectionFilterRadius(api: Api, camera_name: str, image_type: int, radius_cm: float) -> None:
     if not radius_cm >= 0.0:
         raise BadInputError(f"simSetDetectionFilterRadius: {radius_cm}: allowed: 0 or more (cm)")
     _wanted(api, camera_name, image_type).radius = 0.01 * radius_cm
 
 
-@camera_call("simAddDetectionFilterMeshName")
-def _(api: Api, camera_name: str, image_type: int, mesh_name: str) -> None:
+@camera_call
+def simAddDetectionFilterMeshName(api: Api, camera_name: str, image_type: int, mesh_name: str) -> None:
     _wanted(api, camera_name, image_type).names.append(str(mesh_name))
 
 
-@camera_call("simClearDetectionMeshNames")
-def _(api: Api, camera_name: str, image_type: int) -> None:
+@camera_call
+def simClearDetectionMeshNames(api: Api, camera_name: str, image_type: int) -> None:
     _wanted(api, camera_name, image_type).names.clear()
 
 
-@camera_call("simGetDetections")
-def _(api: Api, camera_name: str, image_type: int) -> list[Data]:
+@camera_call
+def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     """DetectionInfo of each object with a wanted name, within the radius, of which a pixel is seen."""
     wanted = _wanted(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
     owner, world = owners(api, seen).reshape(seen.height, seen.width), api.vehicle.sim.world
-    found = []
-    for place, name in enumerate(api.objects):
-        centre = 0.5 * (world.lower[place] + world.upper[place])
+    detections = []
+    for index, name in enumerate(api.objects):
+        centre = 0.5 * (world.lower[index] + world.upper[index])
         near = np.linalg.norm(centre - seen.pose[:3]) <= wanted.radius
         if near and any(fnmatchcase(name, pattern) for pattern in wanted.names):
-            rows, columns = np.nonzero(owner == place)
+            rows, columns = np.nonzero(owner == index)
             if len(rows):
-                found.append(_detection(api, seen, name, (world.lower[place], world.upper[place]), rows, columns))
-    return found
+                detections.append(_detection(api, seen, name, (world.lower[index], world.upper[index]), rows, columns))
+    return detections
 
 
 def _detection(

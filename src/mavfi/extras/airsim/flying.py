@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from inspect import Parameter, Signature
 from typing import Any
 
@@ -52,7 +53,7 @@ def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's
 
 
 # ---- control ---------------------------------------------------------------------------------------------------------
-call("reset")(lambda api: api.vehicle.reset())
+add_readings(call, {"reset": lambda api: api.vehicle.reset()})
 add_readings(
     vehicle_call,
     {
@@ -62,13 +63,13 @@ add_readings(
 )
 
 
-@vehicle_call("enableApiControl")
-def _(api: Api, is_enabled: bool) -> None:
+@vehicle_call
+def enableApiControl(api: Api, is_enabled: bool) -> None:
     api.vehicle.api = bool(is_enabled)
 
 
-@vehicle_call("armDisarm")
-def _(api: Api, arm: bool) -> bool:
+@vehicle_call
+def armDisarm(api: Api, arm: bool) -> bool:
     if bool(arm) != api.vehicle.sim.armed:
         if not arm:
             api.vehicle.cancel()
@@ -76,14 +77,14 @@ def _(api: Api, arm: bool) -> bool:
     return True
 
 
-@vehicle_call("simSetVehiclePose")
-def _(api: Api, pose: Any, ignore_collision: bool) -> bool:
+@vehicle_call
+def simSetVehiclePose(api: Api, pose: Any, ignore_collision: bool) -> bool:
     api.vehicle.place(*pose_numbers(pose))
     return True
 
 
-@vehicle_call("simSetKinematics")
-def _(api: Api, state: Any, ignore_collision: bool) -> None:
+@vehicle_call
+def simSetKinematics(api: Api, state: Any, ignore_collision: bool) -> None:
     try:
         moving = [triple(state[name]) for name in ("linear_velocity", "angular_velocity")]
     except (KeyError, TypeError):
@@ -94,23 +95,23 @@ def _(api: Api, state: Any, ignore_collision: bool) -> None:
 
 
 # ---- tasks -----------------------------------------------------------------------------------------------------------
-@task("takeoff")
-def _(api: Api, timeout_sec: float = 20.0) -> Task:
+@task
+def takeoff(api: Api, timeout_sec: float = 20.0) -> Task:
     return take_off(api.vehicle, timeout_sec)
 
 
-@task("land")
-def _(api: Api, timeout_sec: float = 60.0) -> Task:
+@partial(task, name="land")
+def _land(api: Api, timeout_sec: float = 60.0) -> Task:
     return land(api.vehicle, timeout_sec)
 
 
-@task("goHome")
-def _(api: Api, timeout_sec: float = 3e38) -> Task:
+@task
+def goHome(api: Api, timeout_sec: float = 3e38) -> Task:
     return fly_path(api.vehicle, [(0.0, 0.0, 0.0)], _HOME_SPEED, timeout_sec, Yaw())
 
 
-@task("hover")
-def _(api: Api) -> Task:
+@partial(task, name="hover")
+def _hover(api: Api) -> Task:
     return hover(api.vehicle)
 
 
@@ -145,15 +146,15 @@ def _add_velocity_task(name: str, arguments: str) -> None:
         return fly_velocity(api.vehicle, (*horizontal, vertical), duration, yaw)
 
     numbers = (*arguments.split(), "duration")
-    task(name)(_with_signature(fly, numbers, drivetrain=0, yaw_mode=None))
+    task(_with_signature(fly, numbers, drivetrain=0, yaw_mode=None), name)
 
 
 for _name, _arguments in _VELOCITIES.items():
     _add_velocity_task(_name, _arguments)
 
 
-@task("moveOnPath")
-def _(
+@task
+def moveOnPath(
     api: Api,
     path: Any,
     velocity: float,
@@ -171,8 +172,8 @@ def _(
     return fly_path(api.vehicle, [triple(point) for point in path], velocity, timeout_sec, yaw, lookahead)
 
 
-@task("moveToPosition")
-def _(
+@task
+def moveToPosition(
     api: Api,
     x: float,
     y: float,
@@ -187,8 +188,8 @@ def _(
     return fly_path(api.vehicle, [(x, y, z)], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
 
 
-@task("moveToGPS")
-def _(
+@task
+def moveToGPS(
     api: Api,
     latitude: float,
     longitude: float,
@@ -200,25 +201,25 @@ def _(
     lookahead: float,
     adaptive_lookahead: float,
 ) -> Task:
-    place = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
-    return fly_path(api.vehicle, [place], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
+    target = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
+    return fly_path(api.vehicle, [target], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
 
 
-@task("moveToZ")
-def _(
+@task
+def moveToZ(
     api: Api, z: float, velocity: float, timeout_sec: float, yaw_mode: Any, lookahead: float, adaptive_lookahead: float
 ) -> Task:
     north, east, _ = api.vehicle.position
     return fly_path(api.vehicle, [(north, east, z)], velocity, timeout_sec, yaw_of(yaw_mode), lookahead)
 
 
-@task("rotateToYaw")
-def _(api: Api, yaw: float, timeout_sec: float, margin: float) -> Task:
+@task
+def rotateToYaw(api: Api, yaw: float, timeout_sec: float, margin: float) -> Task:
     return turn_to(api.vehicle, math.radians(yaw), timeout_sec, math.radians(margin))
 
 
-@task("rotateByYawRate")
-def _(api: Api, yaw_rate: float, duration: float) -> Task:
+@task
+def rotateByYawRate(api: Api, yaw_rate: float, duration: float) -> Task:
     return fly_velocity(api.vehicle, (0.0, 0.0, 0.0), duration, Yaw(value=math.radians(yaw_rate)))
 
 
@@ -240,25 +241,33 @@ _ATTITUDES = {
 def _add_attitude_task(name: str, arguments: str) -> None:
     numbers = (*arguments.split(), "duration")
 
-    def fly(api: Api, *given: Any) -> Task:
-        own = dict(zip(numbers, given, strict=False))
-        vertical = Vertical(own.get("throttle"), own.get("z", 0.0))
-        if "roll_rate" in own:
-            rotors = at_rates(api.vehicle, own["roll_rate"], own["pitch_rate"], own["yaw_rate"], vertical)
+    def fly(api: Api, *values: Any) -> Task:
+        arguments_by_name = dict(zip(numbers, values, strict=False))
+        vertical = Vertical(arguments_by_name.get("throttle"), arguments_by_name.get("z", 0.0))
+        if "roll_rate" in arguments_by_name:
+            rotors = at_rates(
+                api.vehicle,
+                arguments_by_name["roll_rate"],
+                arguments_by_name["pitch_rate"],
+                arguments_by_name["yaw_rate"],
+                vertical,
+            )
         else:
-            yaw, yaw_rate = own.get("yaw", 0.0), own.get("yaw_rate")
-            rotors = at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
-        return fly_rotors(api.vehicle, rotors, own["duration"])
+            yaw, yaw_rate = arguments_by_name.get("yaw", 0.0), arguments_by_name.get("yaw_rate")
+            rotors = at_attitude(
+                api.vehicle, arguments_by_name["roll"], arguments_by_name["pitch"], yaw, yaw_rate, vertical
+            )
+        return fly_rotors(api.vehicle, rotors, arguments_by_name["duration"])
 
-    task(name)(_with_signature(fly, numbers))
+    task(_with_signature(fly, numbers), name)
 
 
 for _name, _arguments in _ATTITUDES.items():
     _add_attitude_task(_name, _arguments)
 
 
-@task("moveByMotorPWMs")
-def _(
+@task
+def moveByMotorPWMs(
     api: Api,
     front_right_pwm: float,
     rear_left_pwm: float,
@@ -272,8 +281,8 @@ def _(
     return fly_rotors(api.vehicle, motors(api.vehicle, shares), duration)
 
 
-@vehicle_call("moveByRC")
-def _(api: Api, rcdata: Any) -> None:
+@vehicle_call
+def moveByRC(api: Api, rcdata: Any) -> None:
     """Positions of the sticks of a remote control: roll, pitch and yaw rate from -1 to 1, throttle from 0 to 1."""
     try:
         sticks = {key: float(rcdata[key]) for key in ("roll", "pitch", "yaw", "throttle")}
@@ -289,8 +298,10 @@ def _(api: Api, rcdata: Any) -> None:
     api.vehicle.start(fly_rotors(api.vehicle, rotors, _RC_S))
 
 
-@task("moveByManual")
-def _(api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any) -> Task:
+@task
+def moveByManual(
+    api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any
+) -> Task:
     """Velocities from the sticks of the last moveByRC; without one, they are centred."""
     forward, right = vx_max * api.sticks.get("pitch", 0.0), vy_max * api.sticks.get("roll", 0.0)
     velocity = from_body(api.vehicle, forward, right)

@@ -44,23 +44,23 @@ add_readings(
 
 
 # ---- connection ------------------------------------------------------------------------------------------------------
-@call("getSettingsString")
-def _(api: Api) -> str:
+@call
+def getSettingsString(api: Api) -> str:
     """AirSim's settings, and under a key of its own what the server flies."""
     vehicles: Data = {api.name: {}}
-    own = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
-    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: own}
+    report = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
+    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: report}
     return json.dumps(settings)
 
 
-@call("simPrintLogMessage")
-def _(api: Api, message: Any, message_param: Any = "", severity: int = 0) -> bool:
+@call
+def simPrintLogMessage(api: Api, message: Any, message_param: Any = "", severity: int = 0) -> bool:
     return True
 
 
 # ---- time ------------------------------------------------------------------------------------------------------------
-@call("simPause")
-def _(api: Api, is_paused: bool) -> None:
+@call
+def simPause(api: Api, is_paused: bool) -> None:
     api.paused, api.resume_until_us = bool(is_paused), None
 
 
@@ -76,13 +76,13 @@ def continue_for(api: Api, seconds: float) -> None:
     api.resume_until_us = api.vehicle.now_us + round(seconds * 1e6 / STEP_US) * STEP_US
 
 
-@call("simContinueForTime")
-def _(api: Api, seconds: float) -> None:
+@call
+def simContinueForTime(api: Api, seconds: float) -> None:
     continue_for(api, seconds)
 
 
-@call("simContinueForFrames")
-def _(api: Api, frames: int) -> None:
+@call
+def simContinueForFrames(api: Api, frames: int) -> None:
     continue_for(api, 1e-6 * TICK_US * frames)
 
 
@@ -95,11 +95,11 @@ def _place(api: Api, name: str) -> int:
 
 def _box(api: Api, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Centre and size of an object (m), in the world. Shapes (3,)."""
-    world, place = api.vehicle.sim.world, _place(api, name)
-    return 0.5 * (world.lower[place] + world.upper[place]), world.upper[place] - world.lower[place]
+    world, index = api.vehicle.sim.world, _place(api, name)
+    return 0.5 * (world.lower[index] + world.upper[index]), world.upper[index] - world.lower[index]
 
 
-def _put(api: Api, place: int | None, centre: np.ndarray, size: np.ndarray) -> None:
+def _put(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) -> None:
     """Set one box; None = add it."""
     world = api.vehicle.sim.world
     if world.is_voxels:
@@ -107,10 +107,10 @@ def _put(api: Api, place: int | None, centre: np.ndarray, size: np.ndarray) -> N
     if not (np.isfinite(centre).all() and np.isfinite(size).all() and (size > 0.0).all()):
         raise BadInputError(f"object of size {size.tolist()}: allowed: finite numbers, a size above 0")
     lower, upper = world.lower.copy(), world.upper.copy()
-    if place is None:
+    if index is None:
         lower, upper = np.vstack([lower, centre - 0.5 * size]), np.vstack([upper, centre + 0.5 * size])
     else:
-        lower[place], upper[place] = centre - 0.5 * size, centre + 0.5 * size
+        lower[index], upper[index] = centre - 0.5 * size, centre + 0.5 * size
     api.vehicle.sim.set_boxes(lower, upper)
 
 
@@ -129,13 +129,13 @@ def _matching(names: Iterable[str], pattern: str) -> list[str]:
         raise BadInputError(f"{pattern!r}: {error}; allowed: a regular expression") from None
 
 
-@call("simListSceneObjects")
-def _(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
+@call
+def simListSceneObjects(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
     return _matching((api.name, *api.objects), name_regex)
 
 
-@call("simGetObjectPose")
-def _(api: Api, object_name: str, ned: bool = True) -> Data:
+@call
+def simGetObjectPose(api: Api, object_name: str, ned: bool = True) -> Data:
     """NaN for an object that does not exist, as in AirSim."""
     if object_name == api.name:
         return pose(api.vehicle.position, api.vehicle.orientation)
@@ -144,27 +144,27 @@ def _(api: Api, object_name: str, ned: bool = True) -> Data:
     return pose(api.vehicle.to_ned(_box(api, object_name)[0]), LEVEL)
 
 
-@call("simSetObjectPose")
-def _(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
+@call
+def simSetObjectPose(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
     centre = api.vehicle.to_world(_box_position(pose))
     _put(api, _place(api, object_name), centre, _box(api, object_name)[1])
     return True
 
 
-@call("simGetObjectScale")
-def _(api: Api, object_name: str) -> dict[str, float]:
+@call
+def simGetObjectScale(api: Api, object_name: str) -> dict[str, float]:
     return vector(_box(api, object_name)[1])
 
 
-@call("simSetObjectScale")
-def _(api: Api, object_name: str, scale_vector: Any) -> bool:
+@call
+def simSetObjectScale(api: Api, object_name: str, scale_vector: Any) -> bool:
     centre, _ = _box(api, object_name)
     _put(api, _place(api, object_name), centre, np.array(triple(scale_vector)))
     return True
 
 
-@call("simSpawnObject")
-def _(
+@call
+def simSpawnObject(
     api: Api,
     object_name: str,
     asset_name: str,
@@ -185,34 +185,34 @@ def _(
     return name
 
 
-@call("simDestroyObject")
-def _(api: Api, object_name: str) -> bool:
+@call
+def simDestroyObject(api: Api, object_name: str) -> bool:
     if object_name not in api.objects:
         return False
-    place, world = _place(api, object_name), api.vehicle.sim.world
-    api.vehicle.sim.set_boxes(np.delete(world.lower, place, axis=0), np.delete(world.upper, place, axis=0))
-    del api.objects[place]
+    index, world = _place(api, object_name), api.vehicle.sim.world
+    api.vehicle.sim.set_boxes(np.delete(world.lower, index, axis=0), np.delete(world.upper, index, axis=0))
+    del api.objects[index]
     contact = api.vehicle.sim.touched
-    if contact is not None and contact.obstacle >= place:  # obstacles are counted
-        number = DESTROYED if contact.obstacle == place else contact.obstacle - 1
+    if contact is not None and contact.obstacle >= index:  # obstacles are counted
+        number = DESTROYED if contact.obstacle == index else contact.obstacle - 1
         api.vehicle.sim.touched = replace(contact, obstacle=number)
     return True
 
 
-@call("simSetSegmentationObjectID")
-def _(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
-    found = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
-    api.segments.update(dict.fromkeys(found, int(object_id)))
-    return bool(found)
+@call
+def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
+    matching = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
+    api.segments.update(dict.fromkeys(matching, int(object_id)))
+    return bool(matching)
 
 
-@call("simGetSegmentationObjectID")
-def _(api: Api, mesh_name: str) -> int:
+@call
+def simGetSegmentationObjectID(api: Api, mesh_name: str) -> int:
     return api.segment(mesh_name) if mesh_name in (*api.objects, GROUND) else -1
 
 
-@call("simLoadLevel")
-def _(api: Api, level_name: str) -> bool:
+@call
+def simLoadLevel(api: Api, level_name: str) -> bool:
     """Fly in another shipped environment, with the same seed."""
     if level_name not in names("environments"):
         raise BadInputError(f"level {level_name!r}: not known; allowed: {', '.join(names('environments'))}")
@@ -221,19 +221,19 @@ def _(api: Api, level_name: str) -> bool:
     return True
 
 
-@call("simGetWorldExtents")
-def _(api: Api) -> list[dict[str, float]]:
+@call
+def simGetWorldExtents(api: Api) -> list[dict[str, float]]:
     world = api.vehicle.sim.world
     return [geo_point(api.vehicle.to_ned(corner)) for corner in (world.arena_lower, world.arena_upper)]
 
 
-@vehicle_call("simTestLineOfSightToPoint")
-def _(api: Api, point: Any) -> bool:
+@vehicle_call
+def simTestLineOfSightToPoint(api: Api, point: Any) -> bool:
     return api.vehicle.sim.is_free(api.vehicle.sim.odometry[:3].copy(), _geo(api, point))
 
 
-@call("simTestLineOfSightBetweenPoints")
-def _(api: Api, point1: Any, point2: Any) -> bool:
+@call
+def simTestLineOfSightBetweenPoints(api: Api, point1: Any, point2: Any) -> bool:
     return api.vehicle.sim.is_free(_geo(api, point1), _geo(api, point2))
 
 
@@ -242,34 +242,34 @@ def _geo(api: Api, point: Any) -> np.ndarray:
 
 
 # ---- weather, drawing, recording -------------------------------------------------------------------------------------
-@call("simSetWind")
-def _(api: Api, wind: Any) -> None:
+@call
+def simSetWind(api: Api, wind: Any) -> None:
     api.vehicle.sim.set_wind(flipped(triple(wind)))
 
 
-@call("simEnableWeather")
-def _(api: Api, enable: bool) -> None:
+@call
+def simEnableWeather(api: Api, enable: bool) -> None:
     api.weather_on = bool(enable)
 
 
-@call("simSetWeatherParameter")
-def _(api: Api, param: int, val: float) -> None:
+@call
+def simSetWeatherParameter(api: Api, param: int, val: float) -> None:
     """A value of 0 is accepted for all weather: there is none."""
     if param not in _DRAWN and not (param in _KNOWN_WEATHER and val == 0.0):
-        known = _KNOWN_WEATHER.get(param, "unknown")
+        weather = _KNOWN_WEATHER.get(param, "unknown")
         allowed = ", ".join(f"{number} ({name})" for number, name in _DRAWN.items())
-        raise BadInputError(f"simSetWeatherParameter: {param} ({known}): not drawn; allowed: {allowed}")
+        raise BadInputError(f"simSetWeatherParameter: {param} ({weather}): not drawn; allowed: {allowed}")
     api.weather[param] = min(1.0, max(0.0, float(val)))
 
 
-@call("startRecording")
-def _(api: Api) -> None:
+@call
+def startRecording(api: Api) -> None:
     """Nothing is written; the program flies as if it were."""
     api.recording = True
 
 
-@call("stopRecording")
-def _(api: Api) -> None:
+@call
+def stopRecording(api: Api) -> None:
     api.recording = False
 
 
@@ -278,7 +278,7 @@ def _nothing(api: Api, *arguments: Any) -> None:
 
 
 for _name in _NOTHING:
-    call(_name)(_nothing)
+    call(_nothing, _name)
 
 
 # ---- calls that are refused ------------------------------------------------------------------------------------------
@@ -337,7 +337,7 @@ def _refuse(name: str, reason: str) -> None:
     def refused(api: Api, *arguments: Any) -> None:
         raise BadInputError(f"{name}: {reason}")
 
-    call(name)(refused)
+    call(refused, name)
 
 
 for _name, _reason in REFUSED.items():
@@ -362,20 +362,20 @@ def identity(scenario: Scenario, world: World, *, in_flight: bool = True) -> dic
         Environment and vehicle by name, seed, wind (m/s, amplitude of gusts), start (x, y, m), goal (m), height of the
         start (m), speed limit (m/s).
     """
-    found = {
+    content = {
         "environment": scenario.environment.name, "seed": scenario.seed, "vehicle": scenario.vehicle.name,
         "wind": scenario.wind.gust, "start": world.start[:2].tolist(), "goal": world.goal.tolist(),
     }  # fmt: skip
-    return {**found, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else found
+    return {**content, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else content
 
 
 def reported(settings: Any) -> dict[str, Any]:  # noqa: ANN401 - a server's
     """The report in a server's settings (JSON); empty if there is none, as from AirSim itself."""
     try:
-        found = json.loads(settings)[KEY]
+        report = json.loads(settings)[KEY]
     except (KeyError, TypeError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return report if isinstance(report, dict) else {}
 
 
 def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
@@ -383,7 +383,7 @@ def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
     keys = [key for key in here if key in there and there[key] != here[key]]
     if not keys:
         return ""
-    theirs, ours = (", ".join(f"{key} {_text(one[key])}" for key in keys) for one in (there, here))
+    theirs, ours = (", ".join(f"{key} {_text(report[key])}" for key in keys) for report in (there, here))
     return f"it has {theirs}; this flight has {ours}"
 
 

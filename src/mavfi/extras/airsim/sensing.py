@@ -44,25 +44,25 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
 
 def collision(api: Api) -> Data:
     """CollisionInfo."""
-    v, found = api.vehicle, api.vehicle.collision
-    if found is None:
+    v, contact = api.vehicle, api.vehicle.collision
+    if contact is None:
         zero = vector((0, 0, 0))
         return {
             "has_collided": v.has_collided, "normal": zero, "impact_point": zero, "position": zero,
             "penetration_depth": 0.0, "time_stamp": 0, "object_name": "", "object_id": -1,
         }  # fmt: skip
     others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
-    name = others[found.obstacle] if found.obstacle < 0 else api.objects[found.obstacle]
+    name = others[contact.obstacle] if contact.obstacle < 0 else api.objects[contact.obstacle]
     return {
-        "has_collided": v.has_collided, "normal": vector(flipped(found.normal)),
-        "impact_point": vector(v.to_ned(found.point)), "position": vector(v.to_ned(found.vehicle)),
-        "penetration_depth": found.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - found.time_us),
-        "object_name": name, "object_id": found.obstacle,
+        "has_collided": v.has_collided, "normal": vector(flipped(contact.normal)),
+        "impact_point": vector(v.to_ned(contact.point)), "position": vector(v.to_ned(contact.vehicle)),
+        "penetration_depth": contact.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - contact.time_us),
+        "object_name": name, "object_id": contact.obstacle,
     }  # fmt: skip
 
 
-@vehicle_call("getMultirotorState")
-def _(api: Api) -> Data:
+@vehicle_call
+def getMultirotorState(api: Api) -> Data:
     switches = {f"switch{n}": 0 for n in range(1, 9)}
     sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
     return {
@@ -77,8 +77,8 @@ def _(api: Api) -> Data:
     }  # fmt: skip
 
 
-@vehicle_call("simGetGroundTruthEnvironment")
-def _(api: Api) -> Data:
+@vehicle_call
+def simGetGroundTruthEnvironment(api: Api) -> Data:
     position, *_ = api.vehicle.in_ned(api.vehicle.sim.odometry)
     height = geo_point(position)["altitude"]
     kelvin = 288.15 - 0.0065 * height
@@ -89,8 +89,8 @@ def _(api: Api) -> Data:
     }  # fmt: skip
 
 
-@vehicle_call("getRotorStates")
-def _(api: Api) -> Data:
+@vehicle_call
+def getRotorStates(api: Api) -> Data:
     thrusts, ratio = api.vehicle.sim.thrusts.tolist(), api.vehicle.scenario.vehicle.rotor_torque_ratio
     rotors = [{"thrust": thrust, "torque_scaler": thrust * ratio, "speed": _rotor_speed(thrust)} for thrust in thrusts]
     return {"timestamp": api.vehicle.stamp, "rotors": rotors}
@@ -103,8 +103,8 @@ def _rotor_speed(thrust: float) -> float:
 
 
 # ---- motion sensors --------------------------------------------------------------------------------------------------
-@vehicle_call("getImuData")
-def _(api: Api, imu_name: str = "") -> Data:
+@vehicle_call
+def getImuData(api: Api, imu_name: str = "") -> Data:
     sample = api.vehicle.imu()
     return {
         "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
@@ -118,22 +118,22 @@ def _pressure(height: float) -> float:
     return float(_SEA_LEVEL_PA * base**5.25588) if base > 0.0 else 0.0
 
 
-@vehicle_call("getBarometerData")
-def _(api: Api, barometer_name: str = "") -> Data:
+@vehicle_call
+def getBarometerData(api: Api, barometer_name: str = "") -> Data:
     height = geo_point(api.vehicle.position)["altitude"]
     return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
 
 
-@vehicle_call("getMagnetometerData")
-def _(api: Api, magnetometer_name: str = "") -> Data:
+@vehicle_call
+def getMagnetometerData(api: Api, magnetometer_name: str = "") -> Data:
     matrix = np.empty((3, 3))
     rotation_matrix(np.array(api.vehicle.orientation), matrix)
     body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
     return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
 
 
-@vehicle_call("getGpsData")
-def _(api: Api, gps_name: str = "") -> Data:
+@vehicle_call
+def getGpsData(api: Api, gps_name: str = "") -> Data:
     v = api.vehicle
     gnss = {
         "geo_point": geo_point(v.position), "eph": 0.1, "epv": 0.1, "velocity": vector(v.velocity), "fix_type": 3,
@@ -142,11 +142,11 @@ def _(api: Api, gps_name: str = "") -> Data:
     return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
 
 
-@vehicle_call("getDistanceSensorData")
-def _(api: Api, distance_sensor_name: str = "") -> Data:
-    found = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
+@vehicle_call
+def getDistanceSensorData(api: Api, distance_sensor_name: str = "") -> Data:
+    distance = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
     return {
-        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, found)), "min_distance": _NEAREST,
+        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, distance)), "min_distance": _NEAREST,
         "max_distance": _FARTHEST, "relative_pose": pose((0, 0, 0), LEVEL),
     }  # fmt: skip
 
@@ -161,8 +161,8 @@ def lidar_rays() -> np.ndarray:
     return np.array([(level * x, -level * y, up) for level, up in tilts for x, y in turns])
 
 
-@vehicle_call("getLidarData")
-def _(api: Api, lidar_name: str = "") -> Data:
+@vehicle_call
+def getLidarData(api: Api, lidar_name: str = "") -> Data:
     """Points in NED (AirSim's frame VehicleInertialFrame)."""
     v, rays = api.vehicle, lidar_rays()
     ranges = v.sim.cast(rays, _LIDAR_RANGE)

@@ -8,6 +8,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.flight.piloted import PilotedVehicle
+from mavfi.numerics.frames import Quaternion, Triple
 
 GROUND = "Ground"
 """Name of the ground plane."""
@@ -37,8 +38,8 @@ class Camera:
         aperture: What the program has set (f-number).
     """
 
-    position: tuple[float, float, float]
-    orientation: tuple[float, float, float, float]
+    position: Triple
+    orientation: Quaternion
     fov_deg: float = 90.0
     film_mm: tuple[float, float] = FILM_MM
     focus_distance: float = 100_000.0
@@ -126,11 +127,11 @@ class Call:
         """Its parameters, without the `Api`."""
         return [*list(signature(self.function).parameters.values())[1:], *self.ending]
 
-    def run(self, api: Api, given: list[Any]) -> Any:
+    def run(self, api: Api, values: list[Any]) -> Any:
         """What the function returns for arguments that `check` accepts."""
         if self.ending:
-            given = given[: len(self.parameters) - len(self.ending)]
-        return self.function(api, *given)
+            values = values[: len(self.parameters) - len(self.ending)]
+        return self.function(api, *values)
 
     @property
     def arguments(self) -> list[str]:
@@ -139,12 +140,12 @@ class Call:
 
     def is_double(self, path: Sequence[str | int]) -> bool:
         """Whether AirSim's signature has a double or float at a path, which begins with the place of an argument."""
-        place, *inside = path
+        index, *inside = path
         if inside:
             return inside[-1] in _DOUBLES
-        return isinstance(place, int) and place < len(self.parameters) and self.parameters[place].annotation is float
+        return isinstance(index, int) and index < len(self.parameters) and self.parameters[index].annotation is float
 
-    def check(self, api: Api, given: list[Any]) -> None:
+    def check(self, api: Api, values: list[Any]) -> None:
         """Check the number and the types of arguments and the name of the vehicle.
 
         Raises:
@@ -153,10 +154,10 @@ class Call:
         if any(parameter.kind is Parameter.VAR_POSITIONAL for parameter in self.parameters):
             return
         needed = sum(parameter.default is Parameter.empty for parameter in self.parameters)
-        if not needed <= len(given) <= len(self.parameters):
+        if not needed <= len(values) <= len(self.parameters):
             allowed = ", ".join(self.arguments) or "none"
-            raise BadInputError(f"{self.name}: {len(given)} arguments; allowed: {allowed}")
-        for parameter, value in zip(self.parameters, given, strict=False):
+            raise BadInputError(f"{self.name}: {len(values)} arguments; allowed: {allowed}")
+        for parameter, value in zip(self.parameters, values, strict=False):
             name = parameter.name
             if parameter.annotation in (bool, int, float) and not isinstance(value, (int, float)):
                 raise BadInputError(f"{self.name}: {name}: {value!r}: allowed: a number")
@@ -174,15 +175,12 @@ _EXTERNAL = Parameter("external", _KIND, default=False)
 
 
 def call(
-    name: str, *, is_task: bool = False, ending: tuple[Parameter, ...] = ()
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Register a function as the call of this name."""
-
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        CALLS[name] = Call(name, function, is_task, ending)
-        return function
-
-    return add
+    function: Callable[..., Any], name: str = "", *, is_task: bool = False, ending: tuple[Parameter, ...] = ()
+) -> Callable[..., Any]:
+    """Register a function as the call of its own or another name."""
+    name = name or function.__name__
+    CALLS[name] = Call(name, function, is_task, ending)
+    return function
 
 
 vehicle_call = partial(call, ending=(_VEHICLE,))
@@ -193,10 +191,10 @@ task = partial(vehicle_call, is_task=True)
 """Register a function that returns a `Task`, which needs running motors."""
 
 
-def add_readings(register: Callable[[str], Any], readings: Mapping[str, Callable[[Api], Any]]) -> None:
+def add_readings(register: Callable[..., Any], readings: Mapping[str, Callable[[Api], Any]]) -> None:
     """Register functions of the `Api` alone, by name; `register`: `call` or `vehicle_call`."""
     for name, read in readings.items():
-        register(name)(read)
+        register(read, name)
 
 
 def find_call(name: Any) -> Call:

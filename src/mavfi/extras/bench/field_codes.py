@@ -12,8 +12,8 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import REGIMES
 from mavfi.detectors.model import Model
+from mavfi.detectors.preprocess import VehicleQueue
 from mavfi.detectors.training import Sample, TrainedDetector, Training, check_finite, join
-from mavfi.detectors.vehicle import VehicleQueue
 from mavfi.extras.bench import residual_state, residuals
 from mavfi.numerics.jit import entry
 from mavfi.states import AUTOPILOTS, ODOMETRY, STATES, State, new_state, rows
@@ -37,18 +37,14 @@ class _Watched(NamedTuple):
     from_vehicle: bool = False
 
 
-def _fields(*names: str) -> tuple[tuple[str, str, str], ...]:
-    return tuple((name, name, "") for name in names)
-
-
-def _of(unit: str, *names: str) -> tuple[tuple[str, str, str], ...]:
+def _fields(*names: str, unit: str = "") -> tuple[tuple[str, str, str], ...]:
     return tuple((name, name, unit) for name in names)
 
 
 _WATCHED = {
     "perception.collision_status": _Watched(
         residual_state.measure_status,
-        (*_of("octave", "time_to_collision", "distance_to_blocked", "distance_to_unknown"),
+        (*_fields("time_to_collision", "distance_to_blocked", "distance_to_unknown", unit="octave"),
          *_fields("future_collision_seq", "trajectory_seq", "collision")),
         False, 0,
     ),
@@ -108,9 +104,13 @@ class FieldCodes:
         self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
         self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
         self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
-        self.quanta = np.array(
-            [_quantum(state, residual, autopilot) for state, own in _WATCHED.items() for residual in own.names]
-        )
+        quanta = []
+        for state, watched in _WATCHED.items():
+            for _, name, unit in watched.names:
+                field = STATES[state].find(name)
+                dead = autopilot in AUTOPILOTS and field.dead_in(autopilot)
+                quanta.append(0.0 if dead else QUANTA[unit or field.unit])
+        self.quanta = np.array(quanta)
         ends = np.cumsum([len(own.names) for own in _WATCHED.values()])
         self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
         self.states = frozenset(filter(self._is_read, self.slots)).union(ODOMETRY.values())
@@ -161,10 +161,6 @@ class FieldCodes:
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index of a state's residuals."""
         return self._ranges[slot]
-
-    def slot_of(self, index: int) -> int:
-        """Index of the state of a residual."""
-        return next(slot for slot, (_, last) in enumerate(self._ranges) if index < last)
 
     def read(self, state: State, slot: int) -> None:
         """Compute the codes of a publication of the state with this slot, in `measured`."""
@@ -223,12 +219,6 @@ class FieldCodes:
 
 _POSITIONS = tuple(ODOMETRY.values())
 _SIZES = np.array([len(own.names) for own in _WATCHED.values()])
-
-
-def _quantum(state: str, residual: tuple[str, str, str], autopilot: str) -> float:
-    _, field, unit = residual
-    found = STATES[state].find(field)
-    return 0.0 if autopilot in AUTOPILOTS and found.dead_in(autopilot) else QUANTA[unit or found.unit]
 
 
 class CodeRecorder(Detector):

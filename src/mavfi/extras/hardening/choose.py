@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
 from mavfi.extras.hardening.plan import Site
 from mavfi.ir.flow import back_edges
-from mavfi.ir.module import Instruction, Module, is_floating
+from mavfi.ir.module import Function, Instruction, Module, is_floating
 
 _DIVISIONS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
 _ROUNDING = re.compile(r"@(?:llvm\.)?(?:sqrt|floor|ceil|trunc|rint|nearbyint|round|roundeven)f?(?:\.|$)")
@@ -132,17 +132,25 @@ def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, ad
                 Entry(index.get(name, OUTSIDE), counts.get(label) or 0.0, (label, header) in back)
                 for name, label in instruction.incoming
             )
-        for block in function.blocks:
-            for instruction in block.all():
-                if is_fork(instruction):
-                    continue
-                user = index.get(str(instruction.result), OUTSIDE)
-                needed = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
-                for name, label in needed:
-                    if name in index:
-                        compared = addresses and reads_memory(instruction) and name in instruction.addresses
-                        values[index[name]].uses.append(Use(user, label, counts.get(label), compared))
+        for name, use in _uses_of(function, index, counts, addresses=addresses):
+            values[index[name]].uses.append(use)
     return values
+
+
+def _uses_of(
+    function: Function, index: Mapping[str, int], counts: Mapping[str, float | None], *, addresses: bool
+) -> Iterator[tuple[str, Use]]:
+    """Uses of the values with an index, by name."""
+    for block in function.blocks:
+        for instruction in block.all():
+            if is_fork(instruction):
+                continue
+            user = index.get(str(instruction.result), OUTSIDE)
+            needed = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
+            for name, label in needed:
+                if name in index:
+                    compared = addresses and reads_memory(instruction) and name in instruction.addresses
+                    yield name, Use(user, label, counts.get(label), compared)
 
 
 def weight_of(instruction: Instruction) -> float:
@@ -337,6 +345,12 @@ class Chooser:
             if chosen not in found:
                 found[chosen] = self.choice(chosen)
         return upper_hull(found.values())
+
+    def share(self, fraction: float) -> Choice:
+        """The choice that adds at most a fraction of the instructions of full duplication."""
+        if fraction in (0.0, 1.0):
+            return self.full if fraction else NOTHING
+        return self.within(fraction * self.full.cost)
 
     def within(self, budget: float) -> Choice:
         """The best known choice that adds at most `budget` dynamic instructions: a larger one never covers less."""

@@ -1,13 +1,14 @@
 """`mavfi harden`: which instructions of the kernels to duplicate, and the certificate of such a plan."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
 from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_number, check_writable, console, say_written, write_json
@@ -15,7 +16,8 @@ from mavfi.errors import BadInputError
 from mavfi.files import is_file
 
 if TYPE_CHECKING:
-    from mavfi.extras.hardening.study import Study
+    from mavfi.analysis.table import Table
+    from mavfi.extras.hardening.advise import Study
 
 EXIT_REFUTED = 3
 
@@ -53,30 +55,26 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
     """
-    from mavfi.extras.hardening.study import Study
+    from mavfi.extras.hardening.advise import Study
 
     check_number("--budget", budget, 0.0, 10.0)
     check_number("--faults", faults, 1, 100_000)
     names = options.listed(kernels)
     if certify:
-        _check_certify(plan, {"--budget": budget, "--addresses": addresses or None})
+        if plan is None:
+            raise BadInputError("--plan: not given: allowed with --certify: the file of a plan")
+        for option, value in (("--budget", budget), ("--addresses", addresses or None)):
+            if value is not None:
+                raise BadInputError(f"{option}: {value}: allowed: without --certify")
         check_file("--html", html, PAGES)
-        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, html, as_json=as_json)
+        _certify(Study.open(directory, names), plan, faults or 400, html, as_json=as_json)
         return
     if faults is not None:
         raise BadInputError(f"--faults: {faults}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
     check_file("--html", html, PAGES)
-    study, share = Study.open(directory, names), 0.10 if budget is None else budget
-    _advise(study, share, plan, html, addresses=addresses, as_json=as_json)
-
-
-def _check_certify(plan: Path | None, others: Mapping[str, Any]) -> None:
-    if plan is None:
-        raise BadInputError("--plan: not given: allowed with --certify: the file of a plan")
-    for option, value in others.items():
-        if value is not None:
-            raise BadInputError(f"{option}: {value}: allowed: without --certify")
+    share = 0.10 if budget is None else budget
+    _advise(Study.open(directory, names), share, plan, html, addresses=addresses, as_json=as_json)
 
 
 def _tell(text: str) -> None:
@@ -84,71 +82,56 @@ def _tell(text: str) -> None:
 
 
 def _advise(
-    study: "Study", budget: float, plan: Path | None, html: Path | None, *, addresses: bool, as_json: bool
+    study: "Study", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
 ) -> None:
-    from rich.text import Text
+    from mavfi.extras.hardening import certify, plan, report, summary
+    from mavfi.extras.hardening.advise import advise, plan_of
 
-    from mavfi.extras.hardening.certification import with_certified
-    from mavfi.extras.hardening.page import write_page
-    from mavfi.extras.hardening.plan import load_plan, save_plan
-    from mavfi.extras.hardening.study import advise, plan_of
-    from mavfi.extras.hardening.summary import harm_of, summary
-    from mavfi.extras.hardening.text import advice_table, caveats, headline
-    from mavfi.report.text import show_table
-
-    harm = harm_of(study.runs)
+    harm = summary.harm_of(study.runs)
     advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
     made = plan_of(study, advices)
-    if plan is not None:
+    if path is not None:
         with suppress(BadInputError):  # there is none yet
-            made = with_certified(made, load_plan(plan))
-        save_plan(made, plan)
-    found = summary(study, advices, harm, made)
+            made = certify.with_certified(made, plan.load_plan(path))
+        plan.save_plan(made, path)
+    advice = summary.summary(study, advices, harm, made)
     if html is not None:
-        write_page(html, found, study.directory, plan)
+        report.write_page(html, advice, study.directory, path)
     if as_json:
-        write_json(asdict(found))
+        write_json(asdict(advice))
         return
-    out = console()
-    out.print(Text(headline(found), style="bold"))
-    for line in caveats(found):
-        out.print(Text(line))
-    out.print()
-    show_table(advice_table(found), out)
-    say_written(plan, html)
+    _show(report.headline(advice), report.caveats(advice), report.advice_table(advice))
+    say_written(path, html)
 
 
 def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
-    from rich.text import Text
+    from mavfi.extras.hardening import certify, plan, report
 
-    from mavfi.extras.hardening.certification import (
-        certification_json,
-        certified_plan,
-        certify_plan,
-        save_certification,
-    )
-    from mavfi.extras.hardening.page import write_certificate
-    from mavfi.extras.hardening.plan import load_plan, save_plan
-    from mavfi.extras.hardening.text import certificate_table, verdict_line
-    from mavfi.report.text import show_table
-
-    plan = load_plan(str(path))
+    planned = plan.load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))
-    found = certify_plan(study, plan, faults, _tell)
-    written = [save_certification(found, path)]
+    certified = certify.certify_plan(study, planned, faults, _tell)
+    written = [certify.save_certification(certified, path)]
     if is_file(path):  # not a shipped plan, given by name
-        save_plan(certified_plan(plan, found), path)
+        plan.save_plan(certify.certified_plan(planned, certified), path)
         written.append(path)
     if html is not None:
-        write_certificate(html, found, study.directory, path, study.selected)
+        report.write_certificate(html, certified, study.directory, path, study.selected)
         written.append(html)
     if as_json:
-        write_json(certification_json(found))
+        write_json(certify.certification_json(certified))
     else:
-        out = console()
-        out.print(Text(verdict_line(found), style="bold"))
-        out.print()
-        show_table(certificate_table(found), out)
+        _show(report.verdict_line(certified), (), report.certificate_table(certified))
         say_written(*written)
-    if found.refuted:
+    if certified.refuted:
         raise typer.Exit(EXIT_REFUTED)
+
+
+def _show(headline: str, lines: Iterable[str], table: "Table") -> None:
+    from mavfi.report.text import show_table
+
+    out = console()
+    out.print(Text(headline, style="bold"))
+    for line in lines:
+        out.print(Text(line))
+    out.print()
+    show_table(table, out)

@@ -10,9 +10,8 @@ same core takes the free slots that shadows need
 import ctypes
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -146,8 +145,7 @@ _QUIET_SHARE, _FEWEST_QUIET = 0.25, 3
 """Share of a call's rounds that count, the fastest ones, and their fewest number."""
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(NamedTuple):
     """Time of variants of a function over recorded calls.
 
     Attributes:

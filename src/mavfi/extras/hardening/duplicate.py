@@ -15,7 +15,6 @@ The first part says which instructions can be duplicated, the last one changes t
 import re
 from collections import defaultdict
 from collections.abc import Collection
-from copy import copy
 from dataclasses import replace
 
 from mavfi.extras.hardening.plan import Site
@@ -249,7 +248,13 @@ class _Duplicator:
         for block in self.function.blocks:
             self._write(block)
         for block in self.made:
-            block.phis = [self._relabelled(phi, block.label) for phi in block.phis]
+            block.phis = [  # they name the parts of blocks that lead to them
+                replace(
+                    phi,
+                    incoming=[(value, self.ends.get((before, block.label), before)) for value, before in phi.incoming],
+                )
+                for phi in block.phis
+            ]
         if any(_STOP in successors(block.terminator) for block in self.made):
             end = Instruction("ret", ["ret", "i32", str(DETECTED)])
             self.made.append(Block(_STOP, terminator=end, unreached=True))
@@ -284,7 +289,8 @@ class _Duplicator:
                 self._shadow(one, shadow(one.result))
             self._check_where_computed(one, block.label)
             if one.callee in self.detecting:
-                self._propagate(one)
+                # the called function has detected a difference: its caller need not look at the status
+                self._stop_if("eq", "i32", [str(one.result), str(DETECTED)], one)
         for name in self.checked_last[block.label]:
             self._check(name, block.terminator)
         self.block.body += self.tails[block.label]
@@ -383,10 +389,6 @@ class _Duplicator:
             kind = word
         self._stop_if("ne", kind, pair, like)
 
-    def _propagate(self, call: Instruction) -> None:
-        """Return if the called function has detected a difference: its caller need not look at the status."""
-        self._stop_if("eq", "i32", [str(call.result), str(DETECTED)], call)
-
     def _stop_if(self, predicate: str, kind: str, pair: list[str], like: Instruction) -> None:
         differs = self._new("icmp", [predicate, kind, pair[0], ",", pair[1]], "i1", like, self.block.body, CHECK)
         first = self.block.label.split("c")[0]
@@ -413,12 +415,6 @@ class _Duplicator:
             pair = (target, _STOP) if number == 0 else (_STOP, target)
             self.block.terminator = _branch(other, *pair, "!2" if number == 0 else "!1", end)
             self.ends[label, target] = edge
-
-    def _relabelled(self, phi: Instruction, label: str) -> Instruction:
-        """A phi that names the parts of blocks which lead to it."""
-        new = copy(phi)
-        new.incoming = [(value, self.ends.get((before, label), before)) for value, before in phi.incoming]
-        return new
 
 
 def _settled(function: Function) -> Function:

@@ -11,6 +11,7 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from importlib.metadata import version
 from itertools import groupby
+from operator import not_
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -18,10 +19,8 @@ import yaml
 from pydantic import (
     Field,
     NonNegativeInt,
-    SerializerFunctionWrapHandler,
     field_serializer,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
@@ -61,6 +60,11 @@ class Coverage(Config):
         return self
 
 
+def _is_none(value: Any) -> bool:
+    """Whether an optional value is left out: a plan without it has the digest that it had before there was any."""
+    return value is None
+
+
 class FunctionPlan(Config):
     """Protection of one compiled function for one signature."""
 
@@ -75,10 +79,12 @@ class FunctionPlan(Config):
     lines: tuple[str, ...] = Field((), description="source lines of the sites, file:line, for readers")
     time: float = Field(1.0, ge=1, le=100, description="protected / plain execution time, measured")
     share: float | None = Field(
-        None, ge=0, le=1, description="of the plain execution time of its kernel in a flight; absent = not known"
+        None, ge=0, le=1, exclude_if=_is_none, description="of its kernel's plain execution time; absent = not known"
     )
     predicted: Coverage | None = Field(None, description="coverage predicted from injections in recorded calls")
-    certified: Coverage | None = Field(None, description="coverage measured with fresh missions and faults")
+    certified: Coverage | None = Field(
+        None, exclude_if=_is_none, description="coverage measured with fresh missions and faults"
+    )
 
     @field_validator("sites", mode="before")
     @classmethod
@@ -95,15 +101,6 @@ class FunctionPlan(Config):
     @field_serializer("sites")
     def _compact(self, sites: tuple[Site, ...]) -> dict[int, str]:
         return {number: " ".join(_ranges(list(own))) for number, own in groupby(sites, key=lambda site: site.function)}
-
-    @model_serializer(mode="wrap")
-    def _known(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A plan without shares or certificate has the digest that it had before there were any."""
-        found: dict[str, Any] = write(self)
-        for key in ("share", "certified"):
-            if getattr(self, key) is None:
-                found.pop(key, None)
-        return found
 
     @model_validator(mode="after")
     def _consistent(self) -> "FunctionPlan":
@@ -124,9 +121,11 @@ class Plan(Config):
     cpu: str = Field("", description="class of the processor on which times were measured")
     ledger: str = Field("", description="digest of the ledger whose missions were studied")
     studied: dict[str, tuple[NonNegativeInt, NonNegativeInt]] = Field(
-        {}, description="their first and last seed, by environment"
+        {}, exclude_if=not_, description="their first and last seed, by environment"
     )
-    budget: float | None = Field(None, ge=0, description="largest share of a flight's kernel time that it was to add")
+    budget: float | None = Field(
+        None, ge=0, exclude_if=_is_none, description="largest share of a flight's kernel time that it was to add"
+    )
     functions: tuple[FunctionPlan, ...] = ()
 
     @model_validator(mode="after")
@@ -149,15 +148,6 @@ class Plan(Config):
             one.model_copy(update=nothing) for one in self.functions if one.kind != "none" or one.time > 1.0
         )
         return self.model_copy(update={"functions": functions, "studied": {}, "budget": None})
-
-    @model_serializer(mode="wrap")
-    def _known(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A plan without studied seeds or budget has the digest that it had before there were any."""
-        found: dict[str, Any] = write(self)
-        for key in ("studied", "budget"):
-            if getattr(self, key) in ({}, None):
-                found.pop(key, None)
-        return found
 
     def has_studied(self, environment: str, seed: int) -> bool:
         """Whether its choice has seen a mission; of environments that it does not list it has seen none."""

@@ -11,12 +11,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.flight.loop import Item, Loop
-from mavfi.mission import MissionStatus
-from mavfi.record import COLUMNS
-from mavfi.report.export.files import Maker
-from mavfi.report.export.lines import INFO, end_line, line_of
-from mavfi.report.export.timeline import (
+from mavfi.extras.logs.files import Maker
+from mavfi.extras.logs.timeline import (
     TICK_TOPICS,
     Converter,
     Message,
@@ -26,6 +22,10 @@ from mavfi.report.export.timeline import (
     stamp_ns,
     tick_messages,
 )
+from mavfi.flight.loop import Item, Loop
+from mavfi.mission import MissionStatus
+from mavfi.record import COLUMNS
+from mavfi.report.lines import INFO, lines_at
 from mavfi.states import State
 
 HOST, PORT = "127.0.0.1", 8765
@@ -121,8 +121,7 @@ class LiveView:
     def tick(self, row: np.ndarray, items: list[Item], status: MissionStatus | None) -> None:
         """See `Observer`."""
         if items or status is not None:
-            lines = [line for item in items if (line := line_of(item)) is not None]
-            self._send(map(log_message, [*lines, *([] if status is None else [end_line(float(row[0]), status)])]))
+            self._send(map(log_message, lines_at(float(row[0]), items, status)))
         now = time.monotonic()
         if status is not None or self._motion.due(now):
             with self._motion:

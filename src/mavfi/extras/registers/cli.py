@@ -8,7 +8,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_name, check_seed, console, write_json
+from mavfi.cli.console import check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import DEFAULT_WALK
 from mavfi.plugins import extensions
@@ -19,38 +19,6 @@ if TYPE_CHECKING:
 PROCESSES = "mavfi.processes"
 """Group of entry points: objects with `options` (see `with_extra_options`), each of which names a process in another
 way than its id, and `pid_of(values)`, the process id; None = their options are not set."""
-_LONGEST_S = 1e6
-
-RegistersOption = Annotated[
-    str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
-]
-SeedOption = Annotated[
-    int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
-]
-
-
-def register_options(registers: str | None, seed: int | None, *, has_fault: bool) -> tuple[str, int]:
-    """Values of `--registers` and `--register-seed`, which need a register fault."""
-    from mavfi.faults.fault import REGISTERS
-
-    for option, value in (("--registers", registers), ("--register-seed", seed)):
-        if value is not None and not has_fault:
-            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
-    check_name("--registers", registers or "all", REGISTERS)
-    check_seed("--register-seed", seed or 0)
-    return registers or "all", seed or 0
-
-
-def instant(option: str, text: str, example: str = "octomap@20") -> tuple[str, int]:
-    """Parse node and instant (s), as in `example`, to name and microseconds; raises `BadInputError` if invalid."""
-    node, separator, seconds = text.partition("@")
-    try:
-        time_s = float(seconds)
-    except ValueError:
-        separator, time_s = "", 0.0
-    if not separator or not 0.0 <= time_s < _LONGEST_S:
-        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. {example}")
-    return node, round(1e6 * time_s)
 
 
 @options.with_extra_options(PROCESSES)
@@ -114,8 +82,8 @@ def _process(pid: int | None, others: dict[str, Any]) -> int:
 
 def _report(injection: Injection) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
-    known = injection.details
-    when = "before" if known["access"] == "read" else "after"
+    details = injection.details
+    when = "before" if details["access"] == "read" else "after"
     done, values = "injected", f"{injection.before} → {injection.after}"
     if not injection.activated:
         done = "NOT injected as planned"
@@ -123,10 +91,10 @@ def _report(injection: Injection) -> None:
         done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
     out = console()
     out.print(Text.assemble(
-        f"pid {known['pid']}, thread {known['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
-        f"{when} ", (known["instruction"], "bold"), f": {values}",
+        f"pid {details['pid']}, thread {details['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
+        f"{when} ", (details["instruction"], "bold"), f": {values}",
     ))  # fmt: skip
     out.print(Text(
-        f"  at {known['address']}, {known['symbol'] or known['offset']} in {known['library']}; "
-        f"stood still for {known['stopped_us'] / 1000:.2f} ms", style="dim",
+        f"  at {details['address']}, {details['symbol'] or details['offset']} in {details['library']}; "
+        f"stood still for {details['stopped_us'] / 1000:.2f} ms", style="dim",
     ))  # fmt: skip

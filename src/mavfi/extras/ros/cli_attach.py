@@ -19,11 +19,11 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.extras.ros.node.injector import MessageInjector
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.extras.ros.node.survey import Survey
     from mavfi.extras.ros.node.watch import Listener
     from mavfi.faults.levels.message.definition import Definition
-    from mavfi.faults.levels.message.injector import MessageInjector
     from mavfi.flight.log_readers import Probe
     from mavfi.record import Injection
 
@@ -64,12 +64,12 @@ def list_graph(
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.survey import survey
 
-    found = survey(Master(), seconds)
+    graph = survey(Master(), seconds)
     if as_json:
-        write_json(found.to_json())
+        write_json(graph.to_json())
         return
     out = console()
-    for table in _tables(found):
+    for table in _tables(graph):
         out.print(table)
 
 
@@ -80,14 +80,14 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _tables(found: Survey) -> tuple[Table, Table]:
-    nodes = _table(f"Nodes at {found.master}", "node", "pid", "executable", "publishes", "reads")
-    for node in found.nodes:
+def _tables(graph: Survey) -> tuple[Table, Table]:
+    nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
+    for node in graph.nodes:
         pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
         executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
     topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
-    for topic in found.topics:
+    for topic in graph.topics:
         rate = "" if topic.rate is None else f"{topic.rate:.1f}"
         topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
     return nodes, topics
@@ -114,10 +114,10 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     """
     check_seed("--seed", seed)
     check_number("--duration", duration, 0.0, _LONGEST_S)
+    from mavfi.extras.ros.node.injector import MessageInjector, check_fault
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.relay import Relay
     from mavfi.faults.fault import MessageFault
-    from mavfi.faults.levels.message.injector import MessageInjector, check_fault
 
     fault = MessageFault(topic, field, bit, at, rate, seed=seed)
     injector = MessageInjector(fault, None if as_json else _tell)

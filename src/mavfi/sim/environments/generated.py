@@ -268,8 +268,8 @@ def _floor(stream: np.random.Generator, ends: np.ndarray, walls: np.ndarray, doo
     boxes: list[Box] = []
     placed: list[tuple[float, float, float]] = []
     for row in _ROWS:
-        for place in _PLACES_IN_ROW:
-            x, y = row + stream.uniform(-1.0, 1.0), place + stream.uniform(-1.0, 1.0)
+        for across in _PLACES_IN_ROW:
+            x, y = row + stream.uniform(-1.0, 1.0), across + stream.uniform(-1.0, 1.0)
             kind, height = stream.random(), stream.uniform(2.0, 5.0)
             half = _BLOCK if kind < 0.45 else _PILLAR
             if kind > 0.75 or not _is_free(x, y, half, ends, walls, doors) or _is_near(x, y, half, placed):

@@ -122,9 +122,9 @@ def _is_passable(voxels: Voxels, ends: np.ndarray, lower: np.ndarray, upper: np.
     inside = tuple(slice(o, o + n) for o, n in zip(offset, last - first, strict=True))
     regions, _ = ndimage.label(distance[inside] > _PASSAGE + 0.5 * voxels.resolution, np.ones((3, 3, 3)))
     places = np.argwhere(regions > 0)
-    found = regions[tuple(places.T)]
+    labels = regions[tuple(places.T)]
     centres = voxels.origin + voxels.resolution * (first + places + 0.5)
-    near_start, near_goal = (found[np.linalg.norm(centres - end, axis=1) < _NEAR] for end in ends)
+    near_start, near_goal = (labels[np.linalg.norm(centres - end, axis=1) < _NEAR] for end in ends)
     return bool(np.intersect1d(near_start, near_goal).size)
 
 

@@ -62,8 +62,8 @@ def build_world(
             f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
         )
     _check_boxes(f"{source}: generator {environment.generator}", world)
-    given: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
-    world = replace(world, **given)
+    overrides: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
+    world = replace(world, **overrides)
     radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
@@ -75,15 +75,15 @@ def build_world(
     return world
 
 
-def _check_boxes(place: str, world: World) -> None:
+def _check_boxes(source: str, world: World) -> None:
     """Raise a BadInputError for boxes that are none."""
     lower, upper = world.lower, world.upper
     if lower.shape != upper.shape or lower.shape[1:] != (3,):
-        raise BadInputError(f"{place}: boxes of shapes {lower.shape} and {upper.shape}; allowed: (n, 3) both")
+        raise BadInputError(f"{source}: boxes of shapes {lower.shape} and {upper.shape}; allowed: (n, 3) both")
     wrong = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all(axis=1))
     if len(wrong):
-        place = f"{place}: box {wrong[0]}: {_text(lower[wrong[0]])} to {_text(upper[wrong[0]])}"
-        raise BadInputError(f"{place}; allowed: finite corners, each coordinate of the first below that of the second")
+        source = f"{source}: box {wrong[0]}: {_text(lower[wrong[0]])} to {_text(upper[wrong[0]])}"
+        raise BadInputError(f"{source}; allowed: finite corners, each coordinate of the first below that of the second")
 
 
 def find_generator(name: str) -> Generator:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.vectors import length
 
 
@@ -93,10 +92,14 @@ class World:
         Returns:
             Distance (m), 0 inside an obstacle, NaN for a point that is not finite. Shape (n,).
         """
-        points = np.ascontiguousarray(np.atleast_2d(points), np.float64)
+        return np.array([self._clearance(point) for point in np.atleast_2d(np.asarray(points, np.float64))])
+
+    def _clearance(self, point: np.ndarray) -> float:
+        if not np.isfinite(point).all():
+            return math.nan
         if self.is_voxels:
-            return _clearance_of_voxels(points, self.occupied, self.origin, self.resolution)
-        return _clearance_of_boxes(points, self.lower, self.upper)
+            return _clearance_of_voxels(point - self.origin, self.occupied, self.resolution)
+        return _clearance_of_boxes(point, self.lower, self.upper)
 
     def digest(self) -> str:
         """SHA-256 over obstacles, start, goal and limits."""
@@ -107,83 +110,28 @@ class World:
         return content.hexdigest()
 
 
-@kernel_jit
-def _beyond(value: float, lower: float, upper: float) -> float:
-    """Distance of a value from an interval."""
-    return max(lower - value, value - upper, 0.0)
+def _clearance_of_boxes(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    gaps = np.maximum(np.maximum(lower - point, point - upper), 0.0)
+    distances = np.sqrt(np.square(gaps).sum(axis=1))
+    return float(min(distances.min(initial=math.inf), max(point[2], 0.0)))
 
 
-@kernel_jit
-def _clearance_of_boxes(points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    distances = np.empty(len(points))
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-            distances[i] = math.nan
-            continue
-        nearest = max(z, 0.0)
-        for j in range(len(lower)):
-            dx = _beyond(x, lower[j, 0], upper[j, 0])
-            dy = _beyond(y, lower[j, 1], upper[j, 1])
-            dz = _beyond(z, lower[j, 2], upper[j, 2])
-            nearest = min(nearest, math.sqrt(dx * dx + dy * dy + dz * dz))
-        distances[i] = nearest
-    return distances
+def _clearance_of_voxels(point: np.ndarray, occupied: np.ndarray, resolution: float) -> float:
+    """Searches larger and larger cubes around a point, given from the grid's lower corner, until one has an obstacle.
 
-
-@kernel_jit
-def _clearance_of_voxels(points: np.ndarray, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> np.ndarray:
-    distances = np.empty(len(points))
-    for i in range(len(points)):
-        distances[i] = _distance_to_voxels(points[i], occupied, origin, resolution)
-    return distances
-
-
-@kernel_jit
-def _distance_to_voxels(point: np.ndarray, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> float:
-    """Searches cubic shells around the point's voxel until no farther shell can contain a nearer obstacle."""
-    outside = math.inf
-    for axis in range(3):
-        if not math.isfinite(point[axis]):
-            return math.nan
-        low = point[axis] - origin[axis]
-        outside = min(outside, low, occupied.shape[axis] * resolution - low)
-    if outside <= 0.0:
+    Everything outside the grid is solid.
+    """
+    to_edge = float(min(point.min(), (np.array(occupied.shape) * resolution - point).min()))
+    if to_edge <= 0.0:
         return 0.0
-    nearest = outside
-    cell = (
-        int((point[0] - origin[0]) / resolution),
-        int((point[1] - origin[1]) / resolution),
-        int((point[2] - origin[2]) / resolution),
-    )
-    shell = 0
-    while (shell - 1) * resolution < nearest:
-        nearest = min(nearest, _nearest_in_shell(point, cell, shell, occupied, origin, resolution))
-        shell += 1
-    return nearest
-
-
-@kernel_jit
-def _nearest_in_shell(
-    point: np.ndarray,
-    cell: tuple[int, int, int],
-    shell: int,
-    occupied: np.ndarray,
-    origin: np.ndarray,
-    resolution: float,
-) -> float:
-    nearest = math.inf
-    nx, ny, nz = occupied.shape
-    for i in range(max(0, cell[0] - shell), min(nx, cell[0] + shell + 1)):
-        for j in range(max(0, cell[1] - shell), min(ny, cell[1] + shell + 1)):
-            on_face = abs(i - cell[0]) == shell or abs(j - cell[1]) == shell
-            step = 1 if on_face else max(1, 2 * shell)
-            first = cell[2] - shell
-            for k in range(first, cell[2] + shell + 1, step):
-                if k < 0 or k >= nz or not occupied[i, j, k]:
-                    continue
-                dx = _beyond(point[0], origin[0] + i * resolution, origin[0] + (i + 1) * resolution)
-                dy = _beyond(point[1], origin[1] + j * resolution, origin[1] + (j + 1) * resolution)
-                dz = _beyond(point[2], origin[2] + k * resolution, origin[2] + (k + 1) * resolution)
-                nearest = min(nearest, math.sqrt(dx * dx + dy * dy + dz * dz))
-    return nearest
+    reach = 4.0 * resolution
+    while True:
+        first = np.maximum(((point - reach) / resolution).astype(int), 0)
+        last = ((point + reach) / resolution).astype(int) + 1
+        cube = occupied[first[0] : last[0], first[1] : last[1], first[2] : last[2]]
+        lower = (first + np.argwhere(cube)) * resolution
+        gaps = np.maximum(np.maximum(lower - point, point - lower - resolution), 0.0)
+        nearest = min(to_edge, float(np.sqrt(np.square(gaps).sum(axis=1)).min(initial=math.inf)))
+        if nearest <= reach:
+            return nearest
+        reach *= 2.0

@@ -15,9 +15,8 @@ from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.detector import Chain, part_of
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.detectors.registry import contains
+from mavfi.detectors.registry import check_kernel, contains
 from mavfi.errors import BadInputError
-from mavfi.flight.case import check_kernel
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
 from mavfi.flight.forks import fly_instruction_faults
 from mavfi.flight.restarts import Restarts

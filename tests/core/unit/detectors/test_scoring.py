@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, load_detector
-from mavfi.detectors.scoring import NOT_FINITE, Reading, Threshold, Verdict, find_policy, score_of
+from mavfi.detectors.scoring import NOT_FINITE, Reading, Threshold, find_policy, score_of
 from mavfi.errors import BadInputError
 from tests.core.unit.detectors.streams import LIMITS, command, flight, later, strike
 from tests.core.unit.detectors.streams import waypoint as point
@@ -18,30 +18,30 @@ def reading(distance, regime=0, unit=1.0):
 
 
 def judge(threshold, found):
-    return Verdict(score_of(found, threshold.limit, threshold.ratios), threshold.ratios)
+    return score_of(found, threshold.limit, threshold.ratios)
 
 
 def test_only_renewed_fields_are_held_against_their_limits():
     threshold = Threshold(np.array([[1.0, 9.0], [2.0, 9.0], [4.0, 9.0]]), 3)
-    verdict = judge(threshold, reading([50.0, 1.0, 6.0]))
-    assert verdict.score == 1.5
-    assert threshold.standing_out(reading([50.0, 1.0, 6.0]), verdict, np.zeros(0, int)).tolist() == [2]
-    assert judge(threshold, reading([0.0, 1.0, 6.0], regime=1)).score == pytest.approx(6 / 9)
-    assert judge(threshold, reading([0.0, 1.0, 6.0], unit=3.0)).score == 0.5
-    assert judge(threshold, reading([0.0, 1.0, 6.0], unit=0.0)).score == 0.0
+    score = judge(threshold, reading([50.0, 1.0, 6.0]))
+    assert score == 1.5
+    assert threshold.standing_out(reading([50.0, 1.0, 6.0]), np.zeros(0, int)).tolist() == [2]
+    assert judge(threshold, reading([0.0, 1.0, 6.0], regime=1)) == pytest.approx(6 / 9)
+    assert judge(threshold, reading([0.0, 1.0, 6.0], unit=3.0)) == 0.5
+    assert judge(threshold, reading([0.0, 1.0, 6.0], unit=0.0)) == 0.0
 
 
 def test_a_mean_square_is_of_all_fields_and_the_field_farthest_beyond_its_usual_stands_out():
     threshold = Threshold(np.array([[2.0]]), 3, usual=np.array([10.0, 0.1, 1.0]))
     found = reading([3.0, 1.0, 2.0])
-    verdict = judge(threshold, found)
-    assert verdict.score == pytest.approx(14.0 / 3.0 / 2.0)
-    assert threshold.standing_out(found, verdict, np.zeros(0, int)).tolist() == [1]
-    assert threshold.standing_out(found, verdict, np.array([2, 0])).tolist() == [2]
+    score = judge(threshold, found)
+    assert score == pytest.approx(14.0 / 3.0 / 2.0)
+    assert threshold.standing_out(found, np.zeros(0, int)).tolist() == [1]
+    assert threshold.standing_out(found, np.array([2, 0])).tolist() == [2]
 
 
 def test_what_is_not_finite_has_its_own_score():
-    assert judge(Threshold(np.ones((3, 3)), 3), reading([0.0] * 3, regime=-1)).score == NOT_FINITE
+    assert judge(Threshold(np.ones((3, 3)), 3), reading([0.0] * 3, regime=-1)) == NOT_FINITE
 
 
 def test_policies_ask_for_what_they_are_named_after():

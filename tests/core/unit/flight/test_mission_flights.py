@@ -73,13 +73,13 @@ def calls(monkeypatch):
     def fly_instruction_faults(scenario, faults, detector, golden, recovery):
         check(faults)
         found.flown.append(("instructions", tuple(faults), detector, golden, recovery))
-        return SimpleNamespace(flights=[Flight(fault) for fault in faults])
+        return InjectedRuns(golden, [Flight(fault) for fault in faults])
 
     def fly_from_checkpoints(forward, faults, golden, arm, watched):
         check(faults)
         found.flown.append(("checkpoints", tuple(faults), arm.detector, arm.name, arm.recovery))
         follow = {other.name: {0: Flight(f"{other.name} after plain")} for other in watched if found.follow}
-        return InjectedRuns([Flight(fault) for fault in faults], follow)
+        return InjectedRuns(golden, [Flight(fault) for fault in faults], follow)
 
     monkeypatch.setattr(mission_flights, "FastForward", FastForward)
     monkeypatch.setattr(mission_flights, "can_save_detector", lambda detector: detector is None or found.copied)

@@ -8,22 +8,21 @@ LARGEST = np.finfo(np.float64).max
 
 
 @pytest.mark.parametrize(
-    ("value", "sign", "exponent", "mantissa"),
+    ("value", "sign", "exponent"),
     [
-        (0.0, 0, 0, 0),
-        (-0.0, 1, 0, 0),
-        (SMALLEST, 0, 0, 1),
-        (1.0, 0, 1023, 0),
-        (-1.5, 1, 1023, 1 << 51),
-        (np.inf, 0, 2047, 0),
-        (-np.inf, 1, 2047, 0),
-        (np.nan, 0, 2047, 1 << 51),
+        (0.0, 0, 0),
+        (-0.0, 1, 0),
+        (SMALLEST, 0, 0),
+        (1.0, 0, 1023),
+        (-1.5, 1, 1023),
+        (np.inf, 0, 2047),
+        (-np.inf, 1, 2047),
+        (np.nan, 0, 2047),
     ],
 )
-def test_fields_of_a_float64(value, sign, exponent, mantissa):
+def test_fields_of_a_float64(value, sign, exponent):
     assert bits.sign_field(value) == sign
     assert bits.exponent_field(value) == exponent
-    assert bits.mantissa_field(value) == mantissa
 
 
 @pytest.mark.parametrize("threshold", [-3, -2, -1, 0])

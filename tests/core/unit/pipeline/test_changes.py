@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.pipeline.changes import Changes
+from mavfi.pipeline.memory import Changes
 
 SIZE = 12
 WRITES = st.lists(st.tuples(st.integers(0, SIZE - 1), st.sampled_from([0.0, -0.0, 1.5, -2.0, np.nan])), max_size=6)

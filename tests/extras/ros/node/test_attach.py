@@ -12,11 +12,11 @@ from functools import partial
 import pytest
 
 from mavfi.cli import run
+from mavfi.extras.ros.node.injector import MessageInjector, check_fault
 from mavfi.extras.ros.node.master import CALLER, Master, call
 from mavfi.extras.ros.node.peer import Source
 from mavfi.extras.ros.node.relay import Relay
 from mavfi.faults.fault import MessageFault
-from mavfi.faults.levels.message.injector import MessageInjector, check_fault
 from tests.extras.ros.node.conftest import POSITION, until
 
 pytestmark = pytest.mark.ros

@@ -32,12 +32,12 @@ def encode_header(fields: Mapping[str, str]) -> bytes:
 
 def decode_header(body: bytes) -> dict[str, str]:
     """Inverse of `encode_header`, without the leading length."""
-    fields, place = {}, 0
-    while place < len(body):
-        (size,) = _LENGTH.unpack_from(body, place)
-        name, _, value = body[place + 4 : place + 4 + size].decode(errors="replace").partition("=")
+    fields, offset = {}, 0
+    while offset < len(body):
+        (size,) = _LENGTH.unpack_from(body, offset)
+        name, _, value = body[offset + 4 : offset + 4 + size].decode(errors="replace").partition("=")
         fields[name] = value
-        place += 4 + size
+        offset += 4 + size
     return fields
 
 
@@ -125,7 +125,7 @@ class Source:
 
 # ---- the peer --------------------------------------------------------------------------------------------------------
 LOOPBACK = "127.0.0.1"
-_SEND_PATIENCE_S = 1.0
+_SEND_PATIENCE = struct.pack("ll", 1, 0)  # struct timeval: 1 s
 
 
 class _Server(ThreadingMixIn, SimpleXMLRPCServer):
@@ -255,8 +255,10 @@ class Peer:
 
     def offer(self, topic: str, header: Mapping[str, str], active: bool = True) -> Outlet:
         """Publish a topic to nodes that are notified directly, without the master; see `Outlet`."""
-        kept = {name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header}
-        self._outlets[topic] = Outlet(topic, {"callerid": self.name, **kept}, active)
+        description = {
+            name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header
+        }
+        self._outlets[topic] = Outlet(topic, {"callerid": self.name, **description}, active)
         return self._outlets[topic]
 
     def advertise(self, topic: str, header: Mapping[str, str]) -> Outlet:
@@ -292,7 +294,7 @@ class Peer:
                 connection.sendall(encode_header({"error": refusal}))
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_PATIENCE_S))
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_PATIENCE)
             connection.sendall(encode_header(outlet.header))
             reader = Reader(request.get("callerid", ""), connection, outlet.active)
             outlet.join(reader)
@@ -349,7 +351,3 @@ def _mismatch(request: Mapping[str, str], header: Mapping[str, str]) -> str:
     if wanted in ("*", header["md5sum"]) or header["md5sum"] == "*":
         return ""
     return f"md5sum of {request.get('type')} is {wanted}, not {header['md5sum']}"
-
-
-def _timeval(seconds: float) -> bytes:
-    return struct.pack("ll", int(seconds), int(1e6 * (seconds % 1)))

@@ -193,5 +193,4 @@ class Plan:
 
 def load_plan() -> Plan:
     """The plan of the flight to which this process belongs."""
-    plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
-    return plan
+    return pickle.loads((flight_folder() / _PLAN).read_bytes())

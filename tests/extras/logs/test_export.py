@@ -8,12 +8,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.cli.commands import run
+from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
+from mavfi.extras.logs.timeline import FIRST_STAMP_NS, Converter, Publications, timeline
 from mavfi.flight.compose import resolve
-from mavfi.flight.recorded import fly_recorded
+from mavfi.flight.mission_flights import fly_recorded
 from mavfi.mission import MissionSpec
 from mavfi.record import COLUMNS, FlightLog
-from mavfi.report.export.files import write_bag, write_csv, write_mcap
-from mavfi.report.export.timeline import FIRST_STAMP_NS, Converter, Publications, timeline
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from mavfi.config import config_root
-from mavfi.report.export.timeline import tick_messages
+from mavfi.extras.logs.timeline import tick_messages
 
 LAYOUTS = config_root() / "layouts"
 

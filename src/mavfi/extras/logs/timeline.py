@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import Grid
 from mavfi.record import FlightLog
-from mavfi.report.export.lines import Line, lines_of
+from mavfi.report.lines import Line, lines_of
 from mavfi.sim.environments.world import World
 from mavfi.states import State, rows
 

@@ -128,22 +128,17 @@ def _recorded(source: Path, run_id: str) -> Recorded:
 
 def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
-    from mavfi.cli.fly import load_watcher
-    from mavfi.flight.compose import resolve, with_keys_of
-    from mavfi.flight.decide import Recovery
+    from mavfi.cli.fly import watched
     from mavfi.flight.host import ArmSetup
 
     if request is None:
         return ArmSetup(scenario)
-    spec = with_keys_of(request.mission, request.detector)
-    resolved = resolve(spec)
-    watcher, _ = load_watcher(request.detector, request.profile, request.models, resolved, spec)
-    return ArmSetup(resolved, None if watcher is None else lambda: watcher, Recovery.of(spec))
+    return watched(request.mission, request.detector, request.profile, request.models).setup
 
 
 def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:
     """Write a file by its ending; returns the number of messages or rows."""
-    from mavfi.report.export.files import write_bag, write_csv, write_mcap
+    from mavfi.extras.logs.files import write_bag, write_csv, write_mcap
 
     if to.suffix == ".csv":
         return write_csv(log, to)
@@ -152,9 +147,9 @@ def _write(log: FlightLog, to: Path, source: str, published: list[Publication] |
         return count
     import numpy as np
 
+    from mavfi.extras.logs.timeline import Publications, timeline
     from mavfi.flight.compose import pipeline_config
     from mavfi.pipeline.kernel import map_grid
-    from mavfi.report.export.timeline import Publications, timeline
     from mavfi.sim.environments import build_world
 
     scenario = _scenario(log, source)

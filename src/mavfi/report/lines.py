@@ -1,6 +1,7 @@
 """Events, alarms, injections and the end of a flight, one line of text each."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,14 @@ def lines_of(log: FlightLog) -> list[Line]:
     found = map(line_of, items)
     known = [line for line in found if line is not None]
     return sorted([*known, end_line(float(log.column("time")[-1]), log.status)], key=lambda line: line.time_us)
+
+
+def lines_at(
+    time_s: float, items: Iterable[Event | AlarmRecord | Injection], status: MissionStatus | None
+) -> list[Line]:
+    """The lines of one instant of a running flight (s); `status`: of the mission, None = it goes on."""
+    found = [line for line in map(line_of, items) if line is not None]
+    return found if status is None else [*found, end_line(time_s, status)]
 
 
 def end_line(time_s: float, status: MissionStatus) -> Line:

@@ -3,10 +3,10 @@
 import pytest
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.node.injector import MessageInjector, check_fault
 from mavfi.extras.ros.node.message import Composer
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.message.definition import Definition
-from mavfi.faults.levels.message.injector import MessageInjector, check_fault
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})

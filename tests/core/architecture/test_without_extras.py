@@ -1,0 +1,74 @@
+"""The core without its extras: their folder and entry points deleted from a copy, it passes its tests there."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from mavfi.version import __version__
+from tests.core.architecture.source import ROOT
+
+CHOSEN = (
+    "analysis/test_*.py", "campaign/test_config.py", "campaign/test_plan.py", "campaign/test_names.py",
+    "campaign/test_store.py", "cli/test_app.py", "cli/test_options.py", "levels/test_*.py", "test_config.py",
+    "test_dropped.py", "test_files.py", "test_mission.py", "test_outcomes.py", "test_plugins.py", "test_states.py",
+)  # fmt: skip
+"""Fast tests of what extras plug into, in tests/core/unit."""
+WITH_EXTRAS = {
+    "analysis/test_about.py": ("test_trials_on_a_node", "test_registers_of_a_firmware"),
+    "analysis/test_flight_views.py": (
+        "test_the_campaign_is_whole_and_the_success_table_leads",
+        "test_tables_on_faults_say_that_rates_are_conditional",
+    ),
+    "analysis/test_kernel_views.py": (
+        "test_which_tables_a_campaign_of_kernels_has", "test_what_one_bit_in_a_register_does",
+    ),
+    "analysis/test_runs.py": ("test_sites_of_every_level",),
+    "campaign/test_config.py": (
+        "test_shipped_campaigns_are_valid_and_survive_the_ledger", "test_mistakes_are_named_when_the_file_is_read",
+    ),
+    "campaign/test_plan.py": ("test_specs_survive_json_with_faults_of_every_level",),
+    "cli/test_app.py": ("test_help_names_the_extra_in_brackets",),
+    "levels/test_state.py": ("test_messages_that_cannot_be_drawn_are_refused",),
+    "levels/test_text.py": ("test_errors_are_one_line_that_says_what_is_allowed",),
+    "test_files.py": ("test_a_name_that_is_too_long_is_one_line",),
+}  # fmt: skip
+"""Tests among them that use levels, hosts, views or commands of extras by their names."""
+OF_EXTRAS = re.compile(r"\b(mavfi|tests)[./]extras\b")
+
+
+def without_extras(target):
+    """Copy package, configurations and tests without extras; the metadata of the copy has the core's entry points."""
+    ignored = shutil.ignore_patterns("extras", "__pycache__", "nightly")
+    shutil.copytree(ROOT / "src", target / "src", ignore=ignored)
+    shutil.copytree(ROOT / "tests" / "core", target / "tests" / "core", ignore=ignored)
+    for path in (ROOT / "tests").glob("*.py"):
+        shutil.copy(path, target / "tests")
+    (target / "configs").symlink_to(ROOT / "configs")
+    shutil.copy(ROOT / "pyproject.toml", target)
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    lines = []
+    for group, points in groups.items():
+        lines += [f"[{group}]", *(f"{name} = {at}" for name, at in points.items() if not OF_EXTRAS.search(at))]
+    information = target / "src" / f"mavfi-{__version__}.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: mavfi\nVersion: {__version__}\n", "utf-8")
+    (information / "entry_points.txt").write_text("\n".join(lines) + "\n", "utf-8")
+
+
+@pytest.mark.slow
+def test_the_core_passes_its_tests_without_extras(tmp_path):
+    without_extras(tmp_path)
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path / 'src'}{os.pathsep}{tmp_path}"}
+    unit = tmp_path / "tests" / "core" / "unit"
+    files = [str(file.relative_to(tmp_path)) for pattern in CHOSEN for file in sorted(unit.glob(pattern))]
+    left_out = [f"--deselect=tests/core/unit/{file}::{name}" for file, names in WITH_EXTRAS.items() for name in names]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow and not long"]
+    done = subprocess.run(
+        [*command, *left_out, *files], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
