@@ -110,7 +110,7 @@ def run(
     """
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.names import check_names
+    from mavfi.campaign.mission import check_names
     from mavfi.campaign.run import run_campaign
 
     chosen = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import yaml
 
-from mavfi.campaign import session as session_module
+from mavfi.campaign import run as session_module
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli import commands
 from mavfi.errors import BadInputError

@@ -27,24 +27,23 @@ from rosbags.typesys import Stores, get_typestore
 from mavfi.analysis import VIEWS, Runs, table
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.integrity import (
+from mavfi.campaign.ledger import repair, status
+from mavfi.campaign.mission import check_names, model_hashes, plan_of, scenarios_of
+from mavfi.campaign.plan import WHOLE, arms_of
+from mavfi.campaign.replay import setup_of_run
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.store import (
     BOUND,
     IDENTITY,
     PLANNED,
+    SCHEMA,
     TABLES,
+    Store,
     checksum_of,
     meta_checksum,
     mission_checksum,
     salt_of,
 )
-from mavfi.campaign.ledger import repair, status
-from mavfi.campaign.mission import model_hashes, plan_of, scenarios_of
-from mavfi.campaign.names import check_names
-from mavfi.campaign.plan import arms_of
-from mavfi.campaign.replay import setup_of_run
-from mavfi.campaign.run import run_campaign
-from mavfi.campaign.shard import WHOLE
-from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.training import KeptRecordings
 from mavfi.config import AutopilotConfig, PlatformConfig, load
 from mavfi.config import shipped as find_shipped

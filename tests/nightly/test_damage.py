@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from mavfi.campaign import integrity
+from mavfi.campaign import store as integrity
 from mavfi.campaign import store as store_module
 from mavfi.campaign.store import Store
 from tests.nightly import damage

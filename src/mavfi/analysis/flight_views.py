@@ -10,10 +10,9 @@ import polars as pl
 from mavfi.analysis import measures as m
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure
-from mavfi.analysis.pairs import Recovery
 from mavfi.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate
+from mavfi.analysis.statistics import Rate, Recovery
 from mavfi.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, TEXT
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI

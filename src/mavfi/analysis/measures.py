@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from mavfi.analysis import pairs
 from mavfi.analysis.rows import ALL_BITS, POPULATIONS, WHOLE_WORD
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import (
     EventRate,
+    Paired,
     Rate,
+    Recovery,
     clustered_rate,
     event_rate_by_flight,
+    mcnemar,
+    recovery,
     smallest_difference,
     weighted_rate,
     wilson,
@@ -30,7 +33,7 @@ PARTITIONS = (*_WORDS, *({*strata, "length"} for strata in _WORDS))
 """Sets of strata that partition a word; with `length`, a message."""
 LEADING = (HEADLINE, ALL_BITS)  # leading populations of tables, which are compared with the paper
 PAIRED_TEST = "McNemar's exact test, all pairs of a world with the same random sign"
-"""Name of the test of success in pairs, see `pairs.mcnemar`."""
+"""Name of the test of success in pairs, see `mcnemar`."""
 SLOWER = 0.05  # relative increase in flight time above which a success counts as slower
 SYSTEMATIC = 0.9
 """Share of flights above which alarms of one state at one instant are systematic, i.e. not due to the mission."""
@@ -248,24 +251,24 @@ def against_fi(runs: Runs) -> Runs:
     return Runs(joined, runs.records, runs.campaign)
 
 
-def recovery_of(own: Runs) -> pairs.Recovery | None:
+def recovery_of(own: Runs) -> Recovery | None:
     """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
     if "recovery" not in own.memo:
         known = own.where(pl.col("golden_success").is_not_null())
         columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
-        own.memo["recovery"] = pairs.recovery(list(zip(*columns, strict=True)))
-    found: pairs.Recovery | None = own.memo["recovery"]
+        own.memo["recovery"] = recovery(list(zip(*columns, strict=True)))
+    found: Recovery | None = own.memo["recovery"]
     return found
 
 
-def discordant(own: Runs) -> pairs.Paired:
+def discordant(own: Runs) -> Paired:
     """McNemar's test of fi against the arm."""
-    return pairs.mcnemar(own["fi_success"], own["dr_success"], own["world"])
+    return mcnemar(own["fi_success"], own["dr_success"], own["world"])
 
 
-def against_golden(own: Runs) -> pairs.Paired:
+def against_golden(own: Runs) -> Paired:
     """McNemar's test of the golden run against the run with a fault."""
-    return pairs.mcnemar(own["golden_success"], own["success"], own["world"])
+    return mcnemar(own["golden_success"], own["success"], own["world"])
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:

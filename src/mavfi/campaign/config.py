@@ -5,7 +5,14 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pydantic import Field, SerializeAsAny, ValidationInfo, model_validator
+from pydantic import (
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
 
 from mavfi.config import SCAN_ENDINGS, STORED, Config, Name, names, parse, parse_part, shipped
 from mavfi.errors import BadInputError, hint
@@ -138,6 +145,15 @@ class Campaign(Config):
             data["sampling"] = _sampling(data["sampling"], info)
         return data
 
+    @model_serializer(mode="wrap")
+    def _stored(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """What is under test is stored under the key of its host; ledgers have two of these keys with every host."""
+        data: dict[str, Any] = serialize(self)
+        under_test = data.pop("under_test")
+        data |= {"node": None, "program": None}
+        host = _class_of_host(self.host)
+        return data if host is None or host.config is None else data | {host.config_key: under_test}
+
     @model_validator(mode="after")
     def _consistent(self) -> "Campaign":
         missions = max([self.missions, *(scale.missions or 0 for scale in self.scales.values())])
@@ -234,14 +250,9 @@ class Campaign(Config):
                 del arm["options"]
         if not self.parts:
             del data["parts"]
-        data["sampling"] = self.sampling.to_json()
-        under_test = data.pop("under_test")
-        data["node"] = None  # ledgers have it with every host
-        if under_test is not None:
-            from mavfi.flight.host import host_class
-
-            data[host_class(self.host).config_key] = under_test
-        return data
+        if data["program"] is None:
+            del data["program"]
+        return {**data, "sampling": self.sampling.to_json()}
 
     def identity(self) -> dict[str, Any]:
         """Plain data in the identity of a ledger."""
@@ -263,13 +274,13 @@ def _class_of_host(name: Any) -> "type[Host] | None":
 def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
     """The data with what is under test, given under the key of its host, validated as `under_test`."""
     host = _class_of_host(data.get("host"))
-    if host is not None and host.config is not None and not data.get("under_test"):
+    if host is not None and host.config is not None:
         key = host.config_key
-        if key not in data:
+        values = data.pop(key, data.get("under_test"))
+        if values is None:
             raise ValueError(f"host: {host.name!r}: the key {key} goes with host {host.name}, and only with it")
-        under_test = parse_part(host.config, data[key], key, info.context)
+        under_test = parse_part(host.config, values, key, info.context)
         data = {**host.campaign_defaults(under_test), **data, "under_test": under_test}
-        del data[key]
     for key in data.keys() - Campaign.model_fields.keys():
         for other in extensions("mavfi.hosts").values():
             if other.config_key == key:

@@ -11,19 +11,21 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import differences
-from mavfi.campaign.integrity import (
+from mavfi.campaign.plan import WHOLE, Shard
+from mavfi.campaign.store import (
     BOUND,
+    FILE,
     IDENTITY,
     PLANNED,
+    SCHEMA,
     TABLES,
+    Store,
     checksum_of,
     connect,
     meta_checksum,
     mission_checksum,
     strange_schema,
 )
-from mavfi.campaign.shard import WHOLE, Shard
-from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.config import parse
 from mavfi.errors import BadInputError, writing
 from mavfi.files import is_file

@@ -18,13 +18,14 @@ from mavfi.campaign.alone import fly_alone
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
 from mavfi.detectors.detector import Detector, is_custom
-from mavfi.errors import MachineError, MavfiError, SpecMismatchError, machine_failure
+from mavfi.detectors.registry import check_detector
+from mavfi.errors import BadInputError, MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import detector_for
+from mavfi.flight.compose import detector_for, with_keys_of
 from mavfi.flight.decide import Recovery
 from mavfi.flight.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.levels.level import NULL, Sampled, Sampler, sampler_for
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import plugin_failure, reason
 from mavfi.record import End, FlightRecord
 
@@ -375,3 +376,66 @@ def _note(error: Exception) -> str:
     """Traceback of the exception being handled, and then, as the note's last line, the exception on one line."""
     line = plugin_failure(error) or (str(error) if isinstance(error, MavfiError) else reason(error))
     return f"{traceback.format_exc()}{' '.join(line.split())}"
+
+
+# ---- Names in a campaign (of hosts, environments, detectors, options of missions), checked where its file is known.
+
+
+def check_names(campaign: Campaign, source: str) -> None:
+    """Check that everything a campaign names exists, before its first flight.
+
+    Args:
+        campaign: The campaign.
+        source: Its file, for messages.
+
+    Raises:
+        BadInputError: Something does not exist, or cannot be combined; the message names the source, and the key.
+    """
+    try:
+        host = host_of(campaign)
+    except BadInputError as error:
+        raise _at(error, source, "host", "host") from None
+    for arm in arms_of(campaign):
+        _check_detector(arm, source)
+        for environment in campaign.environments:
+            _check_mission(campaign, host, environment, arm, source)
+
+
+def _check_detector(arm: Arm, source: str) -> None:
+    if not arm.detector:
+        return
+    with_keys_of(MissionSpec(), arm.detector)
+    try:
+        check_detector(arm.detector, arm.profile)
+    except BadInputError as error:
+        is_profile = str(error).startswith("detector profile")
+        key, word = ("profile", "detector profile") if is_profile else ("detector", "detector")
+        raise _at(error, source, f"arms.{arm.name}.{key}", word) from None
+
+
+def _check_mission(campaign: Campaign, host: Host, environment: str, arm: Arm, source: str) -> None:
+    spec = campaign.spec(environment, campaign.first_seed, arm.overrides)
+    try:
+        host.resolve(spec)
+    except BadInputError as error:
+        for name, value in spec:
+            word = name.replace("_", " ")
+            if str(error).startswith(f"{word} {value!r}: "):
+                raise _at(error, source, _key(campaign, environment, arm, name), word) from None
+        raise _at(error, source) from None
+
+
+def _key(campaign: Campaign, environment: str, arm: Arm, name: str) -> str:
+    """The key of a campaign from which a mission has its value."""
+    part = campaign.parts.get(environment)
+    if part is not None and getattr(part, name, None) is not None:
+        return f"parts.{environment}.{name}"
+    if name == "environment":
+        return "environments"
+    return f"arms.{arm.name}.{name}" if arm.name and name in arm.overrides else f"mission.{name}"
+
+
+def _at(error: BadInputError, source: str, key: str = "", word: str = "") -> BadInputError:
+    """The same error with its source and key, in place of the word for what is named."""
+    text = str(error).removeprefix(f"{word} ")
+    return type(error)(f"{source}: key {key!r}: {text}" if key else f"{source}: {text}")

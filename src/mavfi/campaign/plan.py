@@ -6,6 +6,7 @@ Fault i of a target is injected in the same mission, at the same site, in `fi` a
 """
 
 import hashlib
+import itertools
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,12 +14,51 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from mavfi.campaign.config import Campaign, label_of
-from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, fault_from_json
 from mavfi.levels.level import NULL, Draw, Sampler, draws_of, sampler_for
 from mavfi.mission import MissionStatus
 from mavfi.record import End, FlightRecord, canonical
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """Shard `number` (counted from 1) of `of`: every n-th mission.  Merging all gives the campaign's ledger."""
+
+    number: int = 1
+    of: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    @staticmethod
+    def parse(text: str, source: str) -> "Shard":
+        """Parse "i/n"; `source` names option or file in messages.
+
+        Raises:
+            BadInputError: The text is not a shard.
+        """
+        number, _, of = text.partition("/")
+        if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+            raise BadInputError(f"{source}: {text}: allowed: I/N with 1 <= I <= N, e.g. 3/16")
+        return Shard(int(number), int(of))
+
+    def missions(self, campaign: Campaign) -> int:
+        """Number of missions in this shard."""
+        return len(range(self.number - 1, campaign.total_missions, self.of))
+
+    def worlds(self, campaign: Campaign) -> Iterator[tuple[str, int]]:
+        """Environment and seed of the missions in this shard."""
+        every = itertools.product(campaign.environments, campaign.seeds)
+        return itertools.islice(every, self.number - 1, None, self.of)
+
+
+WHOLE = Shard()
+"""All missions."""
+
+
+# ---- the runs ------------------------------------------------------------------------------------------------------
 
 GOLDEN, FI, RECOVERY = "golden", "fi", "dr"
 Kind = Literal["golden", "injected", "null"]

@@ -1,27 +1,266 @@
-"""Flies campaigns mission by mission, alone or together; a stopped campaign resumes."""
+"""Flies campaigns mission by mission, alone or together; a stopped campaign resumes.
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+Missions are flown by an executor, and stored as they arrive.  Campaigns of a study fly together: missions of several
+campaigns that start from the same golden flights, e.g. with faults in states and in instructions, are flown by one
+worker, one after the other, and share these flights.  If a worker dies, its missions are repeated with each injected
+run in a separate child process.
+"""
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.executor import Executor
+from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.ledger import ORDERED, Progress, Status, check_shard, check_versions, status
 from mavfi.campaign.log import Log
-from mavfi.campaign.mission import host_of, model_hashes, plan_of, scenarios_of
-from mavfi.campaign.plan import arms_of
-from mavfi.campaign.session import Flying, Session
-from mavfi.campaign.shard import WHOLE, Shard
+from mavfi.campaign.mission import (
+    Job,
+    MissionPlan,
+    flights_of,
+    fly_missions,
+    host_of,
+    model_hashes,
+    plan_of,
+    scenarios_of,
+    share,
+)
+from mavfi.campaign.plan import WHOLE, Flown, Plan, Planned, Shard, arms_of
 from mavfi.campaign.store import Store, held
-from mavfi.campaign.warm_up import is_compiled, warm_up
+from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
 from mavfi.config import STORED
 from mavfi.detectors.registry import detector_options, mission_keys
+from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
 from mavfi.flight.host import require_level
 from mavfi.mission import Scenario
+from mavfi.record import End, FlightRecord
+
+ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
+PAUSE_S = 1.0  # between retries after a machine failure
+_Place = tuple[int, tuple[str, int]]  # number of a session, and a mission in it
+
+
+@dataclass(slots=True)
+class Session:
+    """Execution of one campaign within one process."""
+
+    plan: Plan
+    store: Store
+    models_dir: Path | None
+    fast_forward: bool
+    shard: Shard
+    report: Callable[[Progress], None]
+    log: Log
+    total: int  # runs of the shard
+    flown: int = 0
+    counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    _flights: dict[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def worlds(self) -> Iterable[tuple[str, int]]:
+        """All missions, environment by environment."""
+        worlds: Iterable[tuple[str, int]] = self.shard.worlds(self.plan.campaign)
+        return worlds
+
+    def left(self, world: tuple[str, int]) -> MissionPlan | None:
+        """A mission, if runs of it are missing."""
+        return None if self.store.is_complete(world) else self.mission(world)
+
+    def flights(self, environment: str) -> Mapping[str, str]:
+        """What determines the golden flights of the missions in an environment, see `flights_of`."""
+        if environment not in self._flights:
+            self._flights[environment] = flights_of(self.plan, environment)
+        return self._flights[environment]
+
+    def mission(self, world: tuple[str, int]) -> MissionPlan:
+        """A mission without its runs in the ledger."""
+        plan = self.plan
+        return MissionPlan(
+            plan.campaign, *world, self.models_dir, plan.models, plan.keys(world[0]), self.fast_forward,
+            self.store.done(world),
+        )  # fmt: skip
+
+    def take(self, mission: MissionPlan, items: Sequence[Planned | Flown], last: Done | Lost | None) -> None:
+        """Store and log new items of a mission, and its end."""
+        self.log.follow(mission, items, last)
+        self.write(mission, items)
+
+    def write(self, mission: MissionPlan, items: Sequence[Planned | Flown]) -> None:
+        """Store plans and results of a mission, in one transaction."""
+        planned = [item for item in items if isinstance(item, Planned)]
+        with self.store.writing():
+            new = self.store.plan(row for item in planned for row in item.rows)
+            if any(item.last for item in planned):
+                self.store.end_plan(mission.world)
+            done = self.store.write(item for item in items if isinstance(item, Flown))
+        for row in new:
+            self._count(row.setting, 1, 0, 0)
+        for setting, item in done:
+            self._count(setting, 0, 1, item.success)
+            self.flown += 1
+            self.tell()
+
+    def _count(self, setting: str, *more: int) -> None:
+        planned, done, success = map(sum, zip(self.counts.get(setting, (0, 0, 0)), more, strict=True))
+        self.counts[setting] = planned, done, success
+
+    def give_up(self, mission: MissionPlan, lost: Lost) -> None:
+        """Record a mission whose golden runs crash their process in every attempt; no faults are drawn from them.
+
+        Faults drawn in an earlier session are `unknown`.
+
+        Raises:
+            MachineError: The worker was killed from outside.
+        """
+        if lost.signal in FROM_OUTSIDE:
+            raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
+        self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
+        self.write(mission, [Planned.of(self.plan.golden(*mission.world), last=True)])
+        for spec in [run.spec for run in self.store.runs(done=False, world=mission.world)]:
+            end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
+            flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
+            self.log.flown(flown)
+            self.write(mission, [flown])
+
+    @contextmanager
+    def logged(self, executor: Executor) -> Iterator[None]:
+        """Log start and end of the session."""
+        self.log.note(
+            "begin", campaign=self.plan.campaign.name, versions=versions(), pid=os.getpid(),
+            workers=executor.workers, runs_left=self.total - self._done,
+        )  # fmt: skip
+        try:
+            yield
+        except BaseException as error:
+            self.log.end(error, done=self._done, total=self.total)
+            raise
+        self.log.end(None, done=self._done, total=self._done, digest=self.store.digest())
+
+    @property
+    def _done(self) -> int:
+        return sum(number for _, number, _ in self.counts.values())
+
+    def tell(self, *, compiling: bool = False) -> None:
+        """Report the progress."""
+        self.report(Progress(self._done, self.total, dict(self.counts), flown=self.flown, compiling=compiling))
+
+
+@dataclass(frozen=True, slots=True)
+class Flying:
+    """The sessions of campaigns that are flown together."""
+
+    sessions: Sequence[Session]
+
+    def fly(self, executor: Executor) -> None:
+        """Fly the incomplete missions; items are stored in their ledgers before the next ones are fetched."""
+        for session in self.sessions:
+            session.tell()
+        jobs: Iterable[Job] = self.jobs()
+        failed = ""
+        for attempt in range(1 + ATTEMPTS):
+            try:
+                lost = list(self._fly_once(executor, jobs))
+            except Exception as error:
+                failed = machine_failure(error)
+                if not failed:
+                    raise
+                for session in self.sessions:
+                    session.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=failed)
+                if attempt == ATTEMPTS:
+                    raise MachineError(failed) from error
+                time.sleep(PAUSE_S)
+                jobs = self.jobs()
+                continue
+            jobs = [((number, self._again(number, mission)),) for number, mission, _ in lost]
+            if not jobs:
+                return
+        if failed:  # the machine failure may have killed the workers
+            raise MachineError(failed)
+        self._check_process(executor, lost)
+        for number, mission, end in lost:
+            self.sessions[number].give_up(self._again(number, mission), end)
+
+    def jobs(self) -> Iterator[Job]:
+        """Incomplete missions: those with the same golden flights together, the others one by one."""
+        for group in self._groups():
+            left = ((number, self.sessions[number].left(world)) for number, world in group)
+            job = tuple((number, mission) for number, mission in left if mission is not None)
+            if job:
+                yield job
+
+    def _groups(self) -> Iterable[Sequence[_Place]]:
+        """Missions that can be one job, in the order of their sessions; those with instrumented kernels are first.
+
+        Their golden flight takes the checkpoints for the others, so at most one of them is in a group.
+        """
+        groups: list[list[_Place]] = []
+        of_seed: dict[int, list[list[_Place]]] = {}
+        for number in sorted(range(len(self.sessions)), key=lambda number: not self._instruments(number)):
+            for world in self.sessions[number].worlds():
+                known = () if self._instruments(number) else of_seed.setdefault(world[1], [])
+                group = next((group for group in known if self._shares(number, world[0], group)), None)
+                if group is None:
+                    group = []
+                    groups.append(group)
+                    of_seed.setdefault(world[1], []).append(group)
+                group.append((number, world))
+        return groups
+
+    def _shares(self, number: int, environment: str, group: Sequence[_Place]) -> bool:
+        own = self.sessions[number].flights(environment)
+        return all(share(own, self.sessions[other].flights(there)) for other, (there, _) in group)
+
+    def _instruments(self, number: int) -> bool:
+        return self.sessions[number].plan.sampler.instruments
+
+    def _again(self, number: int, mission: MissionPlan) -> MissionPlan:
+        return replace(mission, done=self.sessions[number].store.done(mission.world), alone=True)
+
+    def _fly_once(self, executor: Executor, jobs: Iterable[Job]) -> Iterator[tuple[int, MissionPlan, Lost]]:
+        """Fly jobs; yields number and mission of those that a worker has not completed before it was lost."""
+        for session in self.sessions:
+            session.log.forget()
+        function = fly_missions if executor.forks else fly_missions_anywhere
+        with closing(executor.map(function, jobs)) as batches:
+            for job, items in batches:
+                end = items[-1] if isinstance(items[-1], (Done, Lost)) else None
+                new = [item for item in items if not isinstance(item, (Done, Lost))]
+                for number, mission in job:
+                    own = [item for of, item in new if of == number]
+                    if own or end is not None:
+                        self.sessions[number].take(mission, own, end)
+                    if isinstance(end, Lost) and not self.sessions[number].store.is_complete(mission.world):
+                        yield number, mission, end
+
+    def _check_process(self, executor: Executor, lost: Sequence[tuple[int, MissionPlan, Lost]]) -> None:
+        """Check that the missions crashed their workers, not this process, e.g. by compilation without memory.
+
+        Raises:
+            MachineError: No other mission was flown in this session, nor can be flown.
+        """
+        if any(session.flown for session in self.sessions):
+            return
+        crashed = {(number, mission.world) for number, mission, _ in lost}
+        others = (
+            (number, session.mission(world))
+            for number, session in enumerate(self.sessions)
+            for world in session.worlds()
+            if (number, world) not in crashed
+        )
+        other = [(one,) for one in itertools.islice(others, 1)]
+        if other and not list(self._fly_once(executor, other)):
+            return
+        raise MachineError(f"no mission can be flown here: {lost[0][2].reason}")
+
+
+# ---- flies campaigns mission by mission, alone or together; a stopped campaign resumes -----------------------------
 
 
 def run_campaign(

@@ -65,9 +65,9 @@ def run(  # noqa: PLR0913 - options
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
     from mavfi.campaign.config import load_campaign
-    from mavfi.campaign.names import check_names
+    from mavfi.campaign.mission import check_names
+    from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
-    from mavfi.campaign.shard import WHOLE, Shard
     from mavfi.cli.progress import Bar, success_counts
 
     campaign = load_campaign(config).at_scale(scale)
@@ -125,7 +125,7 @@ def status(
     Example: [bold]mavfi campaign status out/states[/bold]
     """
     from mavfi.campaign.ledger import status as status_of
-    from mavfi.campaign.shard import WHOLE
+    from mavfi.campaign.plan import WHOLE
     from mavfi.cli.progress import success_counts
 
     found = status_of(directory)
@@ -218,7 +218,7 @@ def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     Example: [bold]mavfi campaign digest out/states[/bold]
     """
     from mavfi.campaign.ledger import status as status_of
-    from mavfi.campaign.shard import WHOLE
+    from mavfi.campaign.plan import WHOLE
     from mavfi.campaign.store import Store
 
     with Store.open(directory) as store:

@@ -13,6 +13,10 @@ from mavfi.errors import MavfiError
 if TYPE_CHECKING:
     from mavfi.campaign.shrink import Shrunk
 
+from mavfi.campaign.shrink import Shrunk, Trial
+from mavfi.levels.level import text_of
+from mavfi.report.numbers import change
+
 
 def runs(
     directory: options.Ledger,
@@ -124,7 +128,7 @@ def shrink(
     """
     from mavfi.campaign.shrink import shrink as make_smaller
     from mavfi.cli.flight_text import story_table
-    from mavfi.report.shrink import lines
+    from mavfi.cli.runs import lines
 
     progress = console(error=True)
     with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
@@ -150,3 +154,31 @@ def command(found: "Shrunk") -> str:
     profile = spec.detector_profile if spec.model else None
     level = find_level(fault.level)
     return fly_command(mission, level.text_of(fault), level.seed_of(fault), spec.detector or "none", profile, None)
+
+
+# ---- results of `campaign.shrink` as text --------------------------------------------------------------------------
+
+Lines = list[tuple[str, str]]
+_WHAT = {"publications": "fewer wrong publications", "width": "one bit instead of several",
+         "bit": "a bit that changes the value less"}  # fmt: skip
+
+
+def lines(found: Shrunk) -> Lines:
+    """Headings and sentences: the smallest fault, the original, steps, golden run."""
+    rows = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
+    for place, step in enumerate(found.steps):
+        heading = "steps" if place == 0 else ""
+        end = "none loses the mission" if step.found is None else _trial(step.found)
+        rows.append((heading, f"{_WHAT.get(step.what, step.what)}, {step.tried} tried: {end}"))
+    golden = found.golden.log
+    rows.append(("golden run", f"{golden.status.words} after {float(golden.column('time')[-1]):.2f} s"))
+    return rows
+
+
+def _trial(trial: Trial) -> str:
+    text = text_of(trial.fault)
+    end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
+    if trial.injection is None:
+        return f"{text}: {end}"
+    before, after = change(trial.injection.before, trial.injection.after)
+    return f"{text}: {before} → {after}, {end}"

@@ -317,20 +317,12 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
     return rules.tracking(header, record[0]["last_tracking"].view(TRACKING_TYPE), duration, record)
 
 
-COMPILED: Mapping[str, Compiled] = {
-    "judge_status": judge_status,
-    "judge_path": judge_path,
-    "judge_trajectory": judge_trajectory,
-    "judge_waypoint": judge_waypoint,
-    "judge_command": judge_command,
-    "judge_tracking": judge_tracking,
-    "note_status": note_status,
-    "note_path": note_path,
-    "note_trajectory": note_trajectory,
-    "judge_estimate": estimates.judge_estimate,
-    "note_estimate": estimates.note_estimate,
-    "note_fix": estimates.note_fix,
-}
+_ENTRIES: tuple[Compiled, ...] = (
+    judge_status, judge_path, judge_trajectory, judge_waypoint, judge_command, judge_tracking,
+    note_status, note_path, note_trajectory,
+    estimates.judge_estimate, estimates.note_estimate, estimates.note_fix,
+)  # fmt: skip
+COMPILED: Mapping[str, Compiled] = {function.__name__: function for function in _ENTRIES}
 """Entry points from Python into compiled code, by name."""
 
 
@@ -374,15 +366,16 @@ class AcceptanceTest(Detector):
     def instrument(self, made: Mapping[str, Compiled]) -> None:
         """See `Detector`."""
         functions, record, estimate = {**COMPILED, **made}, self.record, self.estimate
-        header = {name: new_state(name).header for name in (_TRUTH, _STATUS, *_CANDIDATES)}
-        judge_status = entry(functions["judge_status"], header[_STATUS], record)
-        judge_waypoint = entry(
-            functions["judge_waypoint"], header[_WAYPOINT], bytes_of(header[_TRUTH]), record, self.blocks
-        )
-        judge_command = entry(functions["judge_command"], header[_COMMAND], record)
-        note_status = entry(functions["note_status"], header[_STATUS], 0, record)
+
+        def of_header(name: str, header: np.ndarray) -> Callable[[State, int], int]:
+            function = entry(functions[name], header, record)
+            return lambda state, now: function(state.header, record)
+
+        status, waypoint, command, tracking = (new_state(name).header for name in (_STATUS, *_CANDIDATES))
+        judge_waypoint = entry(functions["judge_waypoint"], waypoint, bytes_of(self.odometry), record, self.blocks)
+        note_status = entry(functions["note_status"], status, 0, record)
         self._judges: dict[str, Callable[[State, int], int]] = {
-            _STATUS: lambda state, now: judge_status(state.header, record),
+            _STATUS: of_header("judge_status", status),
             _PATH: lambda state, now: functions["judge_path"](
                 state.header, rows(state.elements, 3), now, bytes_of(self.odometry), record, self.blocks
             ),
@@ -390,7 +383,7 @@ class AcceptanceTest(Detector):
                 state.header, rows(state.elements, rules.POINT_WIDTH), bytes_of(self.odometry), record
             ),
             _WAYPOINT: lambda state, now: judge_waypoint(state.header, bytes_of(self.odometry), record, self.blocks),
-            _COMMAND: lambda state, now: judge_command(state.header, record),
+            _COMMAND: of_header("judge_command", command),
         }
         self._notes: dict[str, Callable[[State, int], None]] = {
             _STATUS: lambda state, now: note_status(state.header, now, record),
@@ -400,8 +393,7 @@ class AcceptanceTest(Detector):
         }
         self._function_of_trajectory = functions["note_trajectory"]
         if self.limits.held:
-            judge_tracking = entry(functions["judge_tracking"], header[_TRACKING], record)
-            self._judges[_TRACKING] = lambda state, now: judge_tracking(state.header, record)
+            self._judges[_TRACKING] = of_header("judge_tracking", tracking)
         if self.limits.fix_noise is None:
             return
         odometry, fix = (bytes_of(new_state(name).header) for name in (_ESTIMATE, estimates.FIX))

@@ -5,13 +5,13 @@ float64 difference from the prediction.  Integers: difference, saturated to 16 b
 """
 
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.scoring import Reading, Scorer, Threshold, score_of
+from mavfi.detectors.scoring import Reading, Scorer, Threshold, checked_name, score_of
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import entry, is_compiled, kernel_jit
 from mavfi.numerics.stored import Stored
@@ -40,7 +40,6 @@ class Preprocessor:
         fields: Names of the watched fields, "state.field", in the order of the vector.
         stages: Stage of each.
         slots: Index of each watched state, by name.
-        specs: Definitions of the watched states, by slot.
         predicts: Whether a watched state, by slot, has fields that are predicted from the vehicle's odometry.
         states: States that it reads: the watched ones and, for predictions, the vehicle's odometry.
         watch: Tables and memory.
@@ -57,9 +56,9 @@ class Preprocessor:
         Raises:
             BadInputError: Unknown name.
         """
-        watched = MONITORED_SETS[_known(monitored, MONITORED_SETS, "monitored set")]
-        _known(profile, PROFILES, "profile")
-        _known(prediction, PREDICTIONS, "prediction")
+        watched = MONITORED_SETS[checked_name(monitored, MONITORED_SETS, "monitored set")]
+        checked_name(profile, PROFILES, "profile")
+        checked_name(prediction, PREDICTIONS, "prediction")
         specs = {state: STATES[state] for state, _ in watched}
         self._fill(specs, watched, [_row(STATES[state], field, profile, prediction) for state, field in watched])
 
@@ -72,7 +71,9 @@ class Preprocessor:
             profile: "paper" or "tuned".
             thresholds: Exponent threshold of each field's code, see `sign_exponent_code`.
         """
-        rule = features.DELTA_OF_CODES if _known(profile, PROFILES, "profile") == "paper" else features.CODE_OF_DELTA
+        rule = (
+            features.DELTA_OF_CODES if checked_name(profile, PROFILES, "profile") == "paper" else features.CODE_OF_DELTA
+        )
         watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
         rows = [
             (specs[state].offset(field), rule, threshold, -1, 0)
@@ -89,7 +90,7 @@ class Preprocessor:
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
         self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
-        self.specs = tuple(specs.values())
+        self._specs = tuple(specs.values())
         size = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.Watch(
             places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
@@ -110,16 +111,12 @@ class Preprocessor:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The memory, the last publications by state and field."""
-        memory, last = self.watch.memory, self.watch.last
-        memory_by_name = {
-            "seen": memory[:, features.SEEN],
-            "regime": memory[:, features.REGIME],
-            "vehicle": self.watch.vehicle,
-        }
-        for slot, spec in enumerate(self.specs):
-            header = last[slot, : spec.header_dtype.itemsize].view(spec.header_dtype)
-            memory_by_name |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
-        return memory_by_name
+        seen, regime = self.watch.memory[:, features.SEEN], self.watch.memory[:, features.REGIME]
+        memory = {"seen": seen, "regime": regime, "vehicle": self.watch.vehicle}
+        for spec, content in zip(self._specs, self.watch.last, strict=True):
+            header = content[: spec.header_dtype.itemsize].view(spec.header_dtype)
+            memory |= {f"last.{spec.name}.{field.name}": header[field.name] for field in spec.header}
+        return memory
 
     def start(self) -> None:
         """Reset the memory at the start of a flight."""
@@ -317,12 +314,6 @@ class DeltaScorer(Scorer):
         return first + np.flatnonzero(found)
 
 
-def _known(name: str, allowed: Collection[str], what: str) -> str:
-    if name not in allowed:
-        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(allowed)}")
-    return name
-
-
 def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, int, int, int]:
     fields = [index for index, (state, _) in enumerate(watched) if state == spec.name]
     if fields != list(range(fields[0], fields[-1] + 1)):
@@ -332,18 +323,19 @@ def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, 
 
 
 def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:
-    offset = spec.offset(field)
-    position = spec.name == _PLANNED and field in _POSITIONS
+    is_position = spec.name == _PLANNED and field in _POSITIONS
+    velocity, axis = (spec.offset(_POSITIONS[field]), list(_POSITIONS).index(field)) if is_position else (-1, 0)
     kind = spec.find(field).dtype
     if kind == "i4":
-        return offset, features.INTEGER, 0, -1, 0
-    if kind != "f8":
+        rule, threshold = features.INTEGER, 0
+    elif kind != "f8":
         raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
-    if field == "time_to_collision":
-        return offset, features.DELTA_OF_CODES, _ONE_SECOND, -1, 0
-    if profile == "paper":
-        return offset, features.DELTA_OF_CODES, _HALF_METRE if position else _QUARTER, -1, 0
-    if position:
-        velocity, axis = spec.offset(_POSITIONS[field]), list(_POSITIONS).index(field)
-        return offset, PREDICTIONS[prediction], _EIGHTH, velocity, axis
-    return offset, features.CODE_OF_ANGLE if field == "yaw" else features.CODE_OF_DELTA, _EIGHTH, -1, 0
+    elif field == "time_to_collision":
+        rule, threshold = features.DELTA_OF_CODES, _ONE_SECOND
+    elif profile == "paper":
+        rule, threshold = features.DELTA_OF_CODES, _HALF_METRE if is_position else _QUARTER
+    elif is_position:
+        rule, threshold = PREDICTIONS[prediction], _EIGHTH
+    else:
+        rule, threshold = features.CODE_OF_ANGLE if field == "yaw" else features.CODE_OF_DELTA, _EIGHTH
+    return spec.offset(field), rule, threshold, velocity, axis

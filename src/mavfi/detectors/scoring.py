@@ -5,7 +5,7 @@ recovery that an alarm requests.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -209,9 +209,14 @@ POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
 
 def find_policy(name: str) -> Policy:
     """A recovery policy by name; `BadInputError` if unknown."""
-    if name not in POLICIES:
-        raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
-    return POLICIES[name]
+    return POLICIES[checked_name(name, POLICIES, "recovery policy")]
+
+
+def checked_name(name: str, allowed: Collection[str], what: str) -> str:
+    """The name, or a `BadInputError` if it is not allowed."""
+    if name not in allowed:
+        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(allowed)}")
+    return name
 
 
 class ScoringDetector(Detector):

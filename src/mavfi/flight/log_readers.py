@@ -201,7 +201,7 @@ def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[s
     if colon and _full(topic, first) not in first:
         raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
     refusal: BadInputError | None = None
-    found = False
+    is_assigned = False
     for candidate in [_full(topic, first)] if colon else list(first):
         try:
             first[candidate][0].check(path)
@@ -209,8 +209,8 @@ def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[s
             refusal = refusal or error
         else:
             fields[candidate].append(path)
-            found = True
-    if not found and refusal is not None:
+            is_assigned = True
+    if not is_assigned and refusal is not None:
         raise refusal
 
 

@@ -138,8 +138,8 @@ class PilotedVehicle:
 
     def in_ned(self, odometry: np.ndarray) -> tuple[Triple, Quaternion, Triple, Triple]:
         """Position (m), orientation, velocity (m/s) and rates (rad/s) of a state."""
-        place, velocity, rates = odometry[:3] - self.origin, odometry[3:6], odometry[10:13]
-        return flipped(place), turned(odometry[6:10]), flipped(velocity), flipped(rates)
+        position, velocity, rates = odometry[:3] - self.origin, odometry[3:6], odometry[10:13]
+        return flipped(position), turned(odometry[6:10]), flipped(velocity), flipped(rates)
 
     @property
     def position(self) -> Triple:
@@ -191,9 +191,9 @@ class PilotedVehicle:
         """A place in the world's frame (m). Shape (3,)."""
         return np.array(flipped(ned)) + self.origin
 
-    def to_ned(self, place: np.ndarray) -> Triple:
+    def to_ned(self, point: np.ndarray) -> Triple:
         """A place of the world in NED (m)."""
-        return flipped(place - self.origin)
+        return flipped(point - self.origin)
 
     def digest(self) -> str:
         """SHA-256 of all states so far, every 20 ms and at the end of each step."""

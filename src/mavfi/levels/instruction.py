@@ -29,7 +29,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, NO_SITE, RESTART_S, Fault, InstructionFault, Model
 from mavfi.faults.levels.instruction import Profiling, Resolving, Site, budget_for, choose
 from mavfi.faults.levels.instruction.plan import plan
-from mavfi.faults.levels.instruction.selection import parse_selection
+from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.faults.sampling import stream
 from mavfi.flight.decide import INLINE, Recovery
 from mavfi.ir.module import DIGEST_VERSION
@@ -64,7 +64,7 @@ class InstructionRequest:
 
     Attributes:
         kernels: Number of faults in each kernel, by the names of `states.INJECTABLE` and `states.DETECTORS`.
-        which: Class of instructions, see `mavfi.faults.levels.instruction.selection`.
+        which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
         model: How the value is changed.
         restart_s: Time after which a crashed node has restarted (s).
     """

@@ -60,11 +60,6 @@ class StateEstimator(Remembers):
         self._noise = noise
         self.memory = _EstimatorMemory()
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Error covariance, see `kernels.perception.state_estimation`. Shape (15, 15)."""
-        return self.memory.filter.covariance
-
     def receive(self, state: State, time_us: int) -> bool:
         """An IMU sample makes a step due; a fix is stored until the next step."""
         if state.spec.name == "sensor.imu":

@@ -129,18 +129,18 @@ class Grounded(Simulator):
         if self._voxels.occupied.size and self.collided:
             here = self.odometry[:3].copy()
             self.touched = Contact(self.time_us, here, here, np.zeros(3), 0.0, SCAN)
-        for place in range(self._data.ncon):
-            contact = self._data.contact[place]
+        for index in range(self._data.ncon):
+            contact = self._data.contact[index]
             other = int(min(contact.geom1, contact.geom2))  # the collision sphere is the last geom
             sign = 1.0 if contact.geom1 == other else -1.0
-            found = Contact(
+            noted = Contact(
                 self.time_us, self.odometry[:3].copy(), np.array(contact.pos), sign * np.array(contact.frame[:3]),
                 max(0.0, -float(contact.dist)), other - 1,
             )  # fmt: skip
-            if found.obstacle == GROUND:
-                self.landed_at = found
+            if noted.obstacle == GROUND:
+                self.landed_at = noted
             else:
-                self.touched = found
+                self.touched = noted
         if self.landed_at is not None and self.landed_at.time_us == self.time_us and not self.armed:
             self._rest()
 
@@ -262,10 +262,10 @@ class Grounded(Simulator):
             limit: Range (m).
             mount: As for `ranges`.
         """
-        found = np.empty(len(directions), np.float32)
+        ranges = np.empty(len(directions), np.float32)
         pose = np.array(self.sensor_pose(mount))
-        cast_rays(self._camera.columns, self._voxels, pose, _read_only(directions), limit, found)
-        return found
+        cast_rays(self._camera.columns, self._voxels, pose, _read_only(directions), limit, ranges)
+        return ranges
 
     def points(self, directions: np.ndarray, ranges: np.ndarray) -> np.ndarray:
         """World coordinates (m) of the points that rays in the body frame hit. Shape (n, 3)."""
@@ -289,9 +289,9 @@ class Grounded(Simulator):
         """Pose of a sensor in the world frame: position (m) and unit quaternion. Shape (7,)."""
         matrix = np.empty((3, 3))
         rotation_matrix(self.odometry[6:10], matrix)
-        own, at = self.odometry[:3].tolist(), mount[:3]
+        position, at = self.odometry[:3].tolist(), mount[:3]
         turned = [sum(matrix[axis, k] * at[k] for k in range(3)) for axis in range(3)]
-        return [*(float(a + b) for a, b in zip(own, turned, strict=True)), *times(self.odometry[6:10], mount[3:])]
+        return [*(float(a + b) for a, b in zip(position, turned, strict=True)), *times(self.odometry[6:10], mount[3:])]
 
     def is_free(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether no obstacle is between two points, world frame (m). Shapes (3,)."""
@@ -299,10 +299,10 @@ class Grounded(Simulator):
         length = float(np.sqrt(np.square(way).sum()))
         if length == 0.0:
             return True
-        found = np.empty(1, np.float32)
+        range_ = np.empty(1, np.float32)
         pose = np.array([*start, 1.0, 0.0, 0.0, 0.0])
-        cast_rays(self._camera.columns, self._voxels, pose, _read_only((way / length)[None, :]), length, found)
-        return bool(np.isinf(found[0]))
+        cast_rays(self._camera.columns, self._voxels, pose, _read_only((way / length)[None, :]), length, range_)
+        return bool(np.isinf(range_[0]))
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

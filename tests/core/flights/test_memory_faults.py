@@ -17,7 +17,7 @@ from mavfi.flight.decide import Recovery
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.memory_faults import DetectorMemory, MemoryInjector, flip_bit
-from mavfi.levels.memory import MemoryRequest
+from mavfi.levels.memory import MemoryRequest, fly_exposed
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of
@@ -232,16 +232,16 @@ def test_a_fault_in_a_detector_is_recorded_and_gone_in_the_next_flight():
 def test_a_detector_that_raises_dies_and_comes_back_without_the_fault():
     watching = detector("acceptance")
     part, spoilt, calls = part_of(watching, "acceptance"), [], []
-    judge = part._judges_at_ticks["control.command"]
+    judge = part._judges["control.command"]
 
-    def raising(header, record):
-        calls.append(header)
-        if record[0]["changes"] > 1 << 20:
-            spoilt.append(header)
+    def raising(state, now):
+        calls.append(state)
+        if part.record[0]["changes"] > 1 << 20:
+            spoilt.append(state)
             raise IndexError("of such a number")
-        return judge(header, record)
+        return judge(state, now)
 
-    part._judges_at_ticks["control.command"] = raising
+    part._judges["control.command"] = raising
     log = fly(mission(), MemoryFault("acceptance", "changes", None, "i8", AT, 40), watching).log
     assert (log.kernel.effect, log.kernel.detail) == ("exception", "IndexError: of such a number")
     assert len(spoilt) == 1 and log.status is MissionStatus.SUCCESS
@@ -255,7 +255,9 @@ def test_faults_in_detectors_are_drawn_from_flights_with_them():
     watching = detector("acceptance")
     fault, flown = MemoryRequest("acceptance", "last_command", None, AT).draw(ArmSetup(mission(), lambda: watching), 3)
     assert fault.kernel == "acceptance" and fault.field.startswith("last_command.") and fault.time_us == AT
-    assert flown.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
+    assert flown is None, "no golden flight without the detector was flown"
+    drawn_from = fly_exposed(ArmSetup(mission(), lambda: watching), [])
+    assert drawn_from.log.digest() == fly(mission(), None, detector("acceptance")).log.digest()
     with pytest.raises(BadInputError, match=r"memory:acceptance.nothing: no such word.*allowed: .*last_command.vx"):
         MemoryRequest("acceptance", "nothing").draw(ArmSetup(mission(), lambda: watching), 3)
     gated = r"autoencoder \(profile tuned\), gaussian \(profile tuned\)"

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.names import check_names
+from mavfi.campaign.mission import check_names
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.extras.firmware import build

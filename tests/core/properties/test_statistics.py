@@ -7,12 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binomtest, poisson
 
-from mavfi.analysis.pairs import mcnemar, paired_difference, recovery
 from mavfi.analysis.statistics import (
     cluster_sums,
     clustered_rate,
     event_rate,
     event_rate_by_flight,
+    mcnemar,
+    paired_difference,
+    recovery,
     resample,
     smallest_difference,
     weighted_rate,

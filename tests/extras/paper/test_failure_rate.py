@@ -16,7 +16,7 @@ from mavfi.extras.paper.failure_rate import (
     upsets_per_instruction,
 )
 from mavfi.faults.levels.instruction import api
-from mavfi.faults.levels.instruction.selection import parse_selection
+from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.numerics.jit import kernel_jit
 
 

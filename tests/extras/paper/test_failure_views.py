@@ -3,8 +3,16 @@ from dataclasses import replace
 import pytest
 
 from mavfi.analysis import table
-from mavfi.extras.paper.failure_rate import Range, find_upsets, upsets_per_instruction
-from mavfi.extras.paper.failure_views import exposed, failure_table, payoff, payoffs, summary
+from mavfi.extras.paper.failure_rate import (
+    Range,
+    exposed,
+    failure_table,
+    find_upsets,
+    payoff,
+    payoffs,
+    summary,
+    upsets_per_instruction,
+)
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from tests.core.unit.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
 

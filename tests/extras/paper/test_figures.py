@@ -6,7 +6,7 @@ import pytest
 from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
 from mavfi.errors import BadInputError
-from mavfi.extras.paper.cases import path_cases
+from mavfi.extras.paper.figures import path_cases
 from mavfi.report import figures
 from tests.core.unit.report.test_figures import golden, runs
 

@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 
 from mavfi.analysis import table, views_for
-from mavfi.extras.paper.platform_views import platforms
+from mavfi.extras.paper.views import platforms
 from mavfi.record import EnergyTerms
 from mavfi.report import figures
 from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs

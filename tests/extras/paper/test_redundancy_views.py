@@ -2,8 +2,18 @@ import pytest
 
 from mavfi.analysis import VIEWS
 from mavfi.analysis import published as paper
-from mavfi.extras.paper.redundancy import DesignConfig, find_design, performance, shipped_designs, time_ratio
-from mavfi.extras.paper.redundancy_views import band, ratio, redundancy_tables, schemes, summary
+from mavfi.extras.paper.redundancy import (
+    DesignConfig,
+    band,
+    find_design,
+    performance,
+    ratio,
+    redundancy_tables,
+    schemes,
+    shipped_designs,
+    summary,
+    time_ratio,
+)
 from tests.core.unit.analysis.handmade import flown, golden, injected, runs
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import steps
+from mavfi.extras.paper.report import step_table
 from mavfi.extras.paper.steps import FILE, SET_UP, SET_UP_FILE, Steps, machine, program, set_up_seconds
-from mavfi.extras.paper.times import step_table
 
 MAKEFILE = Path(__file__).parents[3] / "Makefile"
 

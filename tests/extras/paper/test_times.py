@@ -1,7 +1,7 @@
 import pytest
 
 from mavfi.campaign.store import Run
-from mavfi.extras.paper.times import time_table
+from mavfi.extras.paper.report import time_table
 from tests.core.unit.analysis.handmade import flown, golden, injected, null, runs
 
 

@@ -6,7 +6,7 @@ import pytest
 from mavfi.analysis import published as paper
 from mavfi.analysis import table
 from mavfi.analysis.measures import leads, population_names, population_text
-from mavfi.extras.paper.cases import path_cases
+from mavfi.extras.paper.figures import path_cases
 from mavfi.extras.paper.views import GOLDEN_ROW, by_bits, by_state, value_at_risk
 from mavfi.faults.fault import FaultSite, StateFault
 from tests.core.unit.analysis.handmade import FAULT, GOLDEN, INSTRUCTION, flown, golden, injected, runs

@@ -55,8 +55,8 @@ def path_of(value: Any, number: int) -> Path | None:
     for key, item in items:
         inside = count(item)
         if number < inside:
-            found = path_of(item, number)
-            return None if found is None else (key, *found)
+            path = path_of(item, number)
+            return None if path is None else (key, *path)
         number -= inside
     return None
 
@@ -174,10 +174,10 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     """
     if text.startswith(f"{SensorFault.level}:"):
         return parse_sensor(text, seed)
-    found = _TEXT.fullmatch(text)
-    if found is None:
+    match = _TEXT.fullmatch(text)
+    if match is None:
         raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
-    name, path, bit, at = found["call"], found["path"], found["bit"], found["at"]
+    name, path, bit, at = match["call"], match["path"], match["bit"], match["at"]
     if name not in CALLS:
         raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/airsim.md")
     try:
@@ -192,7 +192,7 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     if bit is not None and int(bit) >= _BITS:
         raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
     chosen = int(bit) if bit is not None else random.Random(seed).randrange(_BITS)
-    nth = int(found["nth"]) if found["nth"] else 1
+    nth = int(match["nth"]) if match["nth"] else 1
     return BoundaryFault(MessageFault(name, path, chosen, nth, seed=seed), round(1e6 * since_s))
 
 
@@ -249,16 +249,16 @@ class Boundary:
         """The injection that happened, into a call or the vehicle."""
         return self.injection if self.failure is None else self.failure.injection
 
-    def arguments(self, name: str, given: list[Any], now_us: int) -> list[Any]:
+    def arguments(self, name: str, values: list[Any], now_us: int) -> list[Any]:
         """Arguments of a call, perhaps changed; `given` is changed in place."""
-        self._inject(name, given, now_us, in_return=False)
-        self._observe(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, given, strict=False)), now_us)
-        return given
+        self._inject(name, values, now_us, in_return=False)
+        self._observe(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, values, strict=False)), now_us)
+        return values
 
-    def returned(self, name: str, given: Sequence[Any], value: Any, now_us: int) -> Any:
+    def returned(self, name: str, arguments: Sequence[Any], value: Any, now_us: int) -> Any:
         """Return value of a call, perhaps changed."""
         if self.keeps:
-            self.passed.append(Passed(name, sum(map(count, given)), count(value)))
+            self.passed.append(Passed(name, sum(map(count, arguments)), count(value)))
         value = self._inject(name, value, now_us, in_return=True)
         self._observe(f"{name}({RETURN})", value, now_us)
         return value
@@ -318,7 +318,7 @@ class BoundaryWatch:
         if spec is None:
             return
         numbers = dict(leaves(value))
-        if list(numbers) != [one.name for one in spec.header]:
+        if list(numbers) != [number_field.name for number_field in spec.header]:
             return
         state = foreign_state(spec, list(numbers.values()))
         alarm = self._detector.check(state, now_us)

@@ -89,6 +89,6 @@ class CallsReader:
             values = call.values
             shape = (call.topic, *values)
             if shape not in layouts:
-                leaves = {name or "value": Leaf(8 * place, "float64") for place, name in enumerate(values)}
+                leaves = {name or "value": Leaf(8 * index, "float64") for index, name in enumerate(values)}
                 layouts[shape] = Record(call.topic, leaves)
             yield LoggedMessage(call.topic, call.time_us, layouts[shape], np.array(list(values.values())).tobytes())

@@ -129,11 +129,11 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
 def owners(api: Api, view: View) -> np.ndarray:
     """The object that each pixel shows, by its place among `Api.objects`; -1 = ground, -2 = sky. Shape (pixels,)."""
     points, world = view.points(), api.vehicle.sim.world
-    found = np.where(np.isfinite(view.ranges), -1, -2)
-    for place in range(len(api.objects)):
-        lower, upper = world.lower[place] - _SURFACE_M, world.upper[place] + _SURFACE_M
-        found[((points >= lower) & (points <= upper)).all(axis=1)] = place
-    return found
+    owner = np.where(np.isfinite(view.ranges), -1, -2)
+    for index in range(len(api.objects)):
+        lower, upper = world.lower[index] - _SURFACE_M, world.upper[index] + _SURFACE_M
+        owner[((points >= lower) & (points <= upper)).all(axis=1)] = index
+    return owner
 
 
 def _segments(api: Api, view: View, kind: int) -> np.ndarray:
@@ -184,28 +184,28 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
     Raises:
         BadInputError: There is none.
     """
-    known = _NUMBERS.get(str(name), str(name))
-    if known not in _CAMERAS:
+    camera_name = _NUMBERS.get(str(name), str(name))
+    if camera_name not in _CAMERAS:
         raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
-    if known not in api.cameras:
-        api.cameras[known] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[known]))
-    return api.cameras[known]
+    if camera_name not in api.cameras:
+        api.cameras[camera_name] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[camera_name]))
+    return api.cameras[camera_name]
 
 
 def view(api: Api, name: Any, kind: int) -> View:  # noqa: ANN401 - a client's
     """What a camera sees now; images of a kind with depth are those of a depth camera, which can fail."""
-    found, (width, height) = find_camera(api, name), api.pixels
-    config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
-    placed = mount(found.position, found.orientation)
-    ranges, rays = api.vehicle.sim.ranges(config, placed)
+    camera, (width, height) = find_camera(api, name), api.pixels
+    config = CameraConfig(width=width, height=height, field_of_view=math.radians(camera.fov_deg), range=CAMERA_RANGE)
+    camera_mount = mount(camera.position, camera.orientation)
+    ranges, rays = api.vehicle.sim.ranges(config, camera_mount)
     if kind in DEPTH:
         ranges = api.vehicle.failures.ranges(api.vehicle.now_us, ranges, f"{name} {width}x{height}")
-    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
+    return View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(camera_mount))
 
 
 def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
-    found = find_camera(api, name)
-    at = api.vehicle.sim.sensor_pose(mount(found.position, found.orientation))
+    camera = find_camera(api, name)
+    at = api.vehicle.sim.sensor_pose(mount(camera.position, camera.orientation))
     return api.vehicle.to_ned(np.array(at[:3])), (at[3], at[4], -at[5], -at[6])
 
 
@@ -300,9 +300,9 @@ def _set_optics(name: str, camera: Camera, film: tuple[float, float], focal: flo
     camera.film_mm, camera.fov_deg = film, fov
 
 
-def _preset(name: str, given: str, only: str) -> None:
-    if given != only:
-        raise BadInputError(f"{name}: {given!r}: allowed: {only!r}")
+def _preset(name: str, preset: str, only: str) -> None:
+    if preset != only:
+        raise BadInputError(f"{name}: {preset!r}: allowed: {only!r}")
 
 
 # ---- readings --------------------------------------------------------------------------------------------------------
@@ -427,15 +427,15 @@ def simGetDetections(api: Api, camera_name: str, image_type: int) -> list[Data]:
     wanted = _wanted(api, camera_name, image_type)
     seen = view(api, camera_name, image_type)
     owner, world = owners(api, seen).reshape(seen.height, seen.width), api.vehicle.sim.world
-    found = []
-    for place, name in enumerate(api.objects):
-        centre = 0.5 * (world.lower[place] + world.upper[place])
+    detections = []
+    for index, name in enumerate(api.objects):
+        centre = 0.5 * (world.lower[index] + world.upper[index])
         near = np.linalg.norm(centre - seen.pose[:3]) <= wanted.radius
         if near and any(fnmatchcase(name, pattern) for pattern in wanted.names):
-            rows, columns = np.nonzero(owner == place)
+            rows, columns = np.nonzero(owner == index)
             if len(rows):
-                found.append(_detection(api, seen, name, (world.lower[place], world.upper[place]), rows, columns))
-    return found
+                detections.append(_detection(api, seen, name, (world.lower[index], world.upper[index]), rows, columns))
+    return detections
 
 
 def _detection(

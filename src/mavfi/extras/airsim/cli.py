@@ -271,8 +271,8 @@ def run(  # noqa: PLR0913 - one parameter per option
 
 def _hint_at_order(context: typer.Context, arguments: Sequence[str]) -> None:
     """Say on stderr which arguments of the program are named like options of this command."""
-    own = {name for parameter in context.command.params for name in parameter.opts}
-    named = [given for given in arguments if given.startswith("--") and given.split("=")[0] in own]
+    option_names = {name for parameter in context.command.params for name in parameter.opts}
+    named = [argument for argument in arguments if argument.startswith("--") and argument.split("=")[0] in option_names]
     if named:
         text = f"mavfi: {', '.join(named)}: passed to the program; options of mavfi come before the script"
         typer.echo(text, err=True)
@@ -285,22 +285,22 @@ def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_js
     faulty = injected is not None and injected.boundary.faulty
     effect = effect_on(golden, injected) if faulty and injected is not None else None
     if as_json:
-        found = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
-        write_json({"script": program.script, **found})
+        result = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
+        write_json({"script": program.script, **result})
         return
     out = console()
     if effect is not None and injected is not None:
         out.print(f"effect: {effect}", markup=False)
         out.print(_line(injected.boundary), markup=False)
-    for label, one in (("golden", golden), ("injected" if faulty else "watched", injected)):
-        if one is None:
+    for label, ended in (("golden", golden), ("injected" if faulty else "watched", injected)):
+        if ended is None:
             continue
-        hit = ", collision" if one.collided else ""
-        reason = f" ({one.reason})" if one.reason else ""
-        calls = sum(one.calls.values())
-        text = f"{one.how}{hit}{reason}, {one.seconds:.3f} s simulated, {calls} calls, digest {one.digest[:16]}"
+        hit = ", collision" if ended.collided else ""
+        reason = f" ({ended.reason})" if ended.reason else ""
+        calls = sum(ended.calls.values())
+        text = f"{ended.how}{hit}{reason}, {ended.seconds:.3f} s simulated, {calls} calls, digest {ended.digest[:16]}"
         out.print(f"{label}: {text}", markup=False)
-        for error, count in one.errors.items():
+        for error, count in ended.errors.items():
             out.print(f"  refused {count} x: {error}", markup=False)
     if injected is not None:
         _print_alarms(out, injected.boundary)
@@ -319,11 +319,11 @@ def _print_alarms(out: Console, boundary: Boundary) -> None:
 
 def _line(boundary: Boundary) -> str:
     """The injection in one line, or that there was none."""
-    found = boundary.injected
-    if found is None:
+    injection = boundary.injected
+    if injection is None:
         reason = "no such number passed the boundary" if boundary.failure is None else "nothing changed for its readers"
         return f"fault: not activated: {reason}"
     if boundary.failure is not None:
-        return f"{found.time_s:8.3f} s  fault: {found.site}: {found.before} → {found.after}"
-    where = f"{found.details['call']}.{found.details['path']}"
-    return f"{found.time_s:8.3f} s  fault in {where} bit {found.bit}: {found.before} → {found.after}"
+        return f"{injection.time_s:8.3f} s  fault: {injection.site}: {injection.before} → {injection.after}"
+    where = f"{injection.details['call']}.{injection.details['path']}"
+    return f"{injection.time_s:8.3f} s  fault in {where} bit {injection.bit}: {injection.before} → {injection.after}"

@@ -201,8 +201,8 @@ def moveToGPS(
     lookahead: float,
     adaptive_lookahead: float,
 ) -> Task:
-    place = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
-    return fly_path(api.vehicle, [place], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
+    target = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
+    return fly_path(api.vehicle, [target], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
 
 
 @task
@@ -241,15 +241,23 @@ _ATTITUDES = {
 def _add_attitude_task(name: str, arguments: str) -> None:
     numbers = (*arguments.split(), "duration")
 
-    def fly(api: Api, *given: Any) -> Task:
-        own = dict(zip(numbers, given, strict=False))
-        vertical = Vertical(own.get("throttle"), own.get("z", 0.0))
-        if "roll_rate" in own:
-            rotors = at_rates(api.vehicle, own["roll_rate"], own["pitch_rate"], own["yaw_rate"], vertical)
+    def fly(api: Api, *values: Any) -> Task:
+        arguments_by_name = dict(zip(numbers, values, strict=False))
+        vertical = Vertical(arguments_by_name.get("throttle"), arguments_by_name.get("z", 0.0))
+        if "roll_rate" in arguments_by_name:
+            rotors = at_rates(
+                api.vehicle,
+                arguments_by_name["roll_rate"],
+                arguments_by_name["pitch_rate"],
+                arguments_by_name["yaw_rate"],
+                vertical,
+            )
         else:
-            yaw, yaw_rate = own.get("yaw", 0.0), own.get("yaw_rate")
-            rotors = at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
-        return fly_rotors(api.vehicle, rotors, own["duration"])
+            yaw, yaw_rate = arguments_by_name.get("yaw", 0.0), arguments_by_name.get("yaw_rate")
+            rotors = at_attitude(
+                api.vehicle, arguments_by_name["roll"], arguments_by_name["pitch"], yaw, yaw_rate, vertical
+            )
+        return fly_rotors(api.vehicle, rotors, arguments_by_name["duration"])
 
     task(_with_signature(fly, numbers), name)
 

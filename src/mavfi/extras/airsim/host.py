@@ -59,8 +59,8 @@ def make_api(
     if on_ground and spec.v_max is None:
         spec = spec.model_copy(update={"v_max": V_MAX})
     vehicle = PilotedVehicle(spec, on_ground=on_ground)
-    own = vehicle.scenario.camera
-    size = pixels(image or (IMAGE if on_ground else f"{own.width}x{own.height}"))
+    camera = vehicle.scenario.camera
+    size = pixels(image or (IMAGE if on_ground else f"{camera.width}x{camera.height}"))
     return Api(vehicle, name, size, version, paused=not on_ground)
 
 
@@ -204,7 +204,7 @@ class _Run:
 def _exception_line(errors: str) -> str:
     """The exception of the last traceback in what a program wrote to stderr; without one, the last line."""
     lines = [line for line in errors.splitlines() if line.strip()]
-    start = max((place for place, line in enumerate(lines) if line.startswith("Traceback ")), default=len(lines))
+    start = max((index for index, line in enumerate(lines) if line.startswith("Traceback ")), default=len(lines))
     return next((line for line in lines[start + 1 :] if not line[0].isspace()), lines[-1] if lines else "")
 
 

@@ -61,11 +61,11 @@ class MessageSampler(Sampler):
         passed: Sequence[Any] = getattr(golden[""].flight, "passed", ()) if "" in golden else ()
         seen: Counter[str] = Counter()
         calls: list[tuple[str, int, int]] = []  # name, number among those of this name, numbers on this side
-        for one in passed:
-            seen[one.name] += 1
-            numbers = one.arguments if side == "arguments" else one.returned
-            if numbers and (not self.sampling.calls or one.name in self.sampling.calls):
-                calls.append((one.name, seen[one.name], numbers))
+        for call in passed:
+            seen[call.name] += 1
+            numbers = call.arguments if side == "arguments" else call.returned
+            if numbers and (not self.sampling.calls or call.name in self.sampling.calls):
+                calls.append((call.name, seen[call.name], numbers))
         if not calls:
             return None
         key = (_PURPOSE, index, ("arguments", "return").index(side), int(null))

@@ -179,12 +179,12 @@ class Remote:
     def _observe(self) -> None:
         state = self.rpc.call("getMultirotorState", "")
         try:
-            found, self._stamp = state["kinematics_estimated"], int(state["timestamp"])
-            moving = triple(found["linear_velocity"]), triple(found["angular_velocity"])
+            kinematics, self._stamp = state["kinematics_estimated"], int(state["timestamp"])
+            moving = triple(kinematics["linear_velocity"]), triple(kinematics["angular_velocity"])
             self.collided = self.collided or bool(state["collision"]["has_collided"])
         except (KeyError, TypeError, ValueError) as error:
             raise MavfiError(f"server of --world: getMultirotorState: not a MultirotorState ({error!r})") from None
-        position, orientation = pose_numbers(found)
+        position, orientation = pose_numbers(kinematics)
         self.odometry[:3] = np.array(flipped(position)) + self._origin
         self.odometry[3:6], self.odometry[10:] = flipped(moving[0]), flipped(moving[1])
         self.odometry[6:10] = turned(orientation)

@@ -48,8 +48,8 @@ add_readings(
 def getSettingsString(api: Api) -> str:
     """AirSim's settings, and under a key of its own what the server flies."""
     vehicles: Data = {api.name: {}}
-    own = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
-    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: own}
+    report = identity(api.vehicle.scenario, api.vehicle.sim.world, in_flight=not api.vehicle.on_ground)
+    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles, KEY: report}
     return json.dumps(settings)
 
 
@@ -95,11 +95,11 @@ def _place(api: Api, name: str) -> int:
 
 def _box(api: Api, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Centre and size of an object (m), in the world. Shapes (3,)."""
-    world, place = api.vehicle.sim.world, _place(api, name)
-    return 0.5 * (world.lower[place] + world.upper[place]), world.upper[place] - world.lower[place]
+    world, index = api.vehicle.sim.world, _place(api, name)
+    return 0.5 * (world.lower[index] + world.upper[index]), world.upper[index] - world.lower[index]
 
 
-def _put(api: Api, place: int | None, centre: np.ndarray, size: np.ndarray) -> None:
+def _put(api: Api, index: int | None, centre: np.ndarray, size: np.ndarray) -> None:
     """Set one box; None = add it."""
     world = api.vehicle.sim.world
     if world.is_voxels:
@@ -107,10 +107,10 @@ def _put(api: Api, place: int | None, centre: np.ndarray, size: np.ndarray) -> N
     if not (np.isfinite(centre).all() and np.isfinite(size).all() and (size > 0.0).all()):
         raise BadInputError(f"object of size {size.tolist()}: allowed: finite numbers, a size above 0")
     lower, upper = world.lower.copy(), world.upper.copy()
-    if place is None:
+    if index is None:
         lower, upper = np.vstack([lower, centre - 0.5 * size]), np.vstack([upper, centre + 0.5 * size])
     else:
-        lower[place], upper[place] = centre - 0.5 * size, centre + 0.5 * size
+        lower[index], upper[index] = centre - 0.5 * size, centre + 0.5 * size
     api.vehicle.sim.set_boxes(lower, upper)
 
 
@@ -189,21 +189,21 @@ def simSpawnObject(
 def simDestroyObject(api: Api, object_name: str) -> bool:
     if object_name not in api.objects:
         return False
-    place, world = _place(api, object_name), api.vehicle.sim.world
-    api.vehicle.sim.set_boxes(np.delete(world.lower, place, axis=0), np.delete(world.upper, place, axis=0))
-    del api.objects[place]
+    index, world = _place(api, object_name), api.vehicle.sim.world
+    api.vehicle.sim.set_boxes(np.delete(world.lower, index, axis=0), np.delete(world.upper, index, axis=0))
+    del api.objects[index]
     contact = api.vehicle.sim.touched
-    if contact is not None and contact.obstacle >= place:  # obstacles are counted
-        number = DESTROYED if contact.obstacle == place else contact.obstacle - 1
+    if contact is not None and contact.obstacle >= index:  # obstacles are counted
+        number = DESTROYED if contact.obstacle == index else contact.obstacle - 1
         api.vehicle.sim.touched = replace(contact, obstacle=number)
     return True
 
 
 @call
 def simSetSegmentationObjectID(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
-    found = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
-    api.segments.update(dict.fromkeys(found, int(object_id)))
-    return bool(found)
+    matching = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
+    api.segments.update(dict.fromkeys(matching, int(object_id)))
+    return bool(matching)
 
 
 @call
@@ -256,9 +256,9 @@ def simEnableWeather(api: Api, enable: bool) -> None:
 def simSetWeatherParameter(api: Api, param: int, val: float) -> None:
     """A value of 0 is accepted for all weather: there is none."""
     if param not in _DRAWN and not (param in _KNOWN_WEATHER and val == 0.0):
-        known = _KNOWN_WEATHER.get(param, "unknown")
+        weather = _KNOWN_WEATHER.get(param, "unknown")
         allowed = ", ".join(f"{number} ({name})" for number, name in _DRAWN.items())
-        raise BadInputError(f"simSetWeatherParameter: {param} ({known}): not drawn; allowed: {allowed}")
+        raise BadInputError(f"simSetWeatherParameter: {param} ({weather}): not drawn; allowed: {allowed}")
     api.weather[param] = min(1.0, max(0.0, float(val)))
 
 
@@ -362,20 +362,20 @@ def identity(scenario: Scenario, world: World, *, in_flight: bool = True) -> dic
         Environment and vehicle by name, seed, wind (m/s, amplitude of gusts), start (x, y, m), goal (m), height of the
         start (m), speed limit (m/s).
     """
-    found = {
+    content = {
         "environment": scenario.environment.name, "seed": scenario.seed, "vehicle": scenario.vehicle.name,
         "wind": scenario.wind.gust, "start": world.start[:2].tolist(), "goal": world.goal.tolist(),
     }  # fmt: skip
-    return {**found, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else found
+    return {**content, "height": float(world.start[2]), "v_max": scenario.v_max} if in_flight else content
 
 
 def reported(settings: Any) -> dict[str, Any]:  # noqa: ANN401 - a server's
     """The report in a server's settings (JSON); empty if there is none, as from AirSim itself."""
     try:
-        found = json.loads(settings)[KEY]
+        report = json.loads(settings)[KEY]
     except (KeyError, TypeError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return report if isinstance(report, dict) else {}
 
 
 def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
@@ -383,7 +383,7 @@ def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
     keys = [key for key in here if key in there and there[key] != here[key]]
     if not keys:
         return ""
-    theirs, ours = (", ".join(f"{key} {_text(one[key])}" for key in keys) for one in (there, here))
+    theirs, ours = (", ".join(f"{key} {_text(report[key])}" for key in keys) for report in (there, here))
     return f"it has {theirs}; this flight has {ours}"
 
 

@@ -44,20 +44,20 @@ def kinematics(api: Api, odometry: np.ndarray) -> Data:
 
 def collision(api: Api) -> Data:
     """CollisionInfo."""
-    v, found = api.vehicle, api.vehicle.collision
-    if found is None:
+    v, contact = api.vehicle, api.vehicle.collision
+    if contact is None:
         zero = vector((0, 0, 0))
         return {
             "has_collided": v.has_collided, "normal": zero, "impact_point": zero, "position": zero,
             "penetration_depth": 0.0, "time_stamp": 0, "object_name": "", "object_id": -1,
         }  # fmt: skip
     others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
-    name = others[found.obstacle] if found.obstacle < 0 else api.objects[found.obstacle]
+    name = others[contact.obstacle] if contact.obstacle < 0 else api.objects[contact.obstacle]
     return {
-        "has_collided": v.has_collided, "normal": vector(flipped(found.normal)),
-        "impact_point": vector(v.to_ned(found.point)), "position": vector(v.to_ned(found.vehicle)),
-        "penetration_depth": found.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - found.time_us),
-        "object_name": name, "object_id": found.obstacle,
+        "has_collided": v.has_collided, "normal": vector(flipped(contact.normal)),
+        "impact_point": vector(v.to_ned(contact.point)), "position": vector(v.to_ned(contact.vehicle)),
+        "penetration_depth": contact.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - contact.time_us),
+        "object_name": name, "object_id": contact.obstacle,
     }  # fmt: skip
 
 
@@ -144,9 +144,9 @@ def getGpsData(api: Api, gps_name: str = "") -> Data:
 
 @vehicle_call
 def getDistanceSensorData(api: Api, distance_sensor_name: str = "") -> Data:
-    found = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
+    distance = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
     return {
-        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, found)), "min_distance": _NEAREST,
+        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, distance)), "min_distance": _NEAREST,
         "max_distance": _FARTHEST, "relative_pose": pose((0, 0, 0), LEVEL),
     }  # fmt: skip
 

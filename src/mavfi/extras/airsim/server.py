@@ -151,15 +151,15 @@ class Server:
         self.finished = asyncio.Event()
 
     # ---- calls ------------------------------------------------------------------------------------------------------
-    def serve_call(self, name: Any, given: list[Any], reply: Reply) -> None:
+    def serve_call(self, name: Any, arguments: list[Any], reply: Reply) -> None:
         """Serve one call; `reply` is called with error and result, now or when its task ends."""
         try:
             if isinstance(self.clock, Steps) and isinstance(name, str) and name.startswith("mavfi"):
-                result = self._of_runner(self.clock, name, given)
+                result = self._of_runner(self.clock, name, arguments)
                 self.flush()  # a task's answer comes before that of the call that waited for it
                 reply(None, result)
             else:
-                self._serve(name, given, reply)
+                self._serve(name, arguments, reply)
         except Exception as error:  # noqa: BLE001 - arguments of any type can come from a client
             self._refuse(name, error, reply)
         self.flush()
@@ -171,27 +171,27 @@ class Server:
             self.errors[text] += 1
         reply(text, None)
 
-    def _serve(self, name: Any, given: list[Any], reply: Reply) -> None:
-        api, found = self.api, find_call(name)
+    def _serve(self, name: Any, arguments: list[Any], reply: Reply) -> None:
+        api, call = self.api, find_call(name)
         self.calls[name] += 1
         self.clock.before_call(api)
         self._check_time()
-        found.check(api, given)
-        given = self.boundary.arguments(name, given, api.vehicle.now_us)
-        if found.is_task:
+        call.check(api, arguments)
+        arguments = self.boundary.arguments(name, arguments, api.vehicle.now_us)
+        if call.is_task:
             require_ready(api, name)
-            number = api.vehicle.start(found.run(api, given))
-            self._waiting[number] = (reply, name, given)
+            number = api.vehicle.start(call.run(api, arguments))
+            self._waiting[number] = (reply, name, arguments)
             return
-        result = found.run(api, given)
+        result = call.run(api, arguments)
         self.clock.after_call(api)
-        reply(None, self.boundary.returned(name, given, result, api.vehicle.now_us))
+        reply(None, self.boundary.returned(name, arguments, result, api.vehicle.now_us))
 
-    def _of_runner(self, clock: Steps, name: str, given: list[Any]) -> Any:
+    def _of_runner(self, clock: Steps, name: str, arguments: list[Any]) -> Any:
         """Calls of the runner in the client's process."""
         api = self.api
         if name == "mavfiSleep":
-            clock.sleep(api, float(given[0]))
+            clock.sleep(api, float(arguments[0]))
         elif name == "mavfiFinish":
             clock.finish(api)
         elif name != "mavfiNow":
@@ -207,13 +207,13 @@ class Server:
         """Answer the tasks that have ended."""
         vehicle = self.api.vehicle
         for ended in vehicle.ended:
-            reply, name, given = self._waiting.pop(ended.number, (None, "", []))
+            reply, name, arguments = self._waiting.pop(ended.number, (None, "", []))
             if reply is None:
                 continue
             if isinstance(ended.result, Exception):
                 self._refuse(name, ended.result, reply)
             else:
-                reply(None, self.boundary.returned(name, given, ended.result, vehicle.now_us))
+                reply(None, self.boundary.returned(name, arguments, ended.result, vehicle.now_us))
         vehicle.ended.clear()
 
     # ---- connections ------------------------------------------------------------------------------------------------
@@ -249,13 +249,13 @@ class Server:
     def _request(self, writer: asyncio.StreamWriter, request: Any) -> None:
         if not isinstance(request, list) or len(request) != 4 or request[0] != _REQUEST:
             raise ValueError("not a request of msgpack-rpc")
-        _, number, name, given = request
+        _, number, name, arguments = request
 
         def reply(error: str | None, result: Any) -> None:
             with contextlib.suppress(ConnectionError):
                 writer.write(self._pack([_RESPONSE, number, error, result]))
 
-        self.serve_call(name, list(given) if isinstance(given, (list, tuple)) else [given], reply)
+        self.serve_call(name, list(arguments) if isinstance(arguments, (list, tuple)) else [arguments], reply)
 
     async def run(self, port: int, ready: Callable[[int], None], *, once: bool = False) -> None:
         """Serve on loopback until cancelled, or (`once`) until the last client has left.

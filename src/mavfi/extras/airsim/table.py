@@ -127,11 +127,11 @@ class Call:
         """Its parameters, without the `Api`."""
         return [*list(signature(self.function).parameters.values())[1:], *self.ending]
 
-    def run(self, api: Api, given: list[Any]) -> Any:
+    def run(self, api: Api, values: list[Any]) -> Any:
         """What the function returns for arguments that `check` accepts."""
         if self.ending:
-            given = given[: len(self.parameters) - len(self.ending)]
-        return self.function(api, *given)
+            values = values[: len(self.parameters) - len(self.ending)]
+        return self.function(api, *values)
 
     @property
     def arguments(self) -> list[str]:
@@ -140,12 +140,12 @@ class Call:
 
     def is_double(self, path: Sequence[str | int]) -> bool:
         """Whether AirSim's signature has a double or float at a path, which begins with the place of an argument."""
-        place, *inside = path
+        index, *inside = path
         if inside:
             return inside[-1] in _DOUBLES
-        return isinstance(place, int) and place < len(self.parameters) and self.parameters[place].annotation is float
+        return isinstance(index, int) and index < len(self.parameters) and self.parameters[index].annotation is float
 
-    def check(self, api: Api, given: list[Any]) -> None:
+    def check(self, api: Api, values: list[Any]) -> None:
         """Check the number and the types of arguments and the name of the vehicle.
 
         Raises:
@@ -154,10 +154,10 @@ class Call:
         if any(parameter.kind is Parameter.VAR_POSITIONAL for parameter in self.parameters):
             return
         needed = sum(parameter.default is Parameter.empty for parameter in self.parameters)
-        if not needed <= len(given) <= len(self.parameters):
+        if not needed <= len(values) <= len(self.parameters):
             allowed = ", ".join(self.arguments) or "none"
-            raise BadInputError(f"{self.name}: {len(given)} arguments; allowed: {allowed}")
-        for parameter, value in zip(self.parameters, given, strict=False):
+            raise BadInputError(f"{self.name}: {len(values)} arguments; allowed: {allowed}")
+        for parameter, value in zip(self.parameters, values, strict=False):
             name = parameter.name
             if parameter.annotation in (bool, int, float) and not isinstance(value, (int, float)):
                 raise BadInputError(f"{self.name}: {name}: {value!r}: allowed: a number")

@@ -15,8 +15,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
-from mavfi.campaign.mission import scenarios_of
-from mavfi.campaign.names import check_names
+from mavfi.campaign.mission import check_names, scenarios_of
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
 from mavfi.config import Config, Name, config_root, parse, shipped

@@ -8,9 +8,9 @@ import polars as pl
 from mavfi.analysis import measures as m
 from mavfi.analysis.flight_views import INSTRUCTION, MEMORY, ONE_FAULT, SENSOR, STATE
 from mavfi.analysis.measures import Measure
-from mavfi.analysis.pairs import Paired, mcnemar
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
+from mavfi.analysis.statistics import Paired, mcnemar
 from mavfi.analysis.table import NUMBER, PER_HOUR, SMALL
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI

@@ -150,13 +150,13 @@ class _Flights:
         free = _AHEAD * self._threads - len(self._tickets)
         if 2 * free < _AHEAD * self._threads and self._tickets:
             return
-        given = {f"{self._topic}-{uuid.uuid4().hex}": mission for mission in itertools.islice(missions, free)}
-        if not given:
+        batch = {f"{self._topic}-{uuid.uuid4().hex}": mission for mission in itertools.islice(missions, free)}
+        if not batch:
             return
         futures = self._client.map(
-            _fly, list(given.values()), list(given), order=self._order, key=list(given), pure=False
+            _fly, list(batch.values()), list(batch), order=self._order, key=list(batch), pure=False
         )
-        for (key, mission), future in zip(given.items(), futures, strict=True):
+        for (key, mission), future in zip(batch.items(), futures, strict=True):
             self._tickets[key] = _Ticket(mission, future)
 
     def _items(self, key: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:

@@ -194,8 +194,8 @@ def _write(console: _Console) -> None:
     tuning = bytearray(console.ask(_RC_TUNING))
     # roll, pitch: 360 deg/s; yaw: YAW_RATE; no expo, so that rates are linear (units of 10 deg/s)
     yaw = round(math.degrees(YAW_RATE) / 10.0)
-    for place, value in ((0, 36), (1, 0), (2, 36), (3, 36), (4, yaw), (10, 0), (11, yaw), (12, 36), (13, 0)):
-        tuning[place] = value
+    for index, value in ((0, 36), (1, 0), (2, 36), (3, 36), (4, yaw), (10, 0), (11, yaw), (12, 36), (13, 0)):
+        tuning[index] = value
     console.ask(_SET_RC_TUNING, bytes(tuning))
     gains = bytearray(console.ask(_PID))
     gains[6:8], gains[9] = YAW_GAINS, ATTITUDE_GAIN  # P and I of the third loop, P of the fourth one, "level"

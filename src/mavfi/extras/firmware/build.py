@@ -69,10 +69,10 @@ def find_binary(path: Path) -> Path:
         if start != _ELF_64:
             raise BadInputError(f"--betaflight: {path}: is not a 64-bit program; allowed: {_BINARY}")
         return path.resolve()
-    found = [file for place in _PLACES for file in sorted(path.glob(place)) if file.is_file()]
-    if not found:
+    binaries = [file for pattern in _PLACES for file in sorted(path.glob(pattern)) if file.is_file()]
+    if not binaries:
         raise BadInputError(f"--betaflight: {path}: contains no {_BINARY}; allowed: the binary, or a folder with it")
-    return found[0].resolve()
+    return binaries[0].resolve()
 
 
 def program() -> Path:
@@ -93,14 +93,14 @@ def choose(path: Path) -> Path:
     Raises:
         BadInputError: There is none, or it is not Betaflight's simulator.
     """
-    found = find_binary(path)
-    _installed(found)
+    binary = find_binary(path)
+    _installed(binary)
     with writing(cache()):
         cache().mkdir(parents=True, exist_ok=True)
         link = cache() / "betaflight"
         link.unlink(missing_ok=True)
-        link.symlink_to(found)
-    return found
+        link.symlink_to(binary)
+    return binary
 
 
 def build() -> Path:
@@ -112,10 +112,10 @@ def build() -> Path:
     """
     _require("make")
     _require("gcc")
-    place = cache() / "venv"
-    _run([sys.executable, "-m", "venv", "--clear", str(place)])
-    _run([str(place / "bin" / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", PACKAGE])
-    return choose(place)
+    environment = cache() / "venv"
+    _run([sys.executable, "-m", "venv", "--clear", str(environment)])
+    _run([str(environment / "bin" / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", PACKAGE])
+    return choose(environment)
 
 
 @functools.cache
@@ -133,14 +133,14 @@ def installed() -> Installed:
 def _installed(binary: Path) -> Installed:
     shim = compiled("lockstep.c", "-ldl")
     sources = binary, Path(__file__).with_name("betaflight.py")
-    kept = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
-    if not kept.is_file():
+    configuration = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
+    if not configuration.is_file():
         try:
             version, content = configure(binary, shim)
         except (MavfiError, OSError) as error:
             raise BadInputError(f"{binary}: does not run as Betaflight's simulator ({error})") from None
-        _write(kept, version.encode() + b"\n" + content)
-    name, _, content = kept.read_bytes().partition(b"\n")
+        _write(configuration, version.encode() + b"\n" + content)
+    name, _, content = configuration.read_bytes().partition(b"\n")
     return Installed(binary, name.decode(), content, shim)
 
 
@@ -163,10 +163,10 @@ def compiled(source: str, *options: str) -> Path:
 
 
 def _require(tool: str) -> str:
-    found = shutil.which(tool)
-    if found is None:
+    path = shutil.which(tool)
+    if path is None:
         raise BadInputError(f"{tool}: is not installed, and the firmware needs it; e.g. apt install gcc make")
-    return found
+    return path
 
 
 def _run(command: list[str]) -> None:
@@ -184,7 +184,7 @@ def _write(path: Path, content: bytes) -> None:
     """Write a file of the cache atomically: other processes never read a part of it."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        own = path.with_name(f".{path.name}.{os.getpid()}")
-        own.write_bytes(content)
-        own.chmod(0o755)
-        own.replace(path)
+        part = path.with_name(f".{path.name}.{os.getpid()}")
+        part.write_bytes(content)
+        part.chmod(0o755)
+        part.replace(path)

@@ -58,12 +58,12 @@ def setup(
     elif build:
         console(error=True).print("Installing and compiling Betaflight; this takes a minute ...", style="dim")
         firmware.build()
-    found = firmware.installed()
+    installed = firmware.installed()
     if as_json:
-        write_json({"version": found.version, "program": str(found.program), "shim": str(found.shim)})
+        write_json({"version": installed.version, "program": str(installed.program), "shim": str(installed.shim)})
         return
     out = console()
-    out.print(f"[green]✓[/green] {found.version} is ready: {found.program}", highlight=False, soft_wrap=True)
+    out.print(f"[green]✓[/green] {installed.version} is ready: {installed.program}", highlight=False, soft_wrap=True)
     out.print("[dim]try:[/dim] mavfi fly --flight-controller betaflight --register-fault firmware@10")
 
 

@@ -127,7 +127,7 @@ def _errors(controller: BetaflightController, flight: Flight) -> dict[str, Any]:
     """Entry of the record: how well the firmware followed its set-points from the fault on, or from the start."""
     if controller.tracking is None:
         return {}
-    since = max((one.time_s for one in flight.log.injections if one.activated), default=0.0)
+    since = max((injection.time_s for injection in flight.log.injections if injection.activated), default=0.0)
     return {ControlErrors.KEY: asdict(controller.tracking.since(since))}
 
 

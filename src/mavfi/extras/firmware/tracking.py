@@ -39,8 +39,8 @@ class Tracking:
     def since(self, time_s: float) -> ControlErrors:
         """What lasts of the errors from an instant of the flight on (s); see `lasting`."""
         samples = np.array(self._samples).reshape(-1, len(_NAMES))
-        own = samples[samples[:, 0] >= time_s]
-        tilt, *errors = np.where(np.isfinite(own), own, np.inf)[:, 1:].T
+        later = samples[samples[:, 0] >= time_s]
+        tilt, *errors = np.where(np.isfinite(later), later, np.inf)[:, 1:].T
         return ControlErrors(float(tilt.max(initial=0.0)), *(lasting(error) for error in errors))
 
 

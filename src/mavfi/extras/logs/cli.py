@@ -86,8 +86,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
         for path in logs:
             if not path.exists():
                 raise BadInputError(f"{path}: no such file")
-        given = "neither given" if split is None else "both given"
-        raise BadInputError(f"--train, --split: {given}; allowed: one of them, what a normal flight is learned from")
+        reason = "neither given" if split is None else "both given"
+        raise BadInputError(f"--train, --split: {reason}; allowed: one of them, what a normal flight is learned from")
     _check_apart(logs, train or [])
     with stoppable("Stopped."):
         wanted = options.listed(fields)
@@ -147,7 +147,7 @@ def _summary(rates: Rates) -> list[str]:
     """Detection of flips and known faults."""
     from mavfi.report.text import rate
 
-    lines = [f"flips detected, {bits} (%): {rate(found)}" for bits, found in rates.flips.items()]
+    lines = [f"flips detected, {bits} (%): {rate(share)}" for bits, share in rates.flips.items()]
     if rates.faults.n:
         delays = rates.delays_s
         span = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
@@ -161,9 +161,13 @@ def _table(judged: list[Judged]) -> Table:
     table = titled_table("Recordings")
     for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):
         table.add_column(heading, justify="left" if heading == "recording" else "right")
-    for found in judged:
+    for recording in judged:
         table.add_row(
-            found.name, f"{found.exposure_s:.1f} s", str(found.messages), str(found.events), delay_text(found)
+            recording.name,
+            f"{recording.exposure_s:.1f} s",
+            str(recording.messages),
+            str(recording.events),
+            delay_text(recording),
         )
     return table
 
@@ -171,10 +175,10 @@ def _table(judged: list[Judged]) -> Table:
 def _list_alarms(judged: list[Judged]) -> None:
     """The first false alarms of each recording."""
     out = console()
-    for found in judged:
-        for alarm in found.alarms[:_MOST_LISTED]:
+    for recording in judged:
+        for alarm in recording.alarms[:_MOST_LISTED]:
             named = ", ".join(alarm.fields)
-            text = f"{found.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {named}, score {alarm.score:.3g}"
+            text = f"{recording.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {named}, score {alarm.score:.3g}"
             out.print(text, markup=False, soft_wrap=True)
-        if len(found.alarms) > _MOST_LISTED:
-            out.print(f"{found.name}: {len(found.alarms) - _MOST_LISTED} more alarms", markup=False)
+        if len(recording.alarms) > _MOST_LISTED:
+            out.print(f"{recording.name}: {len(recording.alarms) - _MOST_LISTED} more alarms", markup=False)

@@ -38,12 +38,12 @@ class CsvReader:
         """See `FlightLogReader`."""
         check_topics(self._path, topics, [TOPIC])
         names, lines = self._lines()
-        clock = next((place for place, name in enumerate(names) if _TIME.match(name)), None)
+        clock = next((index for index, name in enumerate(names) if _TIME.match(name)), None)
         if clock is None:
             raise BadInputError(f"{self._path}: no column of time; allowed: a name like time, timestamp or t")
         times = self._times(names[clock], [line[clock] for line in lines])
-        chosen = {name: column for place, name in enumerate(names)
-                  if place != clock and (column := _column(lines, place)) is not None}  # fmt: skip
+        chosen = {name: column for index, name in enumerate(names)
+                  if index != clock and (column := _column(lines, index)) is not None}  # fmt: skip
         rows = np.zeros(len(lines), [(name, np.float64) for name in chosen])
         for name, column in chosen.items():
             rows[name] = column
@@ -83,9 +83,9 @@ class CsvReader:
             raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
 
 
-def _column(lines: Sequence[Sequence[str]], place: int) -> np.ndarray | None:
+def _column(lines: Sequence[Sequence[str]], index: int) -> np.ndarray | None:
     try:
-        return np.array([float(line[place]) for line in lines])
+        return np.array([float(line[index]) for line in lines])
     except ValueError:
         return None
 

@@ -57,11 +57,11 @@ class UlogReader:
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
-        found = self._data_sets()
-        check_topics(self._path, topics, found)
-        spans = _airborne(found.get(_LANDED))
+        data_sets = self._data_sets()
+        check_topics(self._path, topics, data_sets)
+        spans = _airborne(data_sets.get(_LANDED))
         messages = []
-        for topic, columns in found.items():
+        for topic, columns in data_sets.items():
             if topics and topic not in topics:
                 continue
             times, rows = _rows(columns)
@@ -78,11 +78,11 @@ class UlogReader:
     def is_cut(self) -> bool:
         """Whether the file ends within a message, as after a loss of power."""
         data = self._path.read_bytes()
-        place = _FILE_HEADER
-        while place + _HEADER.size <= len(data):
-            size, _ = _HEADER.unpack_from(data, place)
-            place += _HEADER.size + size
-        return place != len(data)
+        offset = _FILE_HEADER
+        while offset + _HEADER.size <= len(data):
+            size, _ = _HEADER.unpack_from(data, offset)
+            offset += _HEADER.size + size
+        return offset != len(data)
 
     def _data_sets(self) -> dict[str, dict[str, np.ndarray]]:
         """Columns by topic; a damaged file, of which the library reads only the rest, is a BadInputError."""
@@ -95,10 +95,15 @@ class UlogReader:
         with reading(path, "a ULog file"):
             with path.open("rb") as file, redirect_stdout(StringIO()):
                 log: Any = pyulog.ULog(file)
-            lacking = [one.name for one in log.data_list if not _required(one.name) <= set(one.data)]
+            lacking = [
+                data_set.name for data_set in log.data_list if not _required(data_set.name) <= set(data_set.data)
+            ]
             if log.file_corruption or lacking:
                 raise ValueError(f"damaged{' in ' if lacking else ''}{', '.join(lacking)}")
-            return {f"{one.name}.{one.multi_id}" if one.multi_id else one.name: one.data for one in log.data_list}
+            return {
+                f"{data_set.name}.{data_set.multi_id}" if data_set.multi_id else data_set.name: data_set.data
+                for data_set in log.data_list
+            }
 
 
 def _required(topic: str) -> set[str]:
@@ -181,16 +186,16 @@ def _samples(log: FlightLog) -> list[tuple[int, bytes]]:
         np.hstack([ned.position, ned.velocity]), ned.quaternion, ned.rates,
         np.hstack([ned.reference, ned.command, ned.yaw_rate[:, None]]),
     )  # fmt: skip
-    found = []
+    samples = []
     with np.errstate(over="ignore"):  # values of corrupted states beyond float32 become infinite
         narrow = [table.astype("<f4") for table in tables]
     for row, time_us in enumerate(ned.time_us.tolist()):
         for number, table in enumerate(narrow):
-            found.append((time_us, _message("D", struct.pack("<HQ", number, time_us) + table[row].tobytes())))
+            samples.append((time_us, _message("D", struct.pack("<HQ", number, time_us) + table[row].tobytes())))
     number = list(FORMATS).index(FAULT_TOPIC)
     active = [line.time_us for item in log.injections if item.activated and (line := line_of(item)) is not None]
     onset = [(0, 0), *((instant, 1) for instant in active[:1])]
-    return found + [(instant, _message("D", struct.pack("<HQB", number, instant, on))) for instant, on in onset]
+    return samples + [(instant, _message("D", struct.pack("<HQB", number, instant, on))) for instant, on in onset]
 
 
 def _logged(line: Line) -> bytes:

@@ -140,13 +140,13 @@ def _by_topic(recording: Recording) -> dict[str, list[LoggedMessage]]:
 def _candidates(
     topic: str, message: LoggedMessage, wanted: Sequence[str], recommended: Mapping[str, Sequence[str]]
 ) -> list[str]:
-    known = message.layout.numbers(message.data, LONGEST_LIST)
+    numbers = message.layout.numbers(message.data, LONGEST_LIST)
     if wanted:
         named = [name.rpartition(":") for name in wanted]
-        return [path for own, _, path in named if own in ("", topic) and path in known]
+        return [path for topic_of_name, _, path in named if topic_of_name in ("", topic) and path in numbers]
     if not recommended:
-        return known
-    return [name for name in recommended.get(topic, ()) if name in known]
+        return numbers
+    return [name for name in recommended.get(topic, ()) if name in numbers]
 
 
 def _is_finite(messages: Sequence[LoggedMessage], name: str) -> bool:
@@ -163,17 +163,17 @@ def _check_wanted(
     shared: Sequence[str], cut: str,
 ) -> None:  # fmt: skip
     """Refuse wanted fields that are not monitored, and name the nearest ones."""
-    found = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
+    monitored = {(topic, field.name) for topic, probe in probes.items() for field in probe.spec.header}
     for name in wanted:
         topic, _, path = name.rpartition(":")
-        if any(path == own and topic in ("", held) for held, own in found):
+        if any(path == name_of_topic and topic in ("", held) for held, name_of_topic in monitored):
             continue
         held = [topic] if topic in shared else shared
         numbers = [
-            f"{own}:{number}" if topic else number
-            for own in held
-            for number in groups[0][own][0].layout.numbers(groups[0][own][0].data, LONGEST_LIST)
-            if all(_is_finite(group[own], number) for group in groups)
+            f"{name_of_topic}:{number}" if topic else number
+            for name_of_topic in held
+            for number in groups[0][name_of_topic][0].layout.numbers(groups[0][name_of_topic][0].data, LONGEST_LIST)
+            if all(_is_finite(group[name_of_topic], number) for group in groups)
         ]
         raise BadInputError(
             f"--fields: {name}: not a finite number in all recordings, in {_LEAST_MESSAGES} messages or more of "
@@ -259,9 +259,9 @@ class LogWatch:
         if not self.probes:
             raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
         specs = {topic: probe.spec for topic, probe in self.probes.items()}
-        kept = [[state for state in states if state.spec.name in specs] for states in flights]
-        self.detector: Any = learn(kind, profile, kept, specs)
-        self.trained_on = sum(map(len, kept))
+        training_states = [[state for state in states if state.spec.name in specs] for states in flights]
+        self.detector: Any = learn(kind, profile, training_states, specs)
+        self.trained_on = sum(map(len, training_states))
 
     def _states(self, recording: Recording) -> Iterator[tuple[LoggedMessage, State]]:
         for message in recording.messages:
@@ -286,10 +286,10 @@ class LogWatch:
         judged = list(self._states(recording))
         onset = recording.onset_us
         alarms = list(self._run(judged))
-        normal = [place for place, (m, _) in enumerate(judged) if onset is None or m.time_us < onset]
+        normal = [index for index, (m, _) in enumerate(judged) if onset is None or m.time_us < onset]
         clean = [alarm for alarm in alarms if onset is None or alarm.time_us < onset]
         late = [alarm for alarm in alarms if onset is not None and alarm.time_us >= onset]
-        times = [judged[place][0].time_us for place in normal]
+        times = [judged[index][0].time_us for index in normal]
         return Judged(
             recording.name, _exposure_s(times), len(normal), clean,
             list(self._inject(judged[: len(normal)], {alarm.place for alarm in clean}, flips, seed)),
@@ -299,16 +299,16 @@ class LogWatch:
 
     def _run(self, judged: Sequence[tuple[LoggedMessage, State]]) -> Iterator[LogAlarm]:
         self.detector.start()
-        for place, (message, state) in enumerate(judged):
-            found = self._step(state, message.time_us)
-            if found is not None:
-                fields = tuple(name.removeprefix(f"{message.topic}.") for name in found.fields)
-                yield LogAlarm(place, message.time_us, message.topic, found.score, fields)
+        for index, (message, state) in enumerate(judged):
+            alarm = self._step(state, message.time_us)
+            if alarm is not None:
+                fields = tuple(name.removeprefix(f"{message.topic}.") for name in alarm.fields)
+                yield LogAlarm(index, message.time_us, message.topic, alarm.score, fields)
 
     def _step(self, state: State, time_us: int) -> Any:
-        found = self.detector.check(state, time_us)
+        alarm = self.detector.check(state, time_us)
         self.detector.accept(state, time_us)
-        return found
+        return alarm
 
     def _inject(
         self, judged: Sequence[tuple[LoggedMessage, State]], alarmed: set[int], count: int, seed: int
@@ -316,9 +316,9 @@ class LogWatch:
         """Flips in order of time; messages with an alarm of their own, or before one, are not drawn."""
         following = _next_of_topic(judged)
         usable = [
-            (place, follower)
-            for place, follower in enumerate(following)
-            if follower is not None and not alarmed & {place, follower} and self._floats(judged[place][0])
+            (index, follower)
+            for index, follower in enumerate(following)
+            if follower is not None and not alarmed & {index, follower} and self._floats(judged[index][0])
         ]
         if not usable or not count:
             return
@@ -326,11 +326,11 @@ class LogWatch:
         drawn = sorted((*usable[int(random.integers(len(usable)))], number) for number in range(count))
         self.detector.start()
         done = 0
-        for place, follower, number in drawn:
-            for message, state in judged[done:place]:
+        for index, follower, number in drawn:
+            for message, state in judged[done:index]:
                 self._step(state, message.time_us)
-            done = max(done, place)
-            yield self._flip(judged[place : follower + 1], BIT_CLASSES[number % len(BIT_CLASSES)], random)
+            done = max(done, index)
+            yield self._flip(judged[index : follower + 1], BIT_CLASSES[number % len(BIT_CLASSES)], random)
 
     def _floats(self, message: LoggedMessage) -> list[tuple[str, str]]:
         """Monitored floating-point fields of a message, each with its kind."""
@@ -371,10 +371,10 @@ def _next_of_topic(judged: Sequence[tuple[LoggedMessage, State]]) -> list[int | 
     """Index of the next message of the same topic, for each message."""
     following: list[int | None] = [None] * len(judged)
     latest: dict[str, int] = {}
-    for place, (message, _) in enumerate(judged):
+    for index, (message, _) in enumerate(judged):
         if message.topic in latest:
-            following[latest[message.topic]] = place
-        latest[message.topic] = place
+            following[latest[message.topic]] = index
+        latest[message.topic] = index
     return following
 
 
@@ -410,13 +410,13 @@ class Rates:
         """Share of detected flips by class of the bit."""
         every = [flip for judged in self.recordings for flip in judged.flips]
         groups = {name: [flip.detected for flip in every if flip.bit_class == name] for name in BIT_CLASSES}
-        return {name: wilson(sum(found), len(found)) for name, found in groups.items() if found}
+        return {name: wilson(sum(detected), len(detected)) for name, detected in groups.items() if detected}
 
     @property
     def faults(self) -> Rate:
         """Share of the known faults that were followed by an alarm."""
-        known = [judged for judged in self.recordings if judged.has_fault]
-        return wilson(sum(judged.fault_delay_s is not None for judged in known), len(known))
+        faulty = [judged for judged in self.recordings if judged.has_fault]
+        return wilson(sum(judged.fault_delay_s is not None for judged in faulty), len(faulty))
 
     @property
     def delays_s(self) -> list[float]:
@@ -450,8 +450,8 @@ def rate_text(rate: EventRate) -> str:
     """Events per hour with interval; three digits, as rates in minutes of flight span decades."""
     if rate.per_hour is None or rate.low is None or rate.high is None:
         return "not counted"
-    found = (rate.per_hour, rate.low, rate.high)
-    value, low, high = (f"{one:,.0f}" if one >= 1000.0 else f"{one:.3g}" for one in found)
+    values = (rate.per_hour, rate.low, rate.high)
+    value, low, high = (f"{number:,.0f}" if number >= 1000.0 else f"{number:.3g}" for number in values)
     return f"{value} [{low}, {high}]"
 
 

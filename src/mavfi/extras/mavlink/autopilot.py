@@ -123,40 +123,50 @@ class Mission:
 
     def answer(self, message: Any) -> None:
         """Answer a message of the protocol."""
-        send, asked = self._autopilot.send, (message.get_srcSystem(), message.get_srcComponent())
+        send, sender = self._autopilot.send, (message.get_srcSystem(), message.get_srcComponent())
         kind, which = message.get_type(), getattr(message, "mission_type", _MISSION)
         items = self._items[which]
         if kind == "MISSION_COUNT":
             items.clear()
             self._expected = message.count
-            self._next(which, asked)
+            self._next(which, sender)
         elif kind == "MISSION_ITEM_INT":
             if message.seq == len(items):
                 items.append(message)
-            self._next(which, asked)
+            self._next(which, sender)
         elif kind == "MISSION_REQUEST_LIST":
-            send("mission_count", *asked, len(items), which)
+            send("mission_count", *sender, len(items), which)
         elif kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and message.seq < len(items):
             item = items[message.seq]
-            given = item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z
-            send("mission_item_int", *asked, item.seq, item.frame, item.command, 0, item.autocontinue, *given, which)
+            parameters = item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z
+            send(
+                "mission_item_int",
+                *sender,
+                item.seq,
+                item.frame,
+                item.command,
+                0,
+                item.autocontinue,
+                *parameters,
+                which,
+            )
         elif kind == "MISSION_SET_CURRENT":
             self._current = message.seq
             send("mission_current", message.seq)
         elif kind == "MISSION_CLEAR_ALL":
             for cleared in self._items.values() if which == _ALL_TYPES else (items,):
                 cleared.clear()
-            send("mission_ack", *asked, ACCEPTED, which)
+            send("mission_ack", *sender, ACCEPTED, which)
 
-    def _next(self, which: int, asked: tuple[int, int]) -> None:
+    def _next(self, which: int, sender: tuple[int, int]) -> None:
         """Ask for the next item, or acknowledge the last one."""
         count = len(self._items[which])
         if count < self._expected:
-            self._autopilot.send("mission_request_int", *asked, count, which)
+            self._autopilot.send("mission_request_int", *sender, count, which)
             return
         if which == _MISSION:
             self._current = 0
-        self._autopilot.send("mission_ack", *asked, ACCEPTED, which)
+        self._autopilot.send("mission_ack", *sender, ACCEPTED, which)
 
     def fly(self) -> Task:
         """Fly the items from the current one on, once the motors run."""
@@ -173,12 +183,12 @@ class Mission:
 
     def _item(self, item: Any) -> Task:
         autopilot, vehicle, command = self._autopilot, self._autopilot.vehicle, item.command
-        place = place_of(item)
+        target = place_of(item)
         if command == _TAKEOFF or (command == _WAYPOINT and vehicle.landed):
-            yield from climb(vehicle, -place[2])
+            yield from climb(vehicle, -target[2])
         if command == _WAYPOINT:
             yaw = None if math.isnan(item.param4) else math.radians(item.param4)
-            yield from go_to(vehicle, place, autopilot.speed, yaw)
+            yield from go_to(vehicle, target, autopilot.speed, yaw)
         elif command == _SPEED and item.param2 > 0:
             autopilot.speed = float(item.param2)
         elif command == _RETURN:
@@ -186,7 +196,7 @@ class Mission:
             vehicle.sim.arm(False)
         elif command == _LAND:
             if item.x or item.y:  # PX4: without coordinates it lands where it is
-                yield from go_to(vehicle, (place[0], place[1], vehicle.position[2]), autopilot.speed)
+                yield from go_to(vehicle, (target[0], target[1], vehicle.position[2]), autopilot.speed)
             yield from land(vehicle, FOREVER_S)
             vehicle.sim.arm(False)
 
@@ -276,9 +286,9 @@ class Autopilot:
         """Send a STATUSTEXT, a longer text in chunks that share an id."""
         parts = chunks_of(text)
         self._long_texts += len(parts) > 1
-        own = 0 if len(parts) == 1 else self._long_texts % 65_535 + 1
-        for place, part in enumerate(parts):
-            self.send("statustext", severity, part, own, place)
+        text_id = 0 if len(parts) == 1 else self._long_texts % 65_535 + 1
+        for index, part in enumerate(parts):
+            self.send("statustext", severity, part, text_id, index)
 
     # ---- input ------------------------------------------------------------------------------------------------------
     def handle(self, message: Any) -> None:
@@ -369,8 +379,8 @@ class Autopilot:
         self._start(self._go_and_hold(self._target(message), yaw))
         return ACCEPTED
 
-    def _go_and_hold(self, place: Triple, yaw: float | None) -> Task:
-        yield from go_to(self.vehicle, place, self.speed, yaw)
+    def _go_and_hold(self, target: Triple, yaw: float | None) -> Task:
+        yield from go_to(self.vehicle, target, self.speed, yaw)
         yield from hold(self.vehicle)
 
     def do_orbit(self, message: Any) -> int:
@@ -386,11 +396,12 @@ class Autopilot:
     def _target(self, message: Any) -> Triple:
         """Place (NED, m) of a command; coordinates that it leaves out are those of the vehicle."""
         if message.get_type() == "COMMAND_INT":
-            place = place_of(message)
+            target = place_of(message)
         else:
-            place = local(message.param5, message.param6, message.param7)
+            target = local(message.param5, message.param6, message.param7)
         x, y, z = (
-            given if math.isfinite(given) else here for given, here in zip(place, self.vehicle.position, strict=True)
+            coordinate if math.isfinite(coordinate) else here
+            for coordinate, here in zip(target, self.vehicle.position, strict=True)
         )
         return x, y, z
 
@@ -404,8 +415,8 @@ class Autopilot:
         return ACCEPTED
 
     def _repeat(self, wanted: int) -> int:
-        known = mavlink_dialect().mavlink_map.get(wanted)
-        name = "" if known is None else known.msgname.lower()
+        message_class = mavlink_dialect().mavlink_map.get(wanted)
+        name = "" if message_class is None else message_class.msgname.lower()
         if name not in {message.__name__ for _, message in STREAMS}:
             return DENIED
         self._schedule.request(name)

@@ -100,9 +100,9 @@ def _show(server: Server, as_json: bool) -> None:
         write_json(state)
         return
     north, east, down = vehicle.position
-    place = "on the ground" if vehicle.landed else "in the air"
+    whereabouts = "on the ground" if vehicle.landed else "in the air"
     console().print(
-        f"{state['time_s']:.1f} s simulated, {server.received} messages received: the vehicle is {place}, "
+        f"{state['time_s']:.1f} s simulated, {server.received} messages received: the vehicle is {whereabouts}, "
         f"{north:z.1f} m north, {east:z.1f} m east and {-down:z.1f} m above its start, in mode {state['mode']}, "
         f"{'armed' if state['armed'] else 'disarmed'}, {'after a' if state['collided'] else 'without'} collision; "
         f"digest {vehicle.digest()[:16]}",

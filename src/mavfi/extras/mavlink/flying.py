@@ -64,10 +64,10 @@ def climb(vehicle: PilotedVehicle, height: float) -> Task:
     return (yield from fly_path(vehicle, [(north, east, -height)], 1.5, FOREVER_S, Yaw()))
 
 
-def go_to(vehicle: PilotedVehicle, place: Triple, speed: float, yaw: float | None = None) -> Task:
+def go_to(vehicle: PilotedVehicle, target: Triple, speed: float, yaw: float | None = None) -> Task:
     """Fly to a place in a straight line; the nose points along it unless a yaw is given."""
     facing = Yaw(is_rate=False, value=yaw or 0.0, forward=yaw is None)
-    return (yield from fly_path(vehicle, [place], speed, FOREVER_S, facing))
+    return (yield from fly_path(vehicle, [target], speed, FOREVER_S, facing))
 
 
 def return_to_launch(vehicle: PilotedVehicle, speed: float) -> Task:
@@ -113,11 +113,11 @@ def _velocity_for(vehicle: PilotedVehicle, setpoint: Setpoint) -> Triple:
     x, y, z = (value or 0.0 for value in setpoint.velocity)
     if setpoint.body:
         x, y = from_body(vehicle, x, y)
-    found = [x, y, z]
+    velocity = [x, y, z]
     for axis, (wanted, here) in enumerate(zip(setpoint.position, vehicle.position, strict=True)):
         if wanted is not None:
-            found[axis] += clip(_POSITION_GAIN * (wanted - here), _APPROACH_SPEED)
-    return found[0], found[1], found[2]
+            velocity[axis] += clip(_POSITION_GAIN * (wanted - here), _APPROACH_SPEED)
+    return velocity[0], velocity[1], velocity[2]
 
 
 def _yaw_rate_for(vehicle: PilotedVehicle, setpoint: Setpoint) -> float:

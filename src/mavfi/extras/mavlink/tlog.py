@@ -53,7 +53,7 @@ def mavlink_dialect() -> Any:
 def chunks_of(text: str) -> list[bytes]:
     """The texts of the STATUSTEXT messages of a line: one or more."""
     content = text.encode("ascii", "replace")
-    return [content[place : place + LONGEST_TEXT] for place in range(0, len(content), LONGEST_TEXT)] or [b""]
+    return [content[start : start + LONGEST_TEXT] for start in range(0, len(content), LONGEST_TEXT)] or [b""]
 
 
 class TlogReader:
@@ -77,24 +77,24 @@ class TlogReader:
         from pymavlink.mavutil import mavlogfile
 
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
-            found = list(_all_of(link))
-        if not found:
+            logged = list(_all_of(link))
+        if not logged:
             raise BadInputError(f"{path}: is not {kind} that can be read (no MAVLink message of a vehicle)")
-        check_topics(path, topics, {message.topic for message in found})
-        yield from (message for message in found if not topics or message.topic in topics)
+        check_topics(path, topics, {message.topic for message in logged})
+        yield from (message for message in logged if not topics or message.topic in topics)
 
     def is_cut(self) -> bool:
         """Whether the file ends within a message, as after a loss of power."""
-        data, place = self._path.read_bytes(), 0
-        while place < len(data):
-            magic = data[place + _STAMP : place + _STAMP + 3]
+        data, offset = self._path.read_bytes(), 0
+        while offset < len(data):
+            magic = data[offset + _STAMP : offset + _STAMP + 3]
             if len(magic) < 3:
                 return True
             if magic[0] not in _HEADERS:
                 return False  # damaged elsewhere
             signed = magic[0] == _MAVLINK_2 and magic[2] & 1
-            place += _STAMP + _HEADERS[magic[0]] + magic[1] + _CHECKSUM + (_SIGNATURE if signed else 0)
-        return place != len(data)
+            offset += _STAMP + _HEADERS[magic[0]] + magic[1] + _CHECKSUM + (_SIGNATURE if signed else 0)
+        return offset != len(data)
 
 
 def _all_of(link: Any) -> Iterator[LoggedMessage]:
@@ -124,7 +124,7 @@ def _leaves(kind: Any) -> dict[str, Leaf]:
         size = struct.calcsize(f"<{code}")
         if code in _KINDS:
             names = [f"{name}[{index}]" for index in range(length)] if length else [name]
-            leaves |= {own: Leaf(offset + index * size, _KINDS[code]) for index, own in enumerate(names)}
+            leaves |= {path: Leaf(offset + index * size, _KINDS[code]) for index, path in enumerate(names)}
         offset += size * max(1, length)
     return leaves
 
@@ -147,8 +147,8 @@ def write_tlog(log: FlightLog, path: Path) -> int:
     messages = FlightMessages()
     texts = [(line.time_us, part) for number, line in enumerate(lines_of(log))
              for part in messages.text(line, number + 1)]  # fmt: skip
-    motion = [(int(1e6 * max(0.0, row[0]) + 0.5), message) for place, row in enumerate(log.rows)
-              for message in messages.motion(row, place)]  # fmt: skip
+    motion = [(int(1e6 * max(0.0, row[0]) + 0.5), message) for index, row in enumerate(log.rows)
+              for message in messages.motion(row, index)]  # fmt: skip
     records = sorted([*motion, *texts], key=lambda record: record[0])
     with writing(path), path.open("wb") as file:
         link = messages.link(file)
@@ -172,10 +172,10 @@ class FlightMessages:
         """The STATUSTEXT messages of a line; chunks of a long text share an id derived from `number`."""
         parts = chunks_of(line.text)
         shared_id = 0 if len(parts) == 1 else number % 65_535 + 1
-        for place, part in enumerate(parts):
-            yield self._dialect.MAVLink_statustext_message(_SEVERITIES[line.level], part, shared_id, min(place, 255))
+        for index, part in enumerate(parts):
+            yield self._dialect.MAVLink_statustext_message(_SEVERITIES[line.level], part, shared_id, min(index, 255))
 
-    def motion(self, row: np.ndarray, place: int) -> Iterator[Any]:
+    def motion(self, row: np.ndarray, index: int) -> Iterator[Any]:
         """Attitude and local position of a row of a flight log, its index; global position and heartbeat less often."""
         dialect = self._dialect
         with np.errstate(over="ignore", invalid="ignore"):  # values of corrupted states beyond float32 become infinite
@@ -184,11 +184,11 @@ class FlightMessages:
             position, velocity, rates = (table[0].astype(np.float32).tolist() for table in tables)
             angles = euler(ned.quaternion[0])
         ms = int(ned.time_us[0]) // 1000 & 0xFFFFFFFF
-        if place % _HEARTBEATS == 0:
+        if index % _HEARTBEATS == 0:
             yield dialect.MAVLink_heartbeat_message(_QUADROTOR, _PX4, _ARMED_AUTO, _AUTO_MISSION, _ACTIVE, _VERSION)
         yield dialect.MAVLink_attitude_message(ms, *angles, *rates)
         yield dialect.MAVLink_local_position_ned_message(ms, *position, *velocity)
-        if place % _GLOBALS == 0 and np.isfinite([*ned.position[0], *ned.velocity[0], *angles]).all():
+        if index % _GLOBALS == 0 and np.isfinite([*ned.position[0], *ned.velocity[0], *angles]).all():
             whole = _global(ned.position[0], ned.velocity[0], angles)
             yield dialect.MAVLink_global_position_int_message(ms, *whole)
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
 
+
+from mavfi.cli.console import PICTURES, check_file, say_written
+
 MODELS = "models"
 """Subfolder of the study for the trained models."""
 PAGE, FLIGHTS = "report.html", 30
@@ -150,7 +153,7 @@ def _to_be_timed(study: "Study", campaigns: Mapping[str, "Campaign"], out: Path)
 
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
     """Refuse a campaign of a file that names what does not exist, or whose ledger holds another one."""
-    from mavfi.campaign.names import check_names
+    from mavfi.campaign.mission import check_names
 
     check_names(campaign, source)
     _check_ledger(campaign, ledger)
@@ -214,3 +217,78 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
 def _detectors(campaign: "Campaign") -> set[tuple[str, str]]:
     """Detectors of a campaign's arms, as (name, profile)."""
     return {(arm.detector, arm.profile) for arm in campaign.arms.values() if arm.detector}
+
+
+# ---- `mavfi failures`: failures per flight hour of each setting of a campaign --------------------------------------
+
+
+def failures(
+    directory: options.Ledger,
+    upsets: Annotated[
+        str, typer.Option(metavar="NAME|FILE.yaml", help="Upset rates: shipped (configs/upsets), or your own.")
+    ] = "low_altitude",
+) -> None:
+    """Compare settings by failures per flight hour: upset rate x instructions x harm, of detectors and recovery too.
+
+    Harm is the increase in mission failures per fault. Needs a campaign with instruction faults in which the golden
+    runs of every arm are counted, e.g. failure_rate.
+
+    Example: [bold]mavfi failures out/failure_rate --upsets my_upsets.yaml[/bold]
+    """
+    from rich.text import Text
+
+    from mavfi.analysis import Runs
+    from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
+    from mavfi.report.text import show_table
+
+    chosen, runs = find_upsets(upsets), Runs.read(directory)
+    table = failure_table(runs, chosen)
+    if not table.rows:
+        raise BadInputError(f"{directory}: no faults in instructions whose golden runs were counted; needed: some")
+    out = console()
+    for sentence in summary(runs, chosen):
+        out.print(Text(sentence))
+    out.print()
+    show_table(table, out)
+
+
+# ---- `mavfi redundancy`: flight time and energy of a UAV with redundant processors, compared with a detector -------
+
+
+def redundancy(
+    vehicle: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE.yaml",
+            help="A shipped design (configs/redundancy), or a YAML file of your own; may be given several times. All "
+            "shipped ones by default.",
+        ),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the comparison.")] = None,
+) -> None:
+    """Compare flight time and energy with redundant processors (DMR, TMR) and with detection, by a performance model.
+
+    Needs no flights. A vehicle file needs name, mass (kg) and max_thrust (N).
+
+    Example: [bold]mavfi redundancy --vehicle my_drone.yaml --picture redundancy.png[/bold]
+    """
+    from rich.text import Text
+
+    from mavfi.extras.paper.figures import redundancy as draw
+    from mavfi.extras.paper.redundancy import find_design, redundancy_tables, shipped_designs, summary
+    from mavfi.report import style
+    from mavfi.report.text import show_table
+
+    check_file("--picture", picture, PICTURES)
+    designs = [find_design(name) for name in vehicle] if vehicle else shipped_designs()
+    tables = redundancy_tables(designs)
+    if picture is not None:
+        with style.house_style():
+            style.write(draw(designs), picture)
+    out = console()
+    for sentence in summary(designs):
+        out.print(Text(sentence))
+    out.print()
+    for table in tables:
+        show_table(table, out)
+    say_written(picture)

@@ -7,12 +7,23 @@ injected and summed like other kernels, and recomputations count towards their k
 """
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+import polars as pl
 from pydantic import Field, model_validator
 
+from mavfi.analysis.measures import Measure, against_fi
+from mavfi.analysis.runs import ALL, Runs
+from mavfi.analysis.statistics import Rate, paired_difference
+from mavfi.analysis.table import ESTIMATE, NUMBER, POINTS, Table
+from mavfi.analysis.views import View, has
+from mavfi.campaign.plan import FI
 from mavfi.config import Config, shipped
+from mavfi.plugins import Chapter
+from mavfi.states import DETECTORS, PLANNERS
 
 _HOUR = 3600.0
 
@@ -135,3 +146,281 @@ def _below(found: Estimate) -> float:
 
 def _above(found: Estimate) -> float:
     return found.high - found.value
+
+
+# ---- failures per flight hour by setting and kernel, from campaigns with instruction faults ------------------------
+
+INSTRUCTION = "instruction"
+
+
+def instructions_per_hour(golden: Runs) -> dict[str, float]:
+    """Dynamic instructions per flight hour by kernel, from golden runs with instruction counts."""
+    counted = [record for record in golden.recorded() if record.counts]
+    hours = sum(record.flight_time_s for record in counted) / 3600
+    found: dict[str, float] = {}
+    for record in counted:
+        for kernel, counts in record.counts.items():
+            found[kernel] = found.get(kernel, 0.0) + counts["instructions"]
+    return {kernel: number / hours for kernel, number in found.items()} if hours > 0 else {}
+
+
+def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
+    """Kernels in the fault space, by environment and setting, each with the ids of its runs with a fault.
+
+    Harm is measured against the golden run of the same arm and mission.  An upset affects every instruction with the
+    same probability, but faults are drawn within missions: they have the weight of the instructions that the golden run
+    of their mission executes.  `success` names the column for the success of injected runs: "success" (as flown) or
+    "success_if_ended".  Settings without instruction counts and kernels without faults are omitted; faults for which a
+    mission executes no instruction are not counted.
+    """
+    if ("exposed", success) not in runs.memo:
+        runs.memo["exposed", success] = _exposed(runs, success)
+    found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = runs.memo["exposed", success]
+    return found
+
+
+def _exposed(runs: Runs, success: str) -> dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]]:
+    golden = _golden(runs)
+    found: dict[tuple[str, str], dict[str, tuple[list[str], Exposed]]] = {}
+    faulty = runs.injected.where("judged", level=INSTRUCTION)
+    for (environment, setting, arm), own in faulty.groups("environment", "setting", "arm").items():
+        counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
+        for (kernel,), part in own.groups("kernel").items():
+            known = [row for row in part if row["has_site"] and (row["arm"], row["world"]) in golden]
+            if counts.get(kernel) and known:
+                worlds, before = [row["world"] for row in known], [golden[arm, row["world"]] for row in known]
+                weights = _weights(runs, kernel, [one["run_id"] for one in before], worlds)
+                after = [row[success] for row in known]
+                harm = Estimate(*paired_difference([one["success"] for one in before], after, worlds, weights))
+                one = Exposed(counts[kernel], harm)
+                found.setdefault((environment, setting), {})[kernel] = [row["run_id"] for row in known], one
+    return found
+
+
+def _golden(runs: Runs) -> dict[tuple[str, str], dict[str, Any]]:
+    """Judged golden runs by arm and world."""
+    return {(row["arm"], row["world"]): row for row in runs.golden.where("judged")}
+
+
+def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[str]) -> list[float] | None:
+    """Weight of each fault: instructions of its golden run / faults of its world; None = these are not counted."""
+    faults = Counter(worlds)
+    executed = [runs.records[run_id].counts.get(kernel, {}).get("instructions", 0) for run_id in golden]
+    found = [number / faults[world] for number, world in zip(executed, worlds, strict=True)]
+    return found if any(found) else None
+
+
+def payoff(
+    runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()
+) -> Estimate | None:  # fmt: skip
+    """Failures per flight hour under a detector minus those without: of kernels, and of the detector.
+
+    Args:
+        runs: A campaign with instruction faults.
+        environment: Environment.
+        setting: A setting with a detector.
+        upset: Upsets per instruction.
+        kernels: Only these kernels beside the detector; all if empty.
+
+    Returns:
+        Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
+    """
+    changed = changes(runs, environment, setting, kernels) if (environment, setting) in exposed(runs) else {}
+    own = [one for _, one in own_parts(runs, environment, setting)]
+    return total_failures([*parts_of(changed), *own], upset) if changed else None
+
+
+def own_parts(runs: Runs, environment: str, setting: str) -> list[tuple[int, Exposed]]:
+    """What the faults in a setting's own detector cause, each with the number of faults."""
+    kernels = exposed(runs).get((environment, setting), {})
+    return [(len(ids), one) for kernel, (ids, one) in kernels.items() if kernel in DETECTORS]
+
+
+def changes(
+    runs: Runs, environment: str, setting: str, kernels: Collection[str] = ()
+) -> dict[str, tuple[int, tuple[Exposed, ...]]]:  # fmt: skip
+    """Change of the failures by faults in kernels under a setting, in pairs with the same fault.
+
+    A pair counts if the mission succeeds without a fault in both settings: what a detector loses by false alarms is no
+    failure by a fault.  I' h' - I h has two parts: the change of harm, I' (h' - h), and the harm in instructions that
+    only the setting executes, (I' - I) h.
+
+    Args:
+        runs: A campaign with instruction faults in kernels.
+        environment: Environment.
+        setting: A setting with a detector.
+        kernels: Only these kernels; all if empty.
+
+    Returns:
+        By kernel the number of pairs and the parts; instructions are those of the setting's golden runs or, where these
+        were not counted, of those without an arm.
+    """
+    pairs = against_fi(runs).where("judged", "has_site", level=INSTRUCTION, environment=environment, setting=setting)
+    golden, flown = _golden(runs), runs.golden.where(environment=environment)
+    counts = {arm: instructions_per_hour(flown.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
+    found = {}
+    for (kernel, arm), every in pairs.groups("kernel", "arm").items():
+        fine = [world for world in every.values("world")
+                if all(golden.get((one, world), {}).get("success") for one in ("", arm))]  # fmt: skip
+        own, counted = every.where(pl.col("world").is_in(fine)), arm if counts[arm] else ""
+        if len(own) and kernel in counts[counted] and kernel not in DETECTORS and (not kernels or kernel in kernels):
+            ids = [[golden[one, world]["run_id"] for world in own["world"]] for one in (counted, "")]
+            instructions = counts[counted][kernel], counts[""].get(kernel, 0.0)
+            found[kernel] = len(own), _changed(own, kernel, instructions, *ids)
+    return found
+
+
+def _changed(
+    own: Runs, kernel: str, instructions: tuple[float, float], golden: Sequence[str], plain: Sequence[str]
+) -> tuple[Exposed, ...]:
+    """The parts of `changes` of a kernel, given instructions and golden runs with the setting and without an arm."""
+    worlds, alone = own["world"], own["fi_success"]
+    changed = paired_difference(alone, own["dr_success"], worlds, _weights(own, kernel, golden, worlds))
+    harm = paired_difference([True] * len(own), alone, worlds, _weights(own, kernel, plain, worlds))
+    with_setting, without = instructions
+    added = with_setting - without if without else 0.0
+    return Exposed(with_setting, Estimate(*changed)), *([Exposed(added, Estimate(*harm))] if added else [])
+
+
+def parts_of(changed: Mapping[str, tuple[int, tuple[Exposed, ...]]]) -> list[Exposed]:
+    """The parts of all kernels of `changes`."""
+    return [part for _, parts in changed.values() for part in parts]
+
+
+def payoffs(runs: Runs, upset: float) -> list[str]:
+    """Whether each detector prevents more failures than its own instructions cause, in words."""
+    found = []
+    for environment, setting in exposed(runs):
+        whole = payoff(runs, environment, setting, upset) if setting != FI else None
+        planner = payoff(runs, environment, setting, upset, tuple(PLANNERS))
+        if whole is not None:
+            text = f"{verdict(whole)} over all kernels and its own instructions"
+            if planner is not None:
+                text += f"; {verdict(planner)} over the planner and its own instructions"
+            found.append(f"does {setting} pay in {environment}? {text}")
+    return found
+
+
+def verdict(found: Estimate) -> str:
+    """Whether a difference of failures per flight hour is below zero, and the difference."""
+    word = "yes" if found.high < 0 else "no" if found.low > 0 else "undecided at this n"
+    return f"{word}, {found.value:+.1e} [{found.low:+.1e}, {found.high:+.1e}] failures per flight hour"
+
+
+def uncounted(runs: Runs) -> list[str]:
+    """Settings with instruction faults that `exposed` omits, since their golden runs have no instruction counts."""
+    counted = {setting for _, setting in exposed(runs)}
+    every = dict.fromkeys(row["setting"] for row in runs.injected.where(level=INSTRUCTION))
+    return [setting for setting in every if setting not in counted]
+
+
+def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
+    """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
+    upset = upsets_per_instruction(upsets).value
+    every, ended = exposed(runs), exposed(runs, "success_if_ended")
+    for (environment, setting), kernels in every.items():
+        parts = [one for _, one in kernels.values()]
+        own = {"environment": environment, "setting": setting}
+        worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
+        for kernel, (ids, one) in kernels.items():
+            numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
+            yield {**own, "kernel": kernel, "run_id": ids, "n": len(ids), **numbers}
+        whole = sum(one.instructions for one in parts)
+        total = total_failures(parts, upset)
+        harm = total_failures(parts, 1.0).times(1 / whole)
+        base = every.get((environment, FI))
+        alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
+        against = total.value / alone if setting != FI and alone > 0 else None
+        every_id = [run_id for ids, _ in kernels.values() for run_id in ids]
+        yield {**own, "kernel": ALL, "run_id": every_id, "n": len(every_id), "against": against,
+               **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
+
+
+def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
+    return {
+        "instructions": instructions, "harm": harm.value, "harm_low": harm.low, "harm_high": harm.high,
+        "failures": failures.value, "failures_low": failures.low, "failures_high": failures.high,
+        "ended": ended.value, "ended_low": ended.low, "ended_high": ended.high,
+    }  # fmt: skip
+
+
+def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
+    rows = [{"against": None, **row} for row in _rows(runs, upsets)]
+    frame = pl.DataFrame(rows, infer_schema_length=None).explode("run_id") if rows else runs.frame.clear()
+    return replace(runs, frame=frame)
+
+
+def _harm(own: Runs) -> Rate:
+    return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
+
+
+def _estimate(key: str, heading: str) -> Measure:
+    names = (key, f"{key}_low", f"{key}_high")
+    return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
+
+
+_DIFFERENCE = (
+    "does a setting pay: its failures per flight hour less those of fi, of kernels in pairs with the same fault whose "
+    "missions succeed without one in both settings, [95 % interval: MOVER]; the kernel with most instructions decides "
+    "the width"
+)
+
+
+def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
+    """Notes on omitted settings, definitions, assumptions and sources of the table."""
+    rate = upsets_per_instruction(upsets)
+    verdicts = payoffs(runs, rate.value)
+    fit, altitude = upsets.fit_per_mbit, upsets.altitude
+    left_out = [
+        f"{setting}: not in the table, the golden runs of its arm were not counted; needed: its detector (for "
+        "recommended: acceptance) in sampling.kernels"
+        for setting in uncounted(runs)
+    ]
+    return [
+        *left_out, *verdicts, *([_DIFFERENCE] if verdicts else []),
+        "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
+        "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, "
+        "not the failures without a fault",
+        "harm: missions lost by the fault against the golden run of the same setting, in pairs, each mission with the "
+        "weight of its instructions, [95 % interval: MOVER], n = faults; coverage, 1 – harm, rewards idle instructions "
+        "and compares nothing (Schirmeier et al., DSN 2015): compare failures",
+        f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, which scales "
+        f"all rows alike: {fit.value:g} FIT/Mbit ({fit.low:g} to {fit.high:g}) x {upsets.unprotected_mbit:g} Mbit x "
+        f"{upsets.visible:g} visible at {altitude.value:g} m ({altitude.low:g} to {altitude.high:g}), "
+        f"{upsets.instructions_per_second:.1e} instructions/s",
+        *(f"{key}: {source}" for key, source in upsets.sources.items()),
+        "instructions are values that the kernels' LLVM IR writes; kernels that were not injected are not in the sum; "
+        "the machine's caches, memories and operating system are not in the fault space",
+    ]  # fmt: skip
+
+
+_VIEW = View(
+    "failures_per_hour", "Failures per flight hour by setting and kernel", ("environment", "setting", "kernel"),
+    (
+        _estimate("failures", "failures per flight hour"),
+        Measure("against", "against fi", "number .2f ×", lambda own: own.first("against"), hidden=True),
+        Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
+        Measure("n", "faults", NUMBER, lambda own: own.first("n")), Measure("harm", "harm (points)", POINTS, _harm),
+        _estimate("ended", "failures, dead node ends mission"),
+    ),
+    where=lambda runs: _computed(runs, find_upsets()), notes=lambda runs: failure_notes(find_upsets(), runs),
+    applies=lambda runs: has(runs.injected, level=INSTRUCTION),
+)  # fmt: skip
+CHAPTER = Chapter(50, (_VIEW,))
+
+
+def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
+    """The view as a table, computed with the given upset rates."""
+    made = replace(_VIEW, where=lambda own: _computed(own, upsets), notes=lambda own: failure_notes(upsets, own))
+    return made.table(runs)
+
+
+def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
+    """Failures per flight hour of each setting, one sentence per environment, and whether its detector pays."""
+    upset = upsets_per_instruction(upsets).value
+    found: dict[str, list[str]] = {}
+    for (environment, setting), kernels in exposed(runs).items():
+        total = total_failures([one for _, one in kernels.values()], upset)
+        found.setdefault(environment, []).append(f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]")
+    rates = [f"Failures per flight hour, {environment}: {'; '.join(rates)}." for environment, rates in found.items()]
+    return [*rates, *(f"{text[0].upper()}{text[1:]}." for text in payoffs(runs, upset))]

@@ -1,19 +1,56 @@
-"""Figures of the paper: flight time and success by kernel, state and bit class (Fig. 3, 4), distributions (Fig. 6)."""
+"""Figures of the paper: Fig. 3, 4 and 6 (flight time and success), 7 (paths), 8 (redundancy) and 9 (platforms)."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-from mavfi.analysis.measures import rate_of
+from mavfi.analysis import published as paper
+from mavfi.analysis.measures import against_fi, rate_of
+from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
-from mavfi.extras.paper.views import GOLDEN_ROW, by_bits, by_kernel, by_state, distribution, value_at_risk
+from mavfi.campaign.plan import FI, GOLDEN
+from mavfi.extras.paper.redundancy import (
+    AUTOENCODER,
+    DesignConfig,
+    band,
+    energy_ratio,
+    performance,
+    ratio,
+    schemes,
+    shipped_designs,
+)
+from mavfi.extras.paper.views import (
+    GOLDEN_ROW,
+    by_bits,
+    by_kernel,
+    by_state,
+    compared,
+    distribution,
+    platforms,
+    value_at_risk,
+)
+from mavfi.mission import MissionStatus
 from mavfi.plugins import Chapter
 from mavfi.report import links, style
 from mavfi.report.figures import Drawing
+from mavfi.report.numbers import signed_percent
+from mavfi.report.picture import near_boxes, positions
+
+if TYPE_CHECKING:
+    from mavfi.flight.host import Flight
+
 
 _ROW = 0.3
 """Height of a row (in)."""
@@ -174,4 +211,325 @@ def _drawings() -> Iterable[Drawing]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter(20, tuple(_drawings()))
+# ---- Fig. 9 of the paper: flight times by computing platform, for golden runs, faults, and faults with detectors ---
+
+
+def flight_times(runs: Runs) -> Figure | None:
+    """Successful flights as points, with median and quartiles; one panel per platform.
+
+    The dashed line is the paper's flight time; the paper does not specify its flights.
+    """
+    known = platforms(runs)
+    flown = compared(runs)
+    settings = [GOLDEN, *flown.settings()]
+    if not known or len(settings) < 2:
+        return None
+    figure = Figure(figsize=(1.2 + 2.9 * len(known), 3.9), layout="constrained")
+    panels = figure.subplots(1, len(known), sharey=True, squeeze=False)[0]
+    looks = style.setting_looks(settings)
+    for axes, (environment, platform) in zip(panels, known.items(), strict=True):
+        for place, setting in enumerate(settings):
+            own = flown.where(environment=environment, setting=setting)
+            times = np.sort(own.frame["flight_time_s"].to_numpy())
+            if not len(times):
+                continue
+            spread = place - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)
+            axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **looks[setting])
+            links.band(axes, place, links.to_runs(own, platform=platform, setting=setting), upright=True)
+            low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
+            axes.plot([place, place], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
+            axes.plot(place, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
+            axes.annotate(f"{times[-1]:.0f}", (place, times[-1]), (0, 4), textcoords="offset points", ha="center",
+                          fontsize=7.5, color=style.INK)  # fmt: skip
+        if paper.comparable(runs.campaign, ""):
+            printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
+            if printed is not None:
+                axes.axhline(printed, color=style.INK, linestyle="--", linewidth=0.9)
+                axes.annotate(f"paper: {printed} s", (len(settings) - 0.5, printed), (0, 3), ha="right", fontsize=8,
+                              textcoords="offset points", color=style.INK)  # fmt: skip
+        names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
+        axes.set_xticks(range(len(settings)), names, fontsize=8)
+        axes.tick_params(axis="x", length=0)
+        axes.set_xlim(-0.5, len(settings) - 0.5)
+        axes.grid(axis="y")
+        axes.set_title(platform)
+    panels[0].set_ylim(0, None)
+    panels[0].set_ylabel("flight time (s) of missions that succeed")
+    figure.supxlabel("one fault per mission; bar: quartiles; number: worst", fontsize=8.5, color=style.GREY)
+    return figure
+
+
+# ---- Fig. 8 of the paper: flight time with redundant processors relative to that with a detector -------------------
+
+_DESIGN_LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PURPLE, "D"))
+
+
+def redundancy(designs: Sequence[DesignConfig]) -> Figure:
+    """Ratios of flight time (with bands) and of energy by scheme; one panel per vehicle."""
+    vehicles = list(dict.fromkeys(design.craft for design in designs))
+    calibrations = list(dict.fromkeys(design.calibration for design in designs))
+    figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
+    panels = figure.subplots(1, len(vehicles), squeeze=False)[0]
+    names, width, from_paper = list(schemes()), 0.7 / len(calibrations), False
+    for axes, vehicle in zip(panels, vehicles, strict=True):
+        own = [design for design in designs if design.craft == vehicle]
+        finite = [value for design in own for name in names
+                  for value in (*band(design, name), _energy(design, name)) if math.isfinite(value)]  # fmt: skip
+        top = 1.0 + 1.08 * max(0.05, max(finite) - 1.0)
+        for design in own:
+            place = calibrations.index(design.calibration)
+            colour, marker = _DESIGN_LOOKS[place % len(_DESIGN_LOOKS)]
+            for x, name in enumerate(names):
+                at = x + (place - (len(calibrations) - 1) / 2) * width
+                low, high = band(design, name)
+                axes.plot([at, at], [low, min(high, top)], color=colour, linewidth=1.8)
+                if math.isinf(high):
+                    axes.plot(at, top, "^", color=colour, markersize=6, clip_on=False)
+                axes.plot(at, min(ratio(design, name), top), marker, color=colour, markersize=6)
+                energy = _energy(design, name)
+                if math.isfinite(energy):
+                    axes.plot(at, energy, marker, color=colour, markersize=6, fillstyle="none")
+        for x, name in enumerate(names):
+            printed = paper.figure("redundancy_time", vehicle=vehicle, scheme=name)
+            if printed is not None:
+                from_paper = True
+                axes.plot([x - 0.42, x + 0.42], [printed, printed], color=style.INK, zorder=5)
+                axes.annotate(f"{printed:.2f}", (x + 0.44, printed), va="center", fontsize=8, color=style.INK)
+        axes.set_xticks(range(len(names)), names)
+        axes.set_xlim(-0.5, len(names) - 0.35)
+        axes.set_ylim(min([1.0, *finite]) - 0.06 * (top - 1.0), top)
+        axes.tick_params(axis="x", length=0)
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g} ×")
+        axes.grid(axis="y")
+        axes.set_title(vehicle.replace("_", " "))
+    panels[0].set_ylabel("against the autoencoder scheme")
+    handles = [Line2D([], [], linestyle="", marker=marker, color=colour, label=f"flight time, {name}")
+               for name, (colour, marker) in zip(calibrations, cycle(_DESIGN_LOOKS), strict=False)]  # fmt: skip
+    handles += [
+        Line2D([], [], linestyle="", marker="o", color=style.GREY, fillstyle="none", label="energy (hover power)"),
+        Line2D([], [], color=style.GREY, linewidth=1.8, label="band; triangle: cannot hover"),
+    ]
+    handles += [Line2D([], [], color=style.INK, label="the paper's figure")] if from_paper else []
+    columns = min(3, 1 + len(vehicles))
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns, fontsize=8.5, columnspacing=1.2,
+                  handlelength=1.8)  # fmt: skip
+    return figure
+
+
+def _energy(design: DesignConfig, scheme: str) -> float:
+    return energy_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
+
+
+# ---- Fig. 7: rule-based selection of the runs of a ledger whose paths are drawn, which excludes hand-picking -------
+
+ENVIRONMENT = "dense"
+LEAST = 0.01
+"""Smallest reduction that counts as shortened, as a fraction of the golden run's flight time."""
+STAGES = ("perception", "planning")
+RULE = (
+    "Of the activated faults of a stage with which the mission succeeds and a detector's flight does, too, the one of "
+    "whose added flight time a detector saves most; where it is below 1 %, of the missions that a detector saves the "
+    "one with the longest way; else, of the missions lost, that one; else the fault that adds most flight time."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Run ids of one fault: golden run, run with the fault, and run with the fault and a detector."""
+
+    stage: str
+    environment: str
+    golden: str
+    fault: str
+    recovered: str  # "" = no detector flew
+    arm: str  # of `recovered`
+    inflation: float | None  # relative increase of flight time with the fault; None = the mission failed
+    recovered_inflation: float | None
+
+
+def path_cases(runs: Runs) -> list[Case]:
+    """Select one case per stage by `RULE`, in Dense or else the last environment."""
+    environments = runs.values("environment")
+    if not environments:
+        return []
+    own = runs.where(environment=ENVIRONMENT if ENVIRONMENT in environments else environments[-1])
+    return [case for stage in STAGES if (case := _case(own, stage)) is not None]
+
+
+def _case(own: Runs, stage: str) -> Case | None:
+    faults = own.where("judged", "golden_success", stage=stage, site_outcome=ACTIVATED)
+    alone = faults.where(setting=FI)
+    if not len(alone):
+        return None
+    watched = against_fi(faults).frame.filter("dr_success")
+    # at most what the fault adds: a false alarm can lead to another, shorter way
+    gain = pl.col("inflation") - pl.col("dr_inflation").clip(lower_bound=0.0)
+    shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id", "arm")
+    saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id", "arm")
+    row: dict[str, Any] | None = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
+    if row is None:
+        lost = alone.frame.filter(~pl.col("success")).sort(-pl.col("distance_m"), "run_id")
+        slowest = alone.frame.sort("inflation", "run_id", descending=[True, False], nulls_last=True)
+        arm = next((arm for arm in faults.values("arm") if arm), "")
+        row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None, "arm": arm}
+    arm = str(row["arm"])
+    golden = own.golden.where(arm="", world=row["world"])
+    again = faults.where(arm=arm, target=row["target"], index=row["index"]) if arm else None
+    recovered = again.first("run_id") if again is not None and len(again) else ""
+    return Case(
+        stage, own.first("environment"), golden.first("run_id"), str(row["run_id"]), recovered, arm,
+        row["inflation"], row["dr_inflation"],
+    )  # fmt: skip
+
+
+# ---- Fig. 7: paths of a golden run, with a fault, and with the fault and a detector, in plan view and 3-D ----------
+
+_SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
+_MARGIN = 2.0
+"""Margin around the paths (m)."""
+_WIDTH = 40.0
+"""Minimum displayed width across the course (m)."""
+_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+"""Corners of each face of a box; the bits of a corner's number select x, y, z."""
+_LOOKS: tuple[dict[str, Any], ...] = (
+    {"color": style.SKY, "linewidth": 5.0, "zorder": 4},
+    {"color": style.ORANGE, "linewidth": 2.4, "zorder": 5},
+    {"color": style.GREEN, "linewidth": 1.5, "linestyle": (0, (4, 2)), "zorder": 6},
+)
+"""Line styles of golden run, fault, and fault with detector: wide to narrow, so that coinciding paths are visible."""
+
+
+def trajectories(runs: Runs) -> Figure | None:
+    """One row per case of `path_cases` with replayed flights; None without such cases."""
+    cases = [case for case in path_cases(runs) if case.fault in runs.flights and case.golden in runs.flights]
+    if not cases:
+        return None
+    figure = Figure(figsize=(11.0, 0.4 + 3.1 * len(cases)), layout="constrained")
+    parts = figure.subfigures(len(cases), 1, squeeze=False)[:, 0]
+    for part, case in zip(parts, cases, strict=True):
+        flown = [name for name in (case.golden, case.fault, case.recovered) if name in runs.flights]
+        flights = [runs.flights[name] for name in flown]
+        grid = part.add_gridspec(1, 2, width_ratios=(1, 1))
+        above, space = part.add_subplot(grid[0, 0]), part.add_subplot(grid[0, 1], projection="3d")
+        _from_above(above, flights)
+        _in_space(space, flights)
+        for axes in (above, space):  # lines are paths, in this order, before marks
+            for line, run_id in zip(axes.get_lines(), flown, strict=False):
+                links.lines([line], links.to_run(run_id))
+        part.suptitle(f"fault in {case.stage}: {_fault(flights[1])}\n{_ends(case, flights)}", fontsize=9.5)
+        labels = ("golden run", "with the fault", f"with the fault and detector {case.arm}")
+        for line, label in zip(above.get_lines(), labels, strict=False):
+            line.set_label(label)
+    handles, shown = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, shown, loc="outside upper left", ncols=6)
+    return figure
+
+
+def _from_above(axes: Axes, flights: Sequence["Flight"]) -> None:
+    world, points = flights[0].world, [positions(flight) for flight in flights]
+    for path, look in zip(points, _LOOKS, strict=False):
+        axes.plot(path[:, 0], path[:, 1], **look)
+    boxes = [
+        Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
+        for low, high in zip(world.lower, world.upper, strict=True)
+    ]
+    axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    mark: dict[str, Any] = {"linestyle": "", "color": style.INK, "zorder": 8, "markersize": 8}
+    axes.plot(*world.start[:2], marker="o", label="start", **mark)
+    axes.plot(*world.goal[:2], marker="s", label="goal", **mark)
+    place = _injection(flights[1])
+    star: dict[str, Any] = {**mark, "color": style.AMBER, "markeredgecolor": style.INK, "markersize": 15, "zorder": 9}
+    axes.plot(*place.T[:2], marker="*", label="injection", **star)
+    for path, flight, look in zip(points, flights, _LOOKS, strict=False):
+        if flight.log.status is MissionStatus.COLLISION:
+            end = {**mark, "color": look["color"], "markeredgecolor": "white", "markersize": 10}
+            axes.plot(*path[-1, :2], marker="X", label="collision", **end)
+    if len(flights) > 2 and flights[2].log.alarms:
+        alarms = positions(flights[2], [alarm.time_s for alarm in flights[2].log.alarms])
+        axes.plot(*alarms.T[:2], marker="v", label="alarm", **{**mark, "color": style.PURPLE, "markersize": 6})
+    lower, upper = _limits(flights)
+    axes.set_xlim(lower[0], upper[0])
+    axes.set_ylim(lower[1], upper[1])
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+
+
+def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
+    world, lower, upper = flights[0].world, *_limits(flights)
+    points = [positions(flight) for flight in flights]
+    shown = near_boxes(world, np.concatenate(points)) if len(world.lower) else np.zeros(0, bool)
+    faces = []
+    for low, high in zip(world.lower[shown], world.upper[shown], strict=True):
+        low, high = np.maximum(low, lower), np.minimum(high, upper)
+        corners = np.array([[high[axis] if corner >> (2 - axis) & 1 else low[axis] for axis in range(3)]
+                            for corner in range(8)])  # fmt: skip
+        faces += [corners[list(face)] for face in _FACES]
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=_SOLID, edgecolors=_EDGE, linewidths=0.4, alpha=0.25))
+    for path, look in zip(points, _LOOKS, strict=False):
+        axes.plot(*path.T, **look)
+    axes.plot(*_injection(flights[1]).T, marker="*", linestyle="", color=style.AMBER, markeredgecolor=style.INK,
+              markersize=13, zorder=9)  # fmt: skip
+    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+    axes.zaxis.set_rotate_label(False)
+    axes.set_zlabel("z (m)", rotation=90, labelpad=-2)
+    for axis in (axes.yaxis, axes.zaxis):
+        axis.set_major_locator(MaxNLocator(2))
+    extent = upper - lower
+    axes.set_box_aspect((extent[0], extent[1], 3.0 * extent[2]), zoom=1.2)
+    axes.view_init(elev=32, azim=-70)
+
+
+def _limits(flights: Sequence["Flight"]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the displayed volume: paths, start and goal, with a margin."""
+    world = flights[0].world
+    points = np.concatenate([*(positions(flight) for flight in flights), world.start[None], world.goal[None]])
+    points = np.clip(points, world.arena_lower - _MARGIN, world.arena_upper + _MARGIN)
+    lower, upper = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    lower[2] = 0.0
+    more = max(0.0, _WIDTH - (upper[1] - lower[1])) / 2
+    return lower - (0.0, more, 0.0), upper + (0.0, more, 0.0)
+
+
+def _injection(flight: "Flight") -> np.ndarray:
+    """Positions of the vehicle at the injections. Shape (n, 3)."""
+    return positions(flight, [injection.time_s for injection in flight.log.injections if injection.activated])
+
+
+def _fault(flight: "Flight") -> str:
+    injection = flight.log.injections[0]
+    bit = "" if injection.bit is None else f", bit {injection.bit}"
+    return f"{injection.site}{bit} at {injection.time_s:.1f} s"
+
+
+def _ends(case: Case, flights: Sequence["Flight"]) -> str:
+    ends = []
+    for flight, change in zip(flights, (None, case.inflation, case.recovered_inflation), strict=False):
+        more = "" if change is None else f" ({signed_percent(change)})"
+        ends.append(f"{flight.log.status.words} {float(flight.log.column('time')[-1]):.1f} s{more}")
+    words = ("golden", "fault", "detector")
+    return ", ".join(f"{word}: {text}" for word, text in zip(words, ends, strict=False))
+
+
+def _ids(runs: Runs) -> list[str]:
+    cases = path_cases(runs)
+    return [run_id for case in cases for run_id in (case.golden, case.fault, case.recovered) if run_id]
+
+
+def _caption(runs: Runs) -> str:
+    cases = path_cases(runs)
+    shown = "; ".join(f"{case.stage}: `{case.fault}`" for case in cases)
+    where = f" in {cases[0].environment}" if cases else ""
+    return f"Fig. 7, paths{where}, from above and in 3-D (heights drawn three times as large). {RULE} Shown: {shown}."
+
+
+CHAPTER = Chapter(20, (
+    *_drawings(),
+    Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True),
+    Drawing(
+        "redundancy", lambda _: redundancy(shipped_designs()),
+        "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
+        "paper's figure.",
+    ),
+    Drawing("trajectories", trajectories, _caption, cases=_ids),
+))  # fmt: skip

@@ -63,13 +63,13 @@ class _Symbols:
 
 
 def _mappings(text: str) -> list[_Mapping]:
-    found = []
+    mappings = []
     for line in text.splitlines():
         columns = line.split(None, 5)
         start, end = (int(text, 16) for text in columns[0].split("-"))
         name = columns[5] if len(columns) > 5 else "[anon]"
-        found.append(_Mapping(start, end, "x" in columns[1], int(columns[2], 16), name))
-    return found
+        mappings.append(_Mapping(start, end, "x" in columns[1], int(columns[2], 16), name))
+    return mappings
 
 
 @lru_cache(maxsize=64)
@@ -141,13 +141,13 @@ class AddressSpace:
         """
         matches = dict(self._matches(text))
         exact = {address: name for address, name in matches.items() if name == text}
-        found = exact or matches
-        if len(found) == 1:
-            return next(iter(found))
-        if not found:
+        functions = exact or matches
+        if len(functions) == 1:
+            return next(iter(functions))
+        if not functions:
             raise BadInputError(f"symbol {text!r}: no function of process {self._pid} has this name or part of it")
-        some = ", ".join(sorted(set(found.values()))[:_SHOWN])
-        raise BadInputError(f"symbol {text!r}: {len(found)} functions of process {self._pid} match; some: {some}")
+        some = ", ".join(sorted(set(functions.values()))[:_SHOWN])
+        raise BadInputError(f"symbol {text!r}: {len(functions)} functions of process {self._pid} match; some: {some}")
 
     def _matches(self, text: str) -> Iterator[tuple[int, str]]:
         """Functions whose names contain a text: load address, and name without a version."""

@@ -82,8 +82,8 @@ def _process(pid: int | None, others: dict[str, Any]) -> int:
 
 def _report(injection: Injection) -> None:
     """Print one injection in two lines; operands and names are never interpreted as markup."""
-    known = injection.details
-    when = "before" if known["access"] == "read" else "after"
+    details = injection.details
+    when = "before" if details["access"] == "read" else "after"
     done, values = "injected", f"{injection.before} → {injection.after}"
     if not injection.activated:
         done = "NOT injected as planned"
@@ -91,10 +91,10 @@ def _report(injection: Injection) -> None:
         done, values = "not flipped (null injection)", f"{injection.before}, unchanged"
     out = console()
     out.print(Text.assemble(
-        f"pid {known['pid']}, thread {known['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
-        f"{when} ", (known["instruction"], "bold"), f": {values}",
+        f"pid {details['pid']}, thread {details['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
+        f"{when} ", (details["instruction"], "bold"), f": {values}",
     ))  # fmt: skip
     out.print(Text(
-        f"  at {known['address']}, {known['symbol'] or known['offset']} in {known['library']}; "
-        f"stood still for {known['stopped_us'] / 1000:.2f} ms", style="dim",
+        f"  at {details['address']}, {details['symbol'] or details['offset']} in {details['library']}; "
+        f"stood still for {details['stopped_us'] / 1000:.2f} ms", style="dim",
     ))  # fmt: skip

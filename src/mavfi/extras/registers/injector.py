@@ -187,13 +187,13 @@ def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space
 
 def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]) -> Injection:
     """The record of an injection, with time 0; values and addresses are hexadecimal text, for up to 256 bits."""
-    place = space.place(done.address)
+    location = space.place(done.address)
     return Injection(
         fault.level, done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
         done.after == done.before ^ (0 if fault.null else 1 << done.bit),
         details={
-            "address": f"{done.address:#x}", "library": place.library, "offset": f"{place.offset:#x}",
-            "symbol": place.symbol, "instruction": done.instruction.text, "access": done.access,
+            "address": f"{done.address:#x}", "library": location.library, "offset": f"{location.offset:#x}",
+            "symbol": location.symbol, "instruction": done.instruction.text, "access": done.access,
             "register": done.register.name, "width": done.register.width, **details,
         },
     )  # fmt: skip

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from mavfi.errors import MavfiError
 
-_CONT, _SINGLESTEP, _GETREGS, _SETREGS, _GETFPREGS, _SETFPREGS, _DETACH = 7, 9, 12, 13, 14, 15, 17
+_CONT, _SINGLESTEP, _GETREGS, _SETREGS, _DETACH = 7, 9, 12, 13, 17
 _PEEKUSER, _POKEUSER = 3, 6
 _SETOPTIONS, _GETSIGINFO, _GETREGSET, _SETREGSET, _SEIZE, _INTERRUPT = 0x4200, 0x4202, 0x4204, 0x4205, 0x4206, 0x4207
 _TRACE_CLONE = 1 << 3
@@ -25,7 +25,7 @@ _XSTATE_SIZE = 16384
 _XSTATE_HEADER = 512
 _YMM_HIGH = 576
 """Offset of the upper halves of the YMM registers in the standard XSAVE area (Intel SDM, vol. 1, 13.4)."""
-_YMM_COMPONENT = 1 << 2
+_XMM_COMPONENT, _YMM_COMPONENT = 1 << 1, 1 << 2
 _XMM = 160
 _DEBUG_REGISTERS = 848
 """offsetof(struct user, u_debugreg)."""
@@ -156,8 +156,8 @@ class Tracee:
         """Wait until the thread stops."""
         deadline, spins = time.monotonic() + timeout, 0
         while True:
-            found, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
-            if found:
+            thread, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
+            if thread:
                 return self.note(status)
             spins += 1
             if spins < _SPINS:  # a step takes microseconds, less than a sleep and wake-up
@@ -227,32 +227,28 @@ class Tracee:
 
     def vector(self, index: int) -> int:
         """YMM register 0 to 15 as one integer of 256 bits; without AVX the upper half is 0."""
-        low = (ctypes.c_uint8 * 512)()
-        _ptrace(_GETFPREGS, self.thread, 0, ctypes.addressof(low))
         area, length = self._extended()
-        at = _YMM_HIGH + 16 * index
-        has_high = length >= at + 16 and area[_XSTATE_HEADER] & _YMM_COMPONENT
-        high = bytes(area[at : at + 16]) if has_high else bytes(16)
-        return int.from_bytes(bytes(low[_XMM + 16 * index : _XMM + 16 * index + 16]) + high, "little")
+        low, high = _XMM + 16 * index, _YMM_HIGH + 16 * index
+        has_high = length >= high + 16 and area[_XSTATE_HEADER] & _YMM_COMPONENT
+        upper = bytes(area[high : high + 16]) if has_high else bytes(16)
+        return int.from_bytes(bytes(area[low : low + 16]) + upper, "little")
 
     def set_vector(self, index: int, value: int) -> None:
-        """Write a YMM register; the upper half only if it changes."""
-        before = self.vector(index)
+        """Write a YMM register."""
+        area, length = self._extended()
         raw = value.to_bytes(32, "little")
-        if before % (1 << 128) != value % (1 << 128):
-            low = (ctypes.c_uint8 * 512)()
-            _ptrace(_GETFPREGS, self.thread, 0, ctypes.addressof(low))
-            low[_XMM + 16 * index : _XMM + 16 * index + 16] = list(raw[:16])
-            _ptrace(_SETFPREGS, self.thread, 0, ctypes.addressof(low))
-        if before >> 128 != value >> 128:
-            area, length = self._extended()
-            if not area[_XSTATE_HEADER] & _YMM_COMPONENT:  # all upper halves are 0 and not stored
-                area[_YMM_HIGH : _YMM_HIGH + 256] = [0] * 256
-                area[_XSTATE_HEADER] |= _YMM_COMPONENT
-            at = _YMM_HIGH + 16 * index
-            area[at : at + 16] = list(raw[16:])
-            note = _Vector(ctypes.addressof(area), length)
-            _ptrace(_SETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
+        low, high = _XMM + 16 * index, _YMM_HIGH + 16 * index
+        area[low : low + 16] = list(raw[:16])
+        area[_XSTATE_HEADER] |= _XMM_COMPONENT
+        has_high = area[_XSTATE_HEADER] & _YMM_COMPONENT
+        if any(raw[16:]) and not has_high:  # all upper halves are 0 and not stored
+            area[_YMM_HIGH : _YMM_HIGH + 256] = [0] * 256
+            area[_XSTATE_HEADER] |= _YMM_COMPONENT
+            has_high = 1
+        if has_high:
+            area[high : high + 16] = list(raw[16:])
+        note = _Vector(ctypes.addressof(area), length)
+        _ptrace(_SETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
 
     def _extended(self) -> tuple["ctypes.Array[ctypes.c_uint8]", int]:
         area = (ctypes.c_uint8 * _XSTATE_SIZE)()

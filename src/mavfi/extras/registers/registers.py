@@ -90,19 +90,19 @@ def enters_kernel(code: bytes) -> bool:
 @lru_cache(maxsize=4096)
 def decode(code: bytes, address: int) -> Instruction | None:
     """The instruction at the start of up to 15 bytes at an address; None if unknown to the decoder."""
-    found = next(_decoder().disasm(code, address, 1), None)
-    if found is None:
+    decoded = next(_decoder().disasm(code, address, 1), None)
+    if decoded is None:
         return None
-    read, written = found.regs_access()
-    text = f"{found.mnemonic} {found.op_str}".rstrip()
-    writes = _registers(found, written, _FLAGS_WRITTEN)
-    if found.mnemonic.startswith(_COMPARES):
+    read, written = decoded.regs_access()
+    text = f"{decoded.mnemonic} {decoded.op_str}".rstrip()
+    writes = _registers(decoded, written, _FLAGS_WRITTEN)
+    if decoded.mnemonic.startswith(_COMPARES):
         writes += _ALL_FLAGS
-    masked = _MASKED.match(found.op_str)
+    masked = _MASKED.match(decoded.op_str)
     if masked and all(register.name != masked[0] for register in writes):
-        writes += _vector(masked[0], found.mnemonic)
+        writes += _vector(masked[0], decoded.mnemonic)
     return Instruction(
-        text, found.mnemonic in ("syscall", "sysenter", "int"), _registers(found, read, _FLAGS_READ), writes
+        text, decoded.mnemonic in ("syscall", "sysenter", "int"), _registers(decoded, read, _FLAGS_READ), writes
     )  # fmt: skip
 
 
@@ -116,26 +116,26 @@ _FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
 _ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
 
 
-def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
+def _registers(decoded: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
     chosen = []
     for number in numbers:
-        name = found.reg_name(number)
+        name = decoded.reg_name(number)
         if name in _GENERAL:
             chosen.append(_GENERAL[name])
         elif name == "rflags":  # only flags that the instruction tests or sets: the others would all be masked
-            bits = tuple(place for flag, place in _FLAGS.items() if found.eflags & flags[flag])
+            bits = tuple(bit for flag, bit in _FLAGS.items() if decoded.eflags & flags[flag])
             chosen += [Register("rflags", "rflags", 0, 0, bits)] if bits else []
         else:
-            chosen += _vector(name, found.mnemonic)
+            chosen += _vector(name, decoded.mnemonic)
     return tuple(chosen)
 
 
 def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
     """An injectable vector register; empty if the name is not one."""
-    found = _VECTOR.match(name)
-    if found is None or int(found[2]) > _LAST_VECTOR:
+    match = _VECTOR.match(name)
+    if match is None or int(match[2]) > _LAST_VECTOR:
         return ()
-    return (Register(name, "", int(found[2]), 0, tuple(range(_used_bits(mnemonic, found[1])))),)
+    return (Register(name, "", int(match[2]), 0, tuple(range(_used_bits(mnemonic, match[1])))),)
 
 
 def _used_bits(mnemonic: str, kind: str) -> int:

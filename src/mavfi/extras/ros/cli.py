@@ -195,7 +195,7 @@ def register_faults(texts: Sequence[str], registers: str | None, seed: int | Non
 
     kind, first_seed = register_options(registers, seed, has_fault=bool(texts))
     named = (instant("--register-fault", text) for text in texts)
-    return tuple(fault_in_node(*each, kind, first_seed + place) for place, each in enumerate(named))
+    return tuple(fault_in_node(*each, kind, first_seed + index) for index, each in enumerate(named))
 
 
 def check(plan: Plan) -> None:

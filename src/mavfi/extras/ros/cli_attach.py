@@ -64,12 +64,12 @@ def list_graph(
     from mavfi.extras.ros.node.master import Master
     from mavfi.extras.ros.node.survey import survey
 
-    found = survey(Master(), seconds)
+    graph = survey(Master(), seconds)
     if as_json:
-        write_json(found.to_json())
+        write_json(graph.to_json())
         return
     out = console()
-    for table in _tables(found):
+    for table in _tables(graph):
         out.print(table)
 
 
@@ -80,14 +80,14 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _tables(found: Survey) -> tuple[Table, Table]:
-    nodes = _table(f"Nodes at {found.master}", "node", "pid", "executable", "publishes", "reads")
-    for node in found.nodes:
+def _tables(graph: Survey) -> tuple[Table, Table]:
+    nodes = _table(f"Nodes at {graph.master}", "node", "pid", "executable", "publishes", "reads")
+    for node in graph.nodes:
         pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
         executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
         nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
     topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
-    for topic in found.topics:
+    for topic in graph.topics:
         rate = "" if topic.rate is None else f"{topic.rate:.1f}"
         topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
     return nodes, topics

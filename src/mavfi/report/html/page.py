@@ -13,8 +13,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from mavfi.record import plain
-from mavfi.report.html.time_lines import AFTER, BEFORE
 from mavfi.version import __version__
+
+BEFORE, AFTER = 1.0, 4.0
+"""Time window of time lines before and after the fault (s)."""
 
 
 def encoded(values: np.ndarray, kind: str) -> str:

@@ -14,7 +14,7 @@ from mavfi.faults.levels.instruction import (
     choose,
 )
 from mavfi.faults.levels.instruction.plan import plan
-from mavfi.faults.levels.instruction.selection import parse_selection
+from mavfi.faults.levels.instruction.table import parse_selection
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.ir.build import name_of

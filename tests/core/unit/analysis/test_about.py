@@ -1,6 +1,6 @@
 """What a report says of a campaign, at each level of faults."""
 
-from mavfi.analysis.about import drawn
+from mavfi.analysis.runs import drawn
 from mavfi.campaign.config import Campaign
 
 

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import pytest
 
 from mavfi.campaign import log as log_module
-from mavfi.campaign import session as session_module
+from mavfi.campaign import run as session_module
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.log import FILE, Log
 from mavfi.campaign.run import run_campaign, versions

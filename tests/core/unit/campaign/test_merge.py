@@ -7,8 +7,8 @@ import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import merge, status
+from mavfi.campaign.plan import WHOLE, Shard
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.record import canonical

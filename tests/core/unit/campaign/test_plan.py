@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.campaign.plan import Plan, RunSpec, arms_of, model_of
-from mavfi.campaign.shard import Shard
+from mavfi.campaign.plan import Plan, RunSpec, Shard, arms_of, model_of
 from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.flight.host import Flight
 from mavfi.levels.level import NULL, Sampled, sampler_for

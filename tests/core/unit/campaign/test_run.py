@@ -15,7 +15,7 @@ import pytest
 from mavfi.campaign import fingerprint
 from mavfi.campaign import mission as mission_module
 from mavfi.campaign import run as run_module
-from mavfi.campaign import session as session_module
+from mavfi.campaign import run as session_module
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import status, stored_campaign

@@ -112,11 +112,11 @@ def test_a_rolled_back_step_gives_the_same_again():
         kernel.receive(sample((0.1, 0.2, 9.7, 0.1, 0.0, -0.1)), flight.time_us)
         kernel.mark()
         first = kernel.step(flight.time_us)
-        covariance = kernel.covariance.copy()
+        covariance = kernel.memory.filter.covariance.copy()
         for _ in range(2):
             kernel.rollback()
             assert same(kernel.step(flight.time_us), first)
-            np.testing.assert_array_equal(kernel.covariance, covariance)
+            np.testing.assert_array_equal(kernel.memory.filter.covariance, covariance)
         flight.time_us += STEP_US
 
 

@@ -10,8 +10,8 @@ from matplotlib.collections import PathCollection, PolyCollection
 from mavfi.analysis.listing import with_flights
 from mavfi.analysis.runs import Runs
 from mavfi.extras.paper import views as v
-from mavfi.extras.paper.cases import path_cases
-from mavfi.extras.paper.platform_views import compared
+from mavfi.extras.paper.figures import path_cases
+from mavfi.extras.paper.views import compared
 from mavfi.report import figures, links
 from tests.core.unit.report.test_figures import golden, runs
 

@@ -330,15 +330,15 @@ def _hash(output: bytes) -> str:
 
 def differences(definition: Definition, golden: bytes, output: bytes) -> list[dict[str, Any]]:
     """Sample of numeric differences between two messages; empty if they differ otherwise, e.g. in length."""
-    found = []
+    differing = []
     try:
         for path in definition.numbers(golden, LONGEST_LIST):
             before, after = (definition.locate(data, path).value(data) for data in (golden, output))
             if struct.pack("<d", before) != struct.pack("<d", after):
-                found.append({"field": path, "before": repr(before), "after": repr(after)})
+                differing.append({"field": path, "before": repr(before), "after": repr(after)})
     except (MavfiError, struct.error, OverflowError):
-        return found
-    return found[:_MOST_DIFFERENCES]
+        return differing
+    return differing[:_MOST_DIFFERENCES]
 
 
 def main() -> None:

@@ -78,12 +78,12 @@ class Guardian:
 
 def publishers_of(master: str, topic: str) -> list[str]:
     """Addresses of a topic's publishers according to the master, without unreachable ones."""
-    found = []
+    addresses = []
     for name, nodes in call(master, "getSystemState", CALLER)[0]:
         for node in nodes if name == topic else ():
             with suppress(MavfiError):
-                found.append(call(master, "lookupNode", CALLER, node))
-    return found
+                addresses.append(call(master, "lookupNode", CALLER, node))
+    return addresses
 
 
 def undo(task: dict) -> None:

@@ -115,13 +115,13 @@ class Master:
     def node_uri(self, name: str) -> str:
         """Address of a node; `BadInputError` if it is not registered."""
         try:
-            found: str = self.call("lookupNode", absolute(name))
+            uri: str = self.call("lookupNode", absolute(name))
         except SilentError:
             raise
         except MavfiError:
             check_known("node", name, self.graph().nodes)
             raise
-        return found
+        return uri
 
     def node_pid(self, name: str) -> int:
         """Process id of a node on this machine; `BadInputError` if it is unregistered, dead, or runs elsewhere."""

@@ -32,8 +32,8 @@ class Composer:
         package, _, name = kind.rpartition("/")
         self._name = f"{package}/msg/{name}"
         if self._name not in _store().fielddefs:
-            known = [full.replace("/msg/", "/") for full in _store().fielddefs]
-            raise BadInputError(f"type {kind}: not known; allowed: {allowed(known, kind)}")
+            kinds = [full.replace("/msg/", "/") for full in _store().fielddefs]
+            raise BadInputError(f"type {kind}: not known; allowed: {allowed(kinds, kind)}")
         text, md5sum = _store().generate_msgdef(self._name, ros_version=1)
         self.header = {"type": kind, "md5sum": md5sum, "message_definition": text}
         self._kind = kind

@@ -32,12 +32,12 @@ def encode_header(fields: Mapping[str, str]) -> bytes:
 
 def decode_header(body: bytes) -> dict[str, str]:
     """Inverse of `encode_header`, without the leading length."""
-    fields, place = {}, 0
-    while place < len(body):
-        (size,) = _LENGTH.unpack_from(body, place)
-        name, _, value = body[place + 4 : place + 4 + size].decode(errors="replace").partition("=")
+    fields, offset = {}, 0
+    while offset < len(body):
+        (size,) = _LENGTH.unpack_from(body, offset)
+        name, _, value = body[offset + 4 : offset + 4 + size].decode(errors="replace").partition("=")
         fields[name] = value
-        place += 4 + size
+        offset += 4 + size
     return fields
 
 
@@ -255,8 +255,10 @@ class Peer:
 
     def offer(self, topic: str, header: Mapping[str, str], active: bool = True) -> Outlet:
         """Publish a topic to nodes that are notified directly, without the master; see `Outlet`."""
-        kept = {name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header}
-        self._outlets[topic] = Outlet(topic, {"callerid": self.name, **kept}, active)
+        description = {
+            name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header
+        }
+        self._outlets[topic] = Outlet(topic, {"callerid": self.name, **description}, active)
         return self._outlets[topic]
 
     def advertise(self, topic: str, header: Mapping[str, str]) -> Outlet:

@@ -32,19 +32,19 @@ def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] 
         BadInputError: The topic is unknown or has no publisher.
     """
     topic = check_known("topic", topic, graph.topics)
-    found, failures = [], []
+    sources, failures = [], []
     for node in graph.publishers.get(topic, ()):
         if node not in skipped:
             try:
-                found.append(Source(node, master.node_uri(node), topic))
+                sources.append(Source(node, master.node_uri(node), topic))
             except BadInputError:
                 raise
             except MavfiError as error:
                 failures.append(str(error))
-    if not found:
+    if not sources:
         reason = f": {failures[0]}" if failures else ""
         raise BadInputError(f"topic {topic}: nobody publishes it{reason}; start its publisher first")
-    return found
+    return sources
 
 
 class Relay:
@@ -202,10 +202,10 @@ class Relay:
 
     def _read_new(self, graph: Graph) -> None:
         """Connect to publishers that have joined."""
-        known = {source.uri for source in self._sources}
+        connected = {source.uri for source in self._sources}
         for node in graph.publishers.get(self.topic, ()):
             uri = self.master.node_uri(node)
-            if uri not in known and node != self._peer.name:
+            if uri not in connected and node != self._peer.name:
                 source = Source(node, uri, self.topic)
                 self._sources.append(source)
                 self._pump([source])

@@ -103,7 +103,7 @@ def _rates(graph: Graph, uris: dict[str, str], seconds: float) -> dict[str, floa
         threading.Thread(target=listen, args=(source,), daemon=True).start()
     time.sleep(seconds)
     spent = time.monotonic() - began
-    found = {topic: max(0, count - latched[topic]) / spent for topic, count in counts.items()}
+    rates = {topic: max(0, count - latched[topic]) / spent for topic, count in counts.items()}
     for source in sources:
         source.close()
-    return found
+    return rates

@@ -105,12 +105,12 @@ class Listener:
 
     def first(self) -> dict[str, tuple[Definition, bytes]]:
         """Definition and one message of each topic; `MavfiError` if a topic has no messages."""
-        found: dict[str, tuple[Definition, bytes]] = {}
+        messages: dict[str, tuple[Definition, bytes]] = {}
         for topic, message in self.take(FIRST_PATIENCE_S):
-            found.setdefault(topic, (self.definitions[topic], message))
-            if len(found) == len(self.topics):
-                return found
-        silent = [topic for topic in self.topics if topic not in found]
+            messages.setdefault(topic, (self.definitions[topic], message))
+            if len(messages) == len(self.topics):
+                return messages
+        silent = [topic for topic in self.topics if topic not in messages]
         raise MavfiError(f"topic {silent[0]}: no message within {FIRST_PATIENCE_S:g} s; nothing can be watched")
 
 
@@ -141,15 +141,15 @@ class Watch:
             return None
         self.judged[topic] += 1
         now = time.time()
-        found = self._detector.check(state, int(1e6 * now))
+        verdict = self._detector.check(state, int(1e6 * now))
         self._detector.accept(state, int(1e6 * now))
-        if found is None:
+        if verdict is None:
             return None
-        fields = tuple(name.removeprefix(f"{topic}.") for name in found.fields)
+        fields = tuple(name.removeprefix(f"{topic}.") for name in verdict.fields)
         values = tuple(
             repr(state.header[name][0].item()) for name in fields if name in (state.header.dtype.names or ())
         )
-        alarm = ForeignAlarm(now, topic, self.judged[topic], found.source, found.score, fields, values)
+        alarm = ForeignAlarm(now, topic, self.judged[topic], verdict.source, verdict.score, fields, values)
         self.alarms.append(alarm)
         self._outlet.send(self._composer.pack({"data": json.dumps(alarm.to_json())}))
         return alarm

@@ -63,8 +63,8 @@ def own_root() -> Path:
 
 def roots() -> list[Path]:
     """Installation prefixes of Debian's packages, in order of preference."""
-    own = own_root()
-    return [own, _SYSTEM] if (own / "usr").is_dir() else [_SYSTEM]
+    root = own_root()
+    return [root, _SYSTEM] if (root / "usr").is_dir() else [_SYSTEM]
 
 
 def find_file(name: str) -> Path:

@@ -100,18 +100,18 @@ def free_port() -> dict[str, str]:
 
 def own_path() -> str:
     """PYTHONPATH of this process with absolute folders, as nodes have other working directories."""
-    given = os.environ.get("PYTHONPATH", "")
-    return os.pathsep.join(os.path.abspath(folder) for folder in given.split(os.pathsep) if folder)
+    folders = os.environ.get("PYTHONPATH", "")
+    return os.pathsep.join(os.path.abspath(folder) for folder in folders.split(os.pathsep) if folder)
 
 
 def environment(folder: Path) -> dict[str, str]:
     """Environment of all ROS programs of a flight."""
-    given = finder.environment()
-    paths = [str(folder / MESSAGES), *([given["PYTHONPATH"]] if "PYTHONPATH" in given else [])]
+    variables = finder.environment()
+    paths = [str(folder / MESSAGES), *([variables["PYTHONPATH"]] if "PYTHONPATH" in variables else [])]
     return {
-        **os.environ, **given,
+        **os.environ, **variables,
         "PYTHONPATH": os.pathsep.join(paths),
-        "ROS_PACKAGE_PATH": f"{folder / MESSAGES}:{given['ROS_PACKAGE_PATH']}",
+        "ROS_PACKAGE_PATH": f"{folder / MESSAGES}:{variables['ROS_PACKAGE_PATH']}",
         "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
         "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG),
         FOLDER_VARIABLE: str(folder),

@@ -38,9 +38,9 @@ def die() -> NoReturn:
 def fatal(callback: Callable[[_Given], _Answer]) -> Callable[[_Given], _Answer]:
     """Wrap a callback so that an exception terminates the process."""
 
-    def guarded(given: _Given) -> _Answer:
+    def guarded(argument: _Given) -> _Answer:
         try:
-            return callback(given)
+            return callback(argument)
         except Exception:  # any exception type
             die()
 

@@ -107,7 +107,11 @@ def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> st
     Returns:
         "crash": a node terminated; "hang": a node was killed as unresponsive; "alive": neither; None: no injection.
     """
-    nodes = {one.details["node"] for one in injections if one.level == RegisterFault.level and one.activated}
+    nodes = {
+        injection.details["node"]
+        for injection in injections
+        if injection.level == RegisterFault.level and injection.activated
+    }
     if not nodes:
         return None
     lost = [event.data for event in events if event.kind == "node_lost" and event.data["node"] in nodes]

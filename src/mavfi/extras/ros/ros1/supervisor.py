@@ -190,13 +190,13 @@ def reap() -> bool:
 
 def children(parent: int) -> list[int]:
     """Process ids of the children of a process."""
-    found = []
+    numbers = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             fields = path.read_text().rpartition(")")[2].split()
             if int(fields[1]) == parent:
-                found.append(int(path.parent.name))
-    return found
+                numbers.append(int(path.parent.name))
+    return numbers
 
 
 def end_all() -> None:

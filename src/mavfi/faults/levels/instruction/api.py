@@ -15,8 +15,7 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, Model
 from mavfi.faults.levels.instruction.plan import budget_for, check_fault, injection_of, plan
-from mavfi.faults.levels.instruction.selection import parse_selection
-from mavfi.faults.levels.instruction.table import Site
+from mavfi.faults.levels.instruction.table import Site, parse_selection
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.ir.build import name_of
 from mavfi.ir.forked import run_in_child
@@ -75,7 +74,7 @@ def draw(
         kernel: A compiled function.
         n: Number of faults.
         *args: Arguments of the call; they are not modified.
-        which: Class of instructions, see `mavfi.faults.levels.instruction.selection`.
+        which: Class of instructions, see `mavfi.faults.levels.instruction.table`.
         model: "one_bit", "bits", "random" or "zero", see `mavfi.faults.levels.instruction.plan`.
         seed: Seed of the draw.
         bits: Number of bits for the model "bits".

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.faults.levels.instruction.accesses import Constant
-from mavfi.faults.levels.instruction.instrument import Instrumented, instrument
+from mavfi.faults.levels.instruction.instrument import Instrumented, instrument, optimised
 from mavfi.faults.levels.instruction.table import Table
-from mavfi.faults.levels.instruction.tally import optimised
 from mavfi.ir.build import Rewrite, Source, build_apart, translate
 from mavfi.ir.sources import ObjectCache, cached_source, folder_text
 

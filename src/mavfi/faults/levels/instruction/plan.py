@@ -9,10 +9,8 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, InstructionFault, Model
-from mavfi.faults.levels.instruction.classify import FLOATING, INTEGER
-from mavfi.faults.levels.instruction.refusal import MismatchError
-from mavfi.faults.levels.instruction.table import Site
-from mavfi.faults.levels.instruction.variant import Report, Variant
+from mavfi.faults.levels.instruction.table import FLOATING, INTEGER, Site
+from mavfi.faults.levels.instruction.variant import MismatchError, Report, Variant
 from mavfi.ir.build import name_of
 from mavfi.record import Injection
 

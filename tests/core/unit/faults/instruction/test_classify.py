@@ -3,8 +3,7 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.instruction.selection import FORM, parse_selection
-from mavfi.faults.levels.instruction.table import make_table, short_path
+from mavfi.faults.levels.instruction.table import FORM, make_table, parse_selection, short_path
 from mavfi.ir.module import parts, width
 from mavfi.ir.parser import parse_module
 

@@ -14,8 +14,17 @@ from mavfi.report import links
 from mavfi.report.campaign_report import report_of
 from mavfi.report.html import page, report_page
 from mavfi.report.html.flight_page import fly_command
-from mavfi.report.html.report_data import RunSets, run_list, svg_of, table_data
-from mavfi.report.html.report_page import Part, Section, drawn, sections_of, write_report_page
+from mavfi.report.html.report_page import (
+    Part,
+    RunSets,
+    Section,
+    drawn,
+    run_list,
+    sections_of,
+    svg_of,
+    table_data,
+    write_report_page,
+)
 
 COMMANDS = [("Fly it", "mavfi campaign run tiny --out out/tiny")]
 

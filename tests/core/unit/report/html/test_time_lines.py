@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.divergence import Publication
-from mavfi.report.html.time_lines import AFTER, BEFORE, MOST, SAMPLES, time_lines
+from mavfi.report.html.flight_page import LINE_SAMPLES, MOST_LINES, time_lines
+from mavfi.report.html.page import AFTER, BEFORE
 from mavfi.states import new_state
 
 AT = 5.0
@@ -94,8 +95,8 @@ def test_there_are_never_more_lines_or_samples_than_fit():
         for name in publication.state.header.dtype.names:
             publication.state.header[name] = generator.integers(0, 9)
     lines = time_lines({"golden": waypoints(period_us=2000), "injected": injected}, AT, SITE)
-    assert len(lines) == MOST
-    assert len(lines[0]["data"]["golden"][0]) <= SAMPLES
+    assert len(lines) == MOST_LINES
+    assert len(lines[0]["data"]["golden"][0]) <= LINE_SAMPLES
 
 
 def test_without_publications_there_is_nothing_to_show():
