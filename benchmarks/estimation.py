@@ -34,7 +34,7 @@ def fly_one(environment: str, autopilot: str, seed: int) -> tuple[MissionStatus,
     times = np.round(1e6 * log.column("time")).astype(int)
     truth = log.columns("x", "y", "z")[: len(times) - 1]  # the last period only evaluates the status
     errors = np.array([estimates[time][:3] for time in times[:-1]]) - truth
-    covariance = flight.pipeline["state_estimation"].covariance[:3, :3]
+    covariance = flight.pipeline["state_estimation"].memory.filter.covariance[:3, :3]
     return log.status, np.linalg.norm(errors, axis=1), float(errors[-1] @ np.linalg.solve(covariance, errors[-1]))
 
 

@@ -25,16 +25,25 @@ from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import NUMBER, Column, Table
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Ladder, Step, every_choice
-from mavfi.extras.hardening.certification import Certification, merged
-from mavfi.extras.hardening.certify import certify, pairs_of, rate_of, verdict_of
+from mavfi.extras.hardening.advise import (
+    FRACTIONS,
+    Advice,
+    Curve,
+    Ladder,
+    Step,
+    Study,
+    advise,
+    every_choice,
+    plan_of,
+    planned_of,
+)
+from mavfi.extras.hardening.certify import Certification, certify, merged, pairs_of, rate_of, verdict_of
 from mavfi.extras.hardening.observed import GoldenCheck, Seen, check_golden, observe
 from mavfi.extras.hardening.plan import Plan, load_plan, save_plan
 from mavfi.extras.hardening.protected import Protection
-from mavfi.extras.hardening.study import Study, advise, plan_of, planned_of
+from mavfi.extras.hardening.report import advice_table, caveats, certificate_table, headline, verdict_line
 from mavfi.extras.hardening.summary import AdviceSummary, growth_of, harm_of, summary
 from mavfi.extras.hardening.target import Injected, Target, injections_in
-from mavfi.extras.hardening.text import advice_table, caveats, certificate_table, headline, verdict_line
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from tools import results

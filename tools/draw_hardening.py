@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mavfi.extras.hardening.page import best
+from mavfi.extras.hardening.report import best
 from mavfi.report import style
 from tools.drawing import save
 from tools.markers import IMAGES

@@ -30,7 +30,7 @@ def replayed(published: list[tuple[int, State]], noise: Any) -> dict[int, np.nda
     for time_us, state in published:
         if kernel.receive(state, time_us):
             (estimate,) = kernel.step(time_us)
-            deviations = np.sqrt(np.diag(kernel.covariance)[:6])
+            deviations = np.sqrt(np.diag(kernel.memory.filter.covariance)[:6])
             found[time_us] = np.array([floats(estimate.header, WIDTH)[:6], deviations])
     return found
 

@@ -5,8 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from mavfi.analysis.statistics import Paired
-from mavfi.extras.hardening.certification import Certification, Spending
-from mavfi.extras.hardening.certify import Certificate, Unprotected
+from mavfi.extras.hardening.certify import Certificate, Certification, Spending, Unprotected
 from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Coverage
 

@@ -20,8 +20,7 @@ from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import detector_for, resolve, with_keys_of
-from mavfi.flight.decide import Recovery
+from mavfi.flight.compose import resolve, watched
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
 from mavfi.levels.level import Request, parse
 from mavfi.mission import MissionSpec, Scenario
@@ -68,12 +67,12 @@ def fly(
     if not (detector is None or isinstance(detector, str)):
         require_detector(detector)
     asked = _spec(mission, options)
-    spec = asked if detector is None else with_keys_of(asked, detector)
-    scenario = resolve(spec)
-    watching, label = _watching(scenario, detector, profile, models, spec.trained_for, detector_options)
-    own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
-    request = parse(fault, spec.localization) if isinstance(fault, str) else fault
-    return fly_request(own, request, fault_seed, label, resolve(asked))
+    allow_typed([detector])
+    if detector_options and not isinstance(detector, str):
+        raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
+    setup, label, _ = watched(asked, detector, profile, None if models is None else Path(models), detector_options)
+    request = parse(fault, asked.localization) if isinstance(fault, str) else fault
+    return fly_request(setup, request, fault_seed, label, resolve(asked))
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -219,18 +218,3 @@ def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
     return parse_config(
         MissionSpec, {**({} if mission is None else mission.model_dump(exclude_unset=True)), **options}, "mission"
     )
-
-
-def _watching(
-    scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None, trained_for: str,
-    options: Mapping[str, Any] | None,
-) -> tuple[Detector | None, str]:  # fmt: skip
-    allow_typed([detector])
-    if not isinstance(detector, str):
-        if options:
-            raise BadInputError(f"detector_options: {options!r}: allowed: with the name of a detector")
-        return detector, "" if detector is None else type(detector).__name__
-    models_dir = None if models is None else Path(models)
-    loaded, model = detector_for(scenario, detector, profile, models_dir, trained_for, options)
-    label = f"{detector} ({profile})" if model else detector
-    return loaded, f"{label}, trained for {trained_for}" if model and trained_for else label

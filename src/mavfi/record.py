@@ -121,7 +121,7 @@ class KernelEffect:
         effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception", "detected" or
             "not_activated".
         detail: Signal, budget or exception; "" = none.
-        first_difference: The first published field that differs, as plain data (see `flight.case`); None =
+        first_difference: The first published field that differs, as plain data (see `flight.forks`); None =
             all published fields are equal.
     """
 

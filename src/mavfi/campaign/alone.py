@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from mavfi.campaign.plan import Flown, RunSpec
-from mavfi.detectors.custom import CustomCallError, split_noting_calls
+from mavfi.detectors.detector import CustomCallError, split_noting_calls
 from mavfi.errors import MachineError
 from mavfi.ir.forked import WALL_CLOCK, Ended, ForkPoint
 from mavfi.record import End, FlightRecord

@@ -17,8 +17,7 @@ from pathlib import Path
 from mavfi.campaign.alone import fly_alone
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
-from mavfi.detectors.custom import is_custom
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, is_custom
 from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError, MachineError, MavfiError, SpecMismatchError, machine_failure
 from mavfi.faults.fault import Fault

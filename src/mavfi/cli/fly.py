@@ -15,8 +15,8 @@ from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
-    from mavfi.detectors.detector import Detector
     from mavfi.faults.fault import Fault
+    from mavfi.flight.compose import Watched
     from mavfi.flight.host import ArmSetup, Host
     from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
@@ -63,23 +63,19 @@ def fly(  # noqa: PLR0913 - one parameter per option
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.flight.compose import resolve, with_keys_of
-        from mavfi.flight.decide import Recovery
-        from mavfi.flight.host import ArmSetup
 
-        asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
-        scenario = resolve(mission)
+        bare = resolve(mission)
         if cold:
-            _compile(scenario)
-        watching, label = load_watcher(detector, profile, models, scenario, mission)
-        setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
+            _compile(resolve(with_keys_of(mission, detector)))
+        setup, label, _ = watched(mission, detector, profile, models)
         with observing.observing(observers, extra, pace) as views:
             result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
     if save is not None:
-        _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
+        _save(save, result, mission, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
         _draw(picture, result)
     if html is not None:
-        _write_page(html, result, setup, bare, (asked, fault, fault_seed, detector, profile, models))
+        _write_page(html, result, setup, bare, (mission, fault, fault_seed, detector, profile, models))
     _show(result, (save, picture, html), as_json=as_json)
 
 
@@ -166,20 +162,17 @@ def _is_chosen(mission: MissionSpec, key: str) -> bool:
     return bool(getattr(mission, key) != MissionSpec.model_fields[key].default)
 
 
-def load_watcher(
-    name: str, profile: str | None, models: Path | None, scenario: Scenario, mission: MissionSpec
-) -> tuple[Detector | None, str]:
-    """Load a detector; return it with its label (name, and profile if it has one)."""
-    if name == "none":
-        return None, ""
-    from mavfi.flight.compose import detector_for
+def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> Watched:
+    """A mission under a detector; refuses options for which the detector has no use."""
+    from mavfi.flight.compose import watched as watched_by
 
-    detector, model = detector_for(scenario, name, profile or DEFAULT_PROFILE, models, mission.trained_for)
-    if mission.trained_for and not model:
-        text = f"detector {name!r} is not trained; allowed: none given"
-        raise BadInputError(f"--trained-for: {mission.trained_for}: {text}")
-    if profile is not None and not model:
-        raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
-    label = f"{name} ({profile or DEFAULT_PROFILE})" if model else name
-    label += f", trained for {mission.trained_for}" if mission.trained_for else ""
-    return detector, label
+    if detector == "none":
+        return watched_by(mission, None)
+    result = watched_by(mission, detector, profile or DEFAULT_PROFILE, models)
+    if not result.model:
+        if mission.trained_for:
+            text = f"detector {detector!r} is not trained; allowed: none given"
+            raise BadInputError(f"--trained-for: {mission.trained_for}: {text}")
+        if profile is not None:
+            raise BadInputError(f"--profile: {profile}: detector {detector!r} has no profiles; allowed: none given")
+    return result

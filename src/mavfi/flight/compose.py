@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
 from mavfi.flight.decide import INLINE, Recovery
+from mavfi.flight.host import ArmSetup
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.recovery import DetectorTap, Duplicates
@@ -273,6 +274,51 @@ def detector_for(
         "seed": scenario.seed,
     }
     return load_detector(name, profile, models_dir, mission, options=options, trained_for=trained_for)
+
+
+class Watched(NamedTuple):
+    """A mission under a detector.
+
+    Attributes:
+        setup: Setup of its flights.
+        label: The detector's name, and profile if it has one; "" = no detector.
+        model: Hash of its trained model; "" = it has none.
+    """
+
+    setup: ArmSetup
+    label: str = ""
+    model: str = ""
+
+
+def watched(
+    mission: MissionSpec, detector: Detector | str | None, profile: str = "paper", models: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Watched:  # fmt: skip
+    """Resolve a mission, and load the detector that watches it.
+
+    Args:
+        mission: The mission.
+        detector: The detector or its name; None = no detector.
+        profile: Profile of a named detector.
+        models: Folder of trained models; None = the shipped ones.
+        options: Options of a named detector.
+
+    Raises:
+        BadInputError: See `resolve` and `detector_for`.
+        SpecMismatchError: The model was trained for a different configuration.
+    """
+    if detector is None:
+        return Watched(ArmSetup(resolve(mission), recovery=Recovery.of(mission)))
+    mission = with_keys_of(mission, detector)
+    scenario, recovery = resolve(mission), Recovery.of(mission)
+    if not isinstance(detector, str):
+        return Watched(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
+    loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
+    label = detector
+    if model:
+        label += f" ({profile})"
+        label += f", trained for {mission.trained_for}" if mission.trained_for else ""
+    return Watched(ArmSetup(scenario, lambda: loaded, recovery), label, model)
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:

@@ -28,8 +28,7 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
-from mavfi.detectors.custom import split_noting_calls
-from mavfi.detectors.detector import Detector, part_of
+from mavfi.detectors.detector import Detector, part_of, split_noting_calls
 from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.custom import is_custom
-from mavfi.detectors.detector import Detector, part_of
+from mavfi.detectors.detector import Detector, is_custom, part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault, find_level, level_names
 from mavfi.faults.levels.instruction import Resolving

@@ -18,8 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import proxy
 
-from mavfi.detectors.custom import NotedCalls, is_custom
-from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, checked_alarm
+from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NoDetector, NotedCalls, checked_alarm, is_custom
 from mavfi.errors import machine_failure
 from mavfi.flight.decide import (
     INLINE,
@@ -50,19 +49,6 @@ if TYPE_CHECKING:
 COMMAND = "control.command"
 UNREADABLE = "unreadable"
 """Source of the alarm on a message that its consumers cannot read."""
-
-
-class _Disabled:
-    """In the place of a detector that has been disabled after an exception: it sees nothing and raises no alarm."""
-
-    def check(self, state: State, time_us: int) -> None:
-        """Never called: recovery asks a disabled detector no more."""
-
-    def accept(self, state: State, time_us: int) -> None:
-        """Drops the value."""
-
-    def seal(self, state: State, time_us: int) -> None:
-        """Drops the value."""
 
 
 class DetectorTap:
@@ -121,7 +107,7 @@ class DetectorTap:
     @property
     def gave_up(self) -> bool:
         """Whether the detector is called no more."""
-        return isinstance(self._calls, _Disabled)
+        return isinstance(self._calls, NoDetector)
 
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
@@ -231,7 +217,7 @@ class DetectorTap:
             raise error
         if not self.memory.silenced:
             self._silence(now, CRASHED, {"how": plugin_failure(error) or reason(error)})
-        self._calls = _Disabled()
+        self._calls = NoDetector()
 
     # ---- decisions --------------------------------------------------------------------------------------------------
     def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: Awaited | None) -> Action | None:

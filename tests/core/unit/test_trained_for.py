@@ -6,11 +6,10 @@ from mavfi import api
 from mavfi.campaign import mission
 from mavfi.campaign.mission import MissionPlan, host_of, model_hashes, scenarios_of, setup_of
 from mavfi.campaign.plan import Arm, arms_of
-from mavfi.cli.fly import load_watcher
+from mavfi.cli import fly
 from mavfi.extras.bench import scores
 from mavfi.extras.paper import overheads
-from mavfi.flight import compose as watching
-from mavfi.flight.compose import resolve
+from mavfi.flight import compose
 from mavfi.mission import MissionSpec
 from tests.core.unit.campaign.fakes import small
 
@@ -48,8 +47,8 @@ def score(spec, overrides):
 
 
 CALLERS = {
-    "api": (api, lambda: api.fly(SPEC, detector="limits")),
-    "fly": (watching, lambda: load_watcher("limits", None, None, resolve(SPEC), SPEC)),
+    "api": (compose, lambda: api.fly(SPEC, detector="limits")),
+    "fly": (compose, lambda: fly.watched(SPEC, "limits", None, None)),
     "overheads": (overheads, lambda: overheads.cost(SPEC, "limits", "tuned")),
     "plan": (mission, hashes),
     "flight": (mission, setup),
@@ -67,4 +66,4 @@ def test_the_mission_that_it_was_trained_for_is_handed_on(caller, monkeypatch):
 
 
 def test_the_label_of_a_flight_says_so():
-    assert load_watcher("limits", None, None, resolve(SPEC), SPEC)[1].endswith(f", trained for {NAME}")
+    assert fly.watched(SPEC, "limits", None, None).label.endswith(f", trained for {NAME}")

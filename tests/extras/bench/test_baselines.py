@@ -17,7 +17,17 @@ from mavfi.detectors.training import join
 from mavfi.errors import BadInputError
 from mavfi.extras.bench import library, trees
 from mavfi.extras.bench.field_codes import MONITORED, FieldCodes, sample_of
-from mavfi.extras.bench.library import Inputs, LibraryDetector, columns_of, rates, scaled
+from mavfi.extras.bench.library import (
+    Components,
+    Ellipsoid,
+    Inputs,
+    LibraryDetector,
+    MahalanobisDetector,
+    PcaDetector,
+    columns_of,
+    rates,
+    scaled,
+)
 from mavfi.extras.bench.matrix_profile import (
     BLOCK,
     LENGTH,
@@ -27,26 +37,20 @@ from mavfi.extras.bench.matrix_profile import (
     nearest,
     subsequences,
 )
-from mavfi.extras.bench.outliers import (
-    Components,
-    Ellipsoid,
-    IsolationForestDetector,
-    MahalanobisDetector,
-    PcaDetector,
-    path_length,
-    single_limit,
-)
 from mavfi.extras.bench.trees import (
     Branch,
     GradientBoostingDetector,
     HalfSpaceTreesDetector,
+    IsolationForestDetector,
     Regressor,
     Trees,
     forest_of,
     half_spaces,
     limit_of,
+    path_length,
     regressor,
     regressors,
+    single_limit,
     tables_of,
 )
 from mavfi.faults import strata

@@ -9,12 +9,11 @@ from mavfi.analysis.statistics import mcnemar
 from mavfi.campaign.config import load_campaign
 from mavfi.cli.commands import run
 from mavfi.config import config_root
-from mavfi.extras.hardening import certification
-from mavfi.extras.hardening.certification import Certification
-from mavfi.extras.hardening.certify import Certificate
+from mavfi.extras.hardening import certify
+from mavfi.extras.hardening.advise import Study
+from mavfi.extras.hardening.certify import Certificate, Certification
 from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
-from mavfi.extras.hardening.study import Study
 
 
 @pytest.mark.parametrize(
@@ -61,7 +60,7 @@ def test_a_refuted_plan_is_exit_code_3(opened, tmp_path, capsys, monkeypatch):
             mcnemar([True], [False]),
         )  # fmt: skip
         found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
-        monkeypatch.setattr(certification, "certify_plan", lambda *_, found=found: found)
+        monkeypatch.setattr(certify, "certify_plan", lambda *_, found=found: found)
         assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == code
         assert ("The plan is refuted: " in capsys.readouterr().out) == (code == 3)
         assert json.loads(Path("plan.certificate.json").read_text())["refuted"] == (code == 3)
@@ -76,7 +75,7 @@ def test_a_certificate_is_stated_in_the_plan(opened, tmp_path, capsys, monkeypat
         mcnemar([True], [False]),
     )  # fmt: skip
     found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 9, 0))
-    monkeypatch.setattr(certification, "certify_plan", lambda *_: found)
+    monkeypatch.setattr(certify, "certify_plan", lambda *_: found)
     assert run(["harden", "out", "--plan", "plan.yaml", "--certify"]) == 0
     assert "wrote plan.yaml" in capsys.readouterr().out
     (function,) = load_plan(Path("plan.yaml")).functions

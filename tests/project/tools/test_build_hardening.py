@@ -7,12 +7,12 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.advise import Curve, Step
-from mavfi.extras.hardening.certification import certification_json
+from mavfi.extras.hardening.certify import certification_json
 from mavfi.extras.hardening.choose import NOTHING
 from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Plan
+from mavfi.extras.hardening.report import certificate_table
 from mavfi.extras.hardening.target import Injected
-from mavfi.extras.hardening.text import certificate_table
 from tools import build_hardening, results
 from tools.build_hardening import CERTIFICATE, certificate, certificate_sentence
 from tools.markers import ROOT

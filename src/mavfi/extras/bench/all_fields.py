@@ -1,4 +1,7 @@
-"""Scorers of the codes of all fields (`field_codes`), in compiled code."""
+"""Detectors of all fields (`field_codes`), learned from golden runs: limits per residual, and an autoencoder.
+
+Their scorers, and those of detectors from libraries, judge codes in compiled code.
+"""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -193,7 +196,7 @@ def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndar
     return peaks.reshape(slots, REGIMES), counts.reshape(slots, REGIMES)
 
 
-# ---- Detectors of all fields (`field_codes`): limits per residual, and an autoencoder; both learned from golden runs.
+# ---- detectors ------------------------------------------------------------------------------------------------------
 
 
 @kernel_jit
@@ -342,8 +345,28 @@ class LimitsDetector(AllFieldsDetector):
 
     @classmethod
     def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """See `fit_limits`."""
-        return fit_limits(sample, features, **figures)
+        """Centre and limit of each field and regime; a distance of one code never raises an alarm.
+
+        Args:
+            sample: Error-free flights.
+            features: Codes from which the sample was made.
+            figures: `margin`, limit / largest distance in training; `smallest_regime`: a regime with fewer samples
+                takes the largest limit among the regimes of its field.
+        """
+        shape = len(features.fields), REGIMES
+        centre, peaks, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
+        for slot in range(len(features.slots)):
+            own = slice(*features.range_of(slot))
+            for regime in range(REGIMES):
+                values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own].astype(np.float64)
+                counts[own, regime] = len(values)
+                if len(values):
+                    centre[own, regime] = values.mean(axis=0)
+                    peaks[own, regime] = np.maximum(1.0, np.abs(values - centre[own, regime]).max(axis=0))
+        return {
+            "centre": centre.tolist(),
+            "limit": regime_limits(peaks, counts, figures["margin"], figures["smallest_regime"]),
+        }
 
 
 class AutoencoderAllDetector(AllFieldsDetector):
@@ -360,31 +383,3 @@ class AutoencoderAllDetector(AllFieldsDetector):
     def fit(cls, sample: Sample, features: FieldCodes, figures: Mapping[str, Any]) -> dict[str, Any]:
         """See `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
-
-
-def fit_limits(sample: Sample, field_codes: FieldCodes, margin: float, smallest_regime: int) -> dict[str, Any]:
-    """Centre and limit of each field and regime; a distance of one code never raises an alarm.
-
-    Args:
-        sample: Error-free flights.
-        field_codes: Codes from which the sample was made.
-        margin: Limit / largest distance in training.
-        smallest_regime: A regime with fewer samples takes the largest limit among the regimes of its field.
-    """
-    centre, peaks, counts = centre_and_peaks(sample, field_codes)
-    return {"centre": centre.tolist(), "limit": regime_limits(peaks, counts, margin, smallest_regime)}
-
-
-def centre_and_peaks(sample: Sample, field_codes: FieldCodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre, largest distance (at least 1) and number of samples of each field and regime. Shapes (n, regimes)."""
-    shape = len(field_codes.fields), REGIMES
-    centre, peaks, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
-    for slot in range(len(field_codes.slots)):
-        own = slice(*field_codes.range_of(slot))
-        for regime in range(REGIMES):
-            values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own].astype(np.float64)
-            counts[own, regime] = len(values)
-            if len(values):
-                centre[own, regime] = values.mean(axis=0)
-                peaks[own, regime] = np.maximum(1.0, np.abs(values - centre[own, regime]).max(axis=0))
-    return centre, peaks, counts

@@ -1,4 +1,4 @@
-"""Common base of library adapters: training rows, scores of publications, score limits by state and regime.
+"""Detectors whose models libraries fit: training rows, scores of publications, score limits by state and regime.
 
 A library fits its model; its numbers become tables, from which compiled code computes the library's score: a call from
 Python takes longer than the kernels of the publication.
@@ -7,6 +7,7 @@ Python takes longer than the kernels of the publication.
 import functools
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, ClassVar, NamedTuple
 
@@ -222,3 +223,130 @@ def _refitted(learned: Callable[..., Any], autopilot: str, rows: bytes, slots: b
     """Tables of a model, fitted once per process to what the model stores: a campaign has a detector per mission."""
     field_codes, states = FieldCodes(autopilot), np.frombuffer(slots, np.int64)
     return learned(np.frombuffer(rows).reshape(len(states), -1), states, np.frombuffer(scale), field_codes)
+
+
+# ---- PyOD (Zhao, Nasrullah and Li, JMLR 20, 2019): one model for the codes of all states ----------------------------
+
+
+class Components(NamedTuple):
+    """Principal components; the score is the sum of the distances from them, each divided by its eigenvalue's share.
+
+    Attributes:
+        inputs: The inputs.
+        mean: Of each input in training. Shape (w,).
+        deviation: Of each input in training. Shape (w,).
+        components: Shape (w, c).
+        weights: Share of each component in the variance. Shape (c,).
+        squares: Squared distances, work. Shape (c,).
+    """
+
+    inputs: Inputs
+    mean: np.ndarray
+    deviation: np.ndarray
+    components: np.ndarray
+    weights: np.ndarray
+    squares: np.ndarray
+
+
+@kernel_jit
+def rate_by_components(codes: np.ndarray, slot: int, model: Components) -> float:
+    """See `library.rate`."""
+    model.squares[:] = 0.0
+    for index in range(len(model.mean)):
+        value = (input_of(codes, index, model.inputs) - model.mean[index]) / model.deviation[index]
+        for component in range(len(model.squares)):
+            away = value - model.components[index, component]
+            model.squares[component] += away * away
+    total = 0.0
+    for component in range(len(model.squares)):
+        total += np.sqrt(model.squares[component]) / model.weights[component]
+    return total
+
+
+class Ellipsoid(NamedTuple):
+    """A centre and a precision matrix; the score is the squared Mahalanobis distance.
+
+    Attributes:
+        inputs: The inputs.
+        centre: Shape (w,).
+        precision: Shape (w, w).
+        product: Precision times difference, work. Shape (w,).
+    """
+
+    inputs: Inputs
+    centre: np.ndarray
+    precision: np.ndarray
+    product: np.ndarray
+
+
+@kernel_jit
+def rate_by_ellipsoid(codes: np.ndarray, slot: int, model: Ellipsoid) -> float:
+    """See `library.rate`."""
+    model.product[:] = 0.0
+    for index in range(len(model.centre)):
+        away = input_of(codes, index, model.inputs) - model.centre[index]
+        for other in range(len(model.centre)):
+            model.product[other] += away * model.precision[index, other]
+    total = 0.0
+    for index in range(len(model.centre)):
+        total += (input_of(codes, index, model.inputs) - model.centre[index]) * model.product[index]
+    return total
+
+
+RATES[Components], RATES[Ellipsoid] = rate_by_components, rate_by_ellipsoid
+
+
+class OutlierDetector(LibraryDetector):
+    """A PyOD class with its options."""
+
+    package = "pyod"
+    model: ClassVar[str]
+    """Module and class of the model."""
+    options: ClassVar[Mapping[str, Any]]
+
+    @classmethod
+    def make(cls) -> Any:  # noqa: ANN401 - the library has no types
+        """The model before fitting."""
+        module, _, name = cls.model.partition(":")
+        return getattr(import_module(module), name)(**cls.options)
+
+    @classmethod
+    def tables(cls, rows: np.ndarray, slots: np.ndarray, field_codes: FieldCodes, inputs: Inputs) -> Any:  # noqa: ANN401
+        """See `LibraryDetector.tables`."""
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):
+            return cls.tables_of(cls.make().fit(rows), inputs, len(field_codes.slots))
+
+    @classmethod
+    @abstractmethod
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
+        """The tables of a fitted model of these inputs, for this number of states."""
+
+
+class PcaDetector(OutlierDetector):
+    """Weighted distances along the principal components (Shyu et al., ICDM Workshop 2003)."""
+
+    model_kind = "pca"
+    model, options = "pyod.models.pca:PCA", {"random_state": 0, "svd_solver": "full"}
+
+    @classmethod
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
+        """See the base class."""
+        components = np.ascontiguousarray(fitted.selected_components_.T)
+        weights = np.ascontiguousarray(fitted.selected_w_components_)
+        mean, deviation = fitted.scaler_.mean_, fitted.scaler_.scale_
+        return Components(inputs, mean, deviation, components, weights, np.zeros(len(weights)))
+
+
+class MahalanobisDetector(OutlierDetector):
+    """Mahalanobis distance with the minimum covariance determinant (Rousseeuw and Van Driessen, Technometrics 1999)."""
+
+    model_kind = "mahalanobis"
+    model, options = "pyod.models.mcd:MCD", {"random_state": 0}
+
+    @classmethod
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
+        """See the base class."""
+        centre = fitted.detector_.location_
+        return Ellipsoid(inputs, centre, np.ascontiguousarray(fitted.detector_.get_precision()), np.zeros(len(centre)))

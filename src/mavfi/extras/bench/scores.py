@@ -31,8 +31,6 @@ from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.outcomes import quality_of_flight
 from mavfi.states import State
 
-Changed = list[tuple[int, State | None]]
-"""Corrupted copies of a publication, with the number of the fault; None = lost."""
 RATES_PER_HOUR = (0.1, 1.0, 10.0)
 """False alarms per flight hour at which detection is reported."""
 
@@ -144,23 +142,20 @@ class _Scorer:
             detector.start()
 
     def __call__(self, state: State, time_us: int) -> None:
-        corrupted = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
-        changed = [(place, other) for place, other in corrupted if other is not state]
-        for name in self._detectors:
-            self._judge(name, state, time_us, changed)
-        for place, _ in changed:
+        corrupted = {place: injector(state, time_us) for place, injector in self._injectors.items()}
+        changed = {place: other for place, other in corrupted.items() if other is not state}
+        for name, detector in self._detectors.items():
+            kept = self.kept[name]
+            for place, other in changed.items():  # None = the message is lost
+                kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
+            score = detector.score(state, time_us)
+            if score is not None:
+                kept.judged += 1
+                if score > 0.0:
+                    kept.golden.append(score)
+            detector.accept(state, time_us)
+        for place in changed:
             del self._injectors[place]
-
-    def _judge(self, name: str, state: State, time_us: int, changed: Changed) -> None:
-        kept, detector = self.kept[name], self._detectors[name]
-        for place, other in changed:
-            kept.corrupted[place] = 0.0 if other is None else detector.score(other, time_us) or 0.0
-        found = detector.score(state, time_us)
-        if found is not None:
-            kept.judged += 1
-            if found > 0.0:
-                kept.golden.append(found)
-        detector.accept(state, time_us)
 
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
@@ -183,18 +178,14 @@ def unscored(campaigns: Iterable[Campaign], found: Mapping[str, Scores]) -> dict
 def _score(task: _Task) -> dict[str, _Kept]:
     """Fly a golden flight; returns the scores by arm."""
     scenario = resolve(task.mission)
-    loaded = {
-        arm.name: detector_for(
-            scenario,
-            arm.detector,
-            arm.profile,
-            task.models_dir,
-            arm.overrides.get("trained_for", task.mission.trained_for),
-            arm.options,
-        ).detector
-        for arm in task.arms
-    }
-    judging = {name: detector for name, detector in loaded.items() if not detector.seals}
+    judging = {}
+    for arm in task.arms:
+        trained_for = arm.overrides.get("trained_for", task.mission.trained_for)
+        detector = detector_for(
+            scenario, arm.detector, arm.profile, task.models_dir, trained_for, arm.options
+        ).detector  # fmt: skip
+        if not detector.seals:
+            judging[arm.name] = detector
     scorer = _Scorer(judging, task.faults)
     log = fly(scenario, recorders=[scorer]).log
     hours = quality_of_flight(log).flight_time_s / 3600
@@ -224,12 +215,12 @@ def scores(
     """
     tasks = _tasks(directories, models_dir)
     places = {id(task): place for place, task in enumerate(tasks)}
-    results = {}
+    flown: list[tuple[_Task, dict[str, _Kept]]] = []
     progress(0, len(tasks))
-    for task, result in map_each(executor, _score, tasks):
-        results[places[id(task)]] = result
-        progress(len(results), len(tasks))
-    flown = [(task, results[place]) for place, task in enumerate(tasks)]
+    for pair in map_each(executor, _score, tasks):
+        flown.append(pair)
+        progress(len(flown), len(tasks))
+    flown.sort(key=lambda pair: places[id(pair[0])])
     names = dict.fromkeys(arm.name for task in tasks for arm in task.arms)
     found = {name: _joined([(task, kept[name]) for task, kept in flown if name in kept]) for name in names}
     return {name: own for name, own in found.items() if own.judged}

@@ -1,8 +1,8 @@
-"""Detectors that compare: the arriving value with the one sent, or a step with its repetition.
+"""Bounds of detectors: those that compare a value with the one sent or a step with its repetition, and random alarms.
 
 For a checksum and for the oracle, the upper bound of any detector, the host calls `seal` with each value as its
 producer sends it, and then `check` with the value that arrives.  They detect corruption in transit but no earlier
-errors: a wrong result has a valid checksum.
+errors: a wrong result has a valid checksum.  Random alarms are the lower bound, and the cost of false alarms.
 """
 
 from abc import abstractmethod
@@ -158,7 +158,7 @@ class Duplicate(Detector):
         self.duplicates = tuple(kernels)
 
 
-# ---- Random alarms: a baseline without any information.  Lower bound of detection, and the cost of false alarms.
+# ---- random alarms --------------------------------------------------------------------------------------------------
 
 _STREAM = 7
 _SCORE = 2.0

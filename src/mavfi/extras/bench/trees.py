@@ -1,4 +1,14 @@
-"""Trees of a library as tables, and the sums of their leaves in compiled code."""
+"""Trees of libraries as tables, and the sums of their leaves in compiled code.
+
+Isolation forest and half-space trees are walked, several trees at a time.  Boosted trees are evaluated by bits:
+nearly all codes are near 0, where few of their branches matter.
+
+Regression of each code on all others (ALSO: Paulheim and Meusel, Machine Learning 100, 2015) by boosted trees.
+
+The trees are LightGBM's (Ke et al., NeurIPS 2017).  Half of the training rows of a state fit the regressors of its
+codes, the other half gives the quantile of each residual.  A publication scores the largest residual of its codes in
+units of these quantiles: a value that alone is normal is judged by whether it agrees with the others.
+"""
 
 import math
 from collections import defaultdict
@@ -9,8 +19,8 @@ import numpy as np
 
 from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.extras.bench.field_codes import FieldCodes
-from mavfi.extras.bench.library import RATES, Inputs, LibraryDetector, columns_of, input_of
-from mavfi.numerics.elementary import exp
+from mavfi.extras.bench.library import RATES, Inputs, LibraryDetector, OutlierDetector, columns_of, input_of
+from mavfi.numerics.elementary import exp, log
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -181,7 +191,48 @@ class _Nodes:
         return [(self._leaf(), tree.low), (self._leaf(), tree.high)]
 
 
-# ---- Half-space trees (Tan, Ting and Liu, IJCAI 2011) from river: one forest for the fields of each state.
+# ---- isolation forest -----------------------------------------------------------------------------------------------
+class IsolationForestDetector(OutlierDetector):
+    """Isolation forest (Liu, Ting and Zhou, ICDM 2008): 100 trees of 256 rows."""
+
+    model_kind = "isolation_forest"
+    model, options = "pyod.models.iforest:IForest", {"n_estimators": 100, "random_state": 0, "n_jobs": 1}
+
+    @classmethod
+    def tables_of(cls, fitted: Any, inputs: Inputs, states: int) -> Any:  # noqa: ANN401
+        """See the base class."""
+        forest = fitted.detector_
+        trees = [_isolation_tree(one.tree_, 0, 0) for one in forest.estimators_]
+        unit = len(trees) * path_length(forest.max_samples_) / log(2.0)
+        found = forest_of([Trees(trees, unit)], inputs, decays=True, shift=float(forest.offset_))
+        return found._replace(spans=np.tile(found.spans, (states, 1)), unit=np.full(states, unit))
+
+
+def path_length(rows: int) -> float:
+    """Mean path length of an unsuccessful search in a binary tree of `rows` rows, c(n) of the paper's equation 1."""
+    if rows <= 2:
+        return float(max(rows, 1) - 1)
+    return 2.0 * (log(rows - 1.0) + float(np.euler_gamma)) - 2.0 * (rows - 1.0) / rows
+
+
+def _isolation_tree(tree: Any, node: int, depth: int) -> Tree:  # noqa: ANN401 - of the library
+    """A subtree; the value of a leaf is its path length."""
+    low, high = int(tree.children_left[node]), int(tree.children_right[node])
+    if low < 0:
+        return depth + path_length(int(tree.n_node_samples[node]))
+    below, above = (_isolation_tree(tree, child, depth + 1) for child in (low, high))
+    return Branch(int(tree.feature[node]), single_limit(float(tree.threshold[node])), below, above)
+
+
+def single_limit(threshold: float) -> float:
+    """Largest double that is at most the threshold once it is rounded to single precision, as the library does."""
+    single = np.float32(threshold)
+    below = single if single <= threshold else np.nextafter(single, np.float32(-np.inf))
+    middle = (float(below) + float(np.nextafter(below, np.float32(np.inf)))) / 2.0
+    return middle if np.float32(middle) == below else math.nextafter(middle, -math.inf)
+
+
+# ---- half-space trees (Tan, Ting and Liu, IJCAI 2011) from river: one forest for the fields of each state -----------
 
 _TREES, _HEIGHT, _WINDOW = 25, 8, 100
 _LEAST = 0.1
@@ -242,7 +293,7 @@ class HalfSpaceTreesDetector(LibraryDetector):
         return half_spaces(rows, slots, columns_of(field_codes), inputs)
 
 
-# ---- Regression of each code on all others (ALSO: Paulheim and Meusel, Machine Learning 100, 2015) by boosted trees.
+# ---- regression of each code on all others by boosted trees ---------------------------------------------------------
 
 ROUNDS = 40
 OPTIONS: Mapping[str, Any] = {

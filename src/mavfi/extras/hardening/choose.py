@@ -346,6 +346,12 @@ class Chooser:
                 found[chosen] = self.choice(chosen)
         return upper_hull(found.values())
 
+    def share(self, fraction: float) -> Choice:
+        """The choice that adds at most a fraction of the instructions of full duplication."""
+        if fraction in (0.0, 1.0):
+            return self.full if fraction else NOTHING
+        return self.within(fraction * self.full.cost)
+
     def within(self, budget: float) -> Choice:
         """The best known choice that adds at most `budget` dynamic instructions: a larger one never covers less."""
         step = max((step for step in self._steps if step.cost <= budget), key=lambda step: step.benefit)

@@ -17,7 +17,7 @@ from mavfi.files import is_file
 
 if TYPE_CHECKING:
     from mavfi.analysis.table import Table
-    from mavfi.extras.hardening.study import Study
+    from mavfi.extras.hardening.advise import Study
 
 EXIT_REFUTED = 3
 
@@ -55,7 +55,7 @@ def harden(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
     """
-    from mavfi.extras.hardening.study import Study
+    from mavfi.extras.hardening.advise import Study
 
     check_number("--budget", budget, 0.0, 10.0)
     check_number("--faults", faults, 1, 100_000)
@@ -84,43 +84,43 @@ def _tell(text: str) -> None:
 def _advise(
     study: "Study", budget: float, path: Path | None, html: Path | None, *, addresses: bool, as_json: bool
 ) -> None:
-    from mavfi.extras.hardening import certification, page, plan, summary, text
-    from mavfi.extras.hardening.study import advise, plan_of
+    from mavfi.extras.hardening import certify, plan, report, summary
+    from mavfi.extras.hardening.advise import advise, plan_of
 
     harm = summary.harm_of(study.runs)
     advices = advise(study, budget, _tell, addresses=addresses, workers=os.cpu_count() or 1)
     made = plan_of(study, advices)
     if path is not None:
         with suppress(BadInputError):  # there is none yet
-            made = certification.with_certified(made, plan.load_plan(path))
+            made = certify.with_certified(made, plan.load_plan(path))
         plan.save_plan(made, path)
     advice = summary.summary(study, advices, harm, made)
     if html is not None:
-        page.write_page(html, advice, study.directory, path)
+        report.write_page(html, advice, study.directory, path)
     if as_json:
         write_json(asdict(advice))
         return
-    _show(text.headline(advice), text.caveats(advice), text.advice_table(advice))
+    _show(report.headline(advice), report.caveats(advice), report.advice_table(advice))
     say_written(path, html)
 
 
 def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
-    from mavfi.extras.hardening import certification, page, plan, text
+    from mavfi.extras.hardening import certify, plan, report
 
     planned = plan.load_plan(str(path))
     check_writable(path.with_suffix(".certificate.json"))
-    certified = certification.certify_plan(study, planned, faults, _tell)
-    written = [certification.save_certification(certified, path)]
+    certified = certify.certify_plan(study, planned, faults, _tell)
+    written = [certify.save_certification(certified, path)]
     if is_file(path):  # not a shipped plan, given by name
-        plan.save_plan(certification.certified_plan(planned, certified), path)
+        plan.save_plan(certify.certified_plan(planned, certified), path)
         written.append(path)
     if html is not None:
-        page.write_certificate(html, certified, study.directory, path, study.selected)
+        report.write_certificate(html, certified, study.directory, path, study.selected)
         written.append(html)
     if as_json:
-        write_json(certification.certification_json(certified))
+        write_json(certify.certification_json(certified))
     else:
-        _show(text.verdict_line(certified), (), text.certificate_table(certified))
+        _show(report.verdict_line(certified), (), report.certificate_table(certified))
         say_written(*written)
     if certified.refuted:
         raise typer.Exit(EXIT_REFUTED)

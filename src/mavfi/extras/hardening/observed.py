@@ -93,7 +93,7 @@ class Observing:
         """By signature, in order of the first call."""
         for seen, recording in self._seen.values():
             seen.total = recording.total
-            seen.calls = [recording.kept[call] for call in sorted(recording.kept)]
+            seen.calls = [*recording.kept.values()]
         return [seen for seen, _ in self._seen.values()]
 
 

@@ -11,12 +11,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.advise import Advice, Curve, Step, coverage_of, coverage_of_steps
+from mavfi.extras.hardening.advise import Advice, Curve, Step, Study, coverage_of, coverage_of_steps
 from mavfi.extras.hardening.certify import rate_of
 from mavfi.extras.hardening.choose import added
 from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.plan import Plan, Site
-from mavfi.extras.hardening.study import Study
 from mavfi.extras.hardening.target import Target
 from mavfi.outcomes import Effect
 
@@ -277,21 +276,17 @@ def _escapes(target: Target, sites: Collection[Site]) -> dict[str, float]:
 
 def _lines(target: Target, sites: Collection[Site]) -> tuple[LineSummary, ...]:
     """Executed source lines, by file and number."""
-    executions: dict[tuple[str, int], float] = defaultdict(float)
-    masses: dict[tuple[str, int], float] = defaultdict(float)
-    removed: dict[tuple[str, int], float] = defaultdict(float)
-    for site, row, times, mass in target.masses:
-        line = row.file, row.line
-        executions[line] += times
-        masses[line] += mass
-        if site in sites:
-            removed[line] += mass
-    all_executions = max(sum(executions.values()), 1e-300)
-    all_masses = max(sum(masses.values()), 1e-300)
+    sums: dict[tuple[str, int], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
+    for site, row, executions, mass in target.masses:
+        line = sums[row.file, row.line]
+        line[0] += executions
+        line[1] += mass
+        line[2] += mass if site in sites else 0.0
+    all_times = max(sum(times for times, _, _ in sums.values()), 1e-300)
+    all_masses = max(sum(mass for _, mass, _ in sums.values()), 1e-300)
     lines = []
-    for file, number in sorted(executions):
-        mass = masses[file, number]
-        protected = removed[file, number] / mass if mass else 0.0
-        share = executions[file, number] / all_executions
-        lines.append(LineSummary(file, number, share, mass / all_masses, protected))
+    for file, number in sorted(sums):
+        times, mass, removed = sums[file, number]
+        protected = removed / mass if mass else 0.0
+        lines.append(LineSummary(file, number, times / all_times, mass / all_masses, protected))
     return tuple(lines)

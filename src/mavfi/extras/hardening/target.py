@@ -213,11 +213,11 @@ class Target:
             if times
         ]
 
-    def judged(self, choose: Callable[[Chooser], Choice]) -> list[tuple[Injected, bool]]:
-        """Silent corruptions, and whether a choice made without them removes them."""
+    def judged(self, fraction: float) -> list[tuple[Injected, bool]]:
+        """Silent corruptions, and whether a choice made without them removes them; see `Chooser.share`."""
         found = []
         for part, chooser in self._folds:
-            chosen = self.sites(choose(chooser))
+            chosen = self.sites(chooser.share(fraction))
             found += [(one, self.site_of(one) in chosen) for one in part if one.sdc]
         return found
 

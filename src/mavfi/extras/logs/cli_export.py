@@ -128,17 +128,12 @@ def _recorded(source: Path, run_id: str) -> Recorded:
 
 def _setup(request: Request | None, scenario: Scenario) -> ArmSetup:
     """Mission, detector and recovery of a saved flight; without a request, the mission only."""
-    from mavfi.cli.fly import load_watcher
-    from mavfi.flight.compose import resolve, with_keys_of
-    from mavfi.flight.decide import Recovery
+    from mavfi.cli.fly import watched
     from mavfi.flight.host import ArmSetup
 
     if request is None:
         return ArmSetup(scenario)
-    spec = with_keys_of(request.mission, request.detector)
-    resolved = resolve(spec)
-    watcher, _ = load_watcher(request.detector, request.profile, request.models, resolved, spec)
-    return ArmSetup(resolved, None if watcher is None else lambda: watcher, Recovery.of(spec))
+    return watched(request.mission, request.detector, request.profile, request.models).setup
 
 
 def _write(log: FlightLog, to: Path, source: str, published: list[Publication] | None, golden: FlightLog | None) -> int:

@@ -9,7 +9,7 @@ import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, check_file, check_number, console, write_json
-from mavfi.cli.fly import check_company, load_watcher
+from mavfi.cli.fly import check_company, watched
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
@@ -93,14 +93,11 @@ def fly(  # noqa: PLR0913 - one parameter per option
     finder.require()
     from mavfi.extras.ros.ros1.host import configure
     from mavfi.extras.ros.ros1.plan import Plan
-    from mavfi.flight.compose import resolve
-    from mavfi.flight.decide import Recovery
 
-    scenario = resolve(mission)
-    watching, label = load_watcher(detector, profile, models, scenario, mission)
+    setup, label, _ = watched(mission, detector, profile, models)
     plan = Plan(
-        scenario, configure(scenario), drawn(scenario, request, fault_seed), watching, Recovery.of(mission),
-        kills, register_faults=faults, pace=pace,
+        setup.scenario, configure(setup.scenario), drawn(setup.scenario, request, fault_seed), setup.detector(),
+        setup.recovery, kills, register_faults=faults, pace=pace,
     )  # fmt: skip
     check(plan)
     with stoppable("Stopped; every process of the flight has ended."):

@@ -321,8 +321,8 @@ def time_lines(
     if "golden" not in near or len(near) < 2:
         return []
     injected = near.get("injected") or near["recovered"]
-    own = _site(site)
-    first = [one for one in (own or _site(wrong),) if one is not None]
+    own = _numeric_site(site)
+    first = [one for one in (own or _numeric_site(wrong),) if one is not None]
     scores = {site: _difference(near["golden"], injected, site) for site in _candidates() if site not in first}
     worst = sorted((site for site in scores if scores[site] > 0), key=lambda site: -scores[site])[
         : MOST_LINES - len(first)
@@ -346,7 +346,7 @@ def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publ
     return found
 
 
-def _site(text: str) -> Site | None:
+def _numeric_site(text: str) -> Site | None:
     """Parse the text of a numeric state field, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
     found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
     if found is None or found[1] not in STATES:

@@ -6,8 +6,15 @@ import time
 
 import pytest
 
-from mavfi.detectors.custom import CustomCallError, NotedCalls, is_custom, split_noting_calls
-from mavfi.detectors.detector import Chain, Detector, NoDetector
+from mavfi.detectors.detector import (
+    Chain,
+    CustomCallError,
+    Detector,
+    NoDetector,
+    NotedCalls,
+    is_custom,
+    split_noting_calls,
+)
 from mavfi.ir.forked import ForkPoint
 
 

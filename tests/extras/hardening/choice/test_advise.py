@@ -16,13 +16,13 @@ from mavfi.extras.hardening.advise import (
     Curve,
     Prepared,
     Step,
+    Study,
     allocate,
     coverage_of,
     coverage_of_steps,
     settle,
 )
 from mavfi.extras.hardening.choose import NOTHING
-from mavfi.extras.hardening.study import Study
 from mavfi.extras.hardening.target import Injected
 
 

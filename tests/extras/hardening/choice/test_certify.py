@@ -8,13 +8,16 @@ import pytest
 from mavfi.analysis.statistics import mcnemar
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.errors import BadInputError
+from mavfi.extras.hardening.advise import Study
 from mavfi.extras.hardening.battery import SDC
-from mavfi.extras.hardening.certification import Certification, certify_plan, check_fresh
 from mavfi.extras.hardening.certify import (
     Certificate,
+    Certification,
     Pair,
     Unprotected,
     certify,
+    certify_plan,
+    check_fresh,
     foreseen,
     observe_plain,
     together,
@@ -23,8 +26,7 @@ from mavfi.extras.hardening.certify import (
 from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.observed import GoldenCheck, Guarded
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan, load_plan, save_plan
-from mavfi.extras.hardening.study import Study
-from mavfi.extras.hardening.text import verdict_line
+from mavfi.extras.hardening.report import verdict_line
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
 from tests.extras.hardening.choice.kernels import calls, see, smooth

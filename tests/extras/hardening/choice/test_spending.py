@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import mcnemar
-from mavfi.extras.hardening.certification import (
+from mavfi.extras.hardening.certify import (
+    Certificate,
     Certification,
     Spending,
     certification_json,
     spending_of,
     ticks_of,
 )
-from mavfi.extras.hardening.certify import Certificate
 from mavfi.extras.hardening.observed import GoldenCheck
-from mavfi.extras.hardening.text import certificate_table, verdict_line
+from mavfi.extras.hardening.report import certificate_table, verdict_line
 from mavfi.ir.build import name_of
 from tests.extras.hardening.choice.kernels import calls, see, smooth
 from tools.stored_certificate import certification_of

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from mavfi.analysis.statistics import wilson
-from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of, every_choice
+from mavfi.extras.hardening.advise import FRACTIONS, Advice, Curve, Step, choices_of, every_choice, plan_of, planned_of
 from mavfi.extras.hardening.battery import Battery
-from mavfi.extras.hardening.certification import Certification, certified_plan, with_certified
-from mavfi.extras.hardening.certify import Pair, certify
+from mavfi.extras.hardening.certify import Certification, Pair, certified_plan, certify, with_certified
 from mavfi.extras.hardening.observed import GoldenCheck
 from mavfi.extras.hardening.plan import Coverage, FunctionPlan, Plan
-from mavfi.extras.hardening.study import plan_of, planned_of
 from mavfi.extras.hardening.summary import Harm, summary
 from mavfi.extras.hardening.target import Injected, injections_in, targets_of
 from mavfi.faults.levels.instruction.variant import signature_of

@@ -6,20 +6,25 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from mavfi.analysis.statistics import mcnemar
-from mavfi.extras.hardening.certification import Certification
-from mavfi.extras.hardening.certify import Certificate, Unprotected
+from mavfi.extras.hardening.certify import Certificate, Certification, Unprotected
 from mavfi.extras.hardening.observed import GoldenCheck
-from mavfi.extras.hardening.page import HEIGHT, WIDTH, best, curve, page, source, write_certificate
 from mavfi.extras.hardening.plan import Coverage
-from mavfi.extras.hardening.summary import StepSummary
-from mavfi.extras.hardening.text import (
+from mavfi.extras.hardening.report import (
+    HEIGHT,
+    WIDTH,
     advice_table,
+    best,
     caveats,
     certificate_table,
+    curve,
     headline,
     interval,
+    page,
+    source,
     verdict_line,
+    write_certificate,
 )
+from mavfi.extras.hardening.summary import StepSummary
 from tests.extras.hardening.report.summaries import rate, summary
 
 DIRECTORY, PLAN = Path("out/my runs"), Path("plan.yaml")

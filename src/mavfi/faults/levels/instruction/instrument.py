@@ -304,7 +304,7 @@ def _used_elsewhere(function: Function) -> set[str]:
 # while a loop runs: it is a local variable of its function, and the module is optimised after the rewriting.  At each
 # return, the counters are added to the histogram.
 # Results are those of the plain kernel, since no optimisation changes a floating-point operation without fast-math
-# flags.  The instrumented variant counts the same blocks on its slow path, without optimisation: the oracle in the tests.
+# flags.  The instrumented variant counts the same blocks on its slow path, without optimisation: the oracle of tests.
 
 HISTOGRAM = "mavfi_histogram"
 """Global of the machine code: address of the histogram, int64 of shape (blocks,)."""
