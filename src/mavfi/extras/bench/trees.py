@@ -150,45 +150,36 @@ def forest_of(
         sign: See `Forest`.
         shift: See `Forest`.
     """
-    nodes, roots, depths = _Nodes(inputs), [], []
+    words: list[int] = []
+    values: list[float] = []
+    roots: list[int] = []
+    depths: list[int] = []
+
+    def leaf() -> int:
+        """Append a leaf; returns its place."""
+        words.append(pack(_CODES_TO, 0, len(words)))
+        values.append(0.0)
+        return len(words) - 1
+
+    def fill(place: int, tree: Tree) -> list[tuple[int, Tree]]:
+        """Fill in a node; returns its children with their places."""
+        if not isinstance(tree, Branch):
+            values[place] = tree
+            return []
+        words[place] = pack(limit_of(tree, inputs), int(inputs.columns[tree.column]), len(words))
+        return [(leaf(), tree.low), (leaf(), tree.high)]
+
     for tree in (tree for own in states for tree in own.trees):
-        roots.append(len(nodes.values))
-        depths.append(nodes.add(tree))
+        roots.append(len(words))
+        level, depth = [(leaf(), tree)], -1
+        while level:
+            level, depth = [pair for place, part in level for pair in fill(place, part)], depth + 1
+        depths.append(depth)
     return Forest(
         spans_of([len(own.trees) for own in states]),
         np.array([own.unit for own in states], np.float64), decays, sign, shift, np.array(roots, np.int64),
-        np.array(depths, np.int64), np.array(nodes.words, np.int64), np.array(nodes.values, np.float64),
+        np.array(depths, np.int64), np.array(words, np.int64), np.array(values, np.float64),
     )  # fmt: skip
-
-
-class _Nodes:
-    """Nodes of trees, see `Forest`."""
-
-    def __init__(self, inputs: Inputs) -> None:
-        self.words: list[int] = []
-        self.values: list[float] = []
-        self._inputs = inputs
-
-    def add(self, tree: Tree) -> int:
-        """Append a tree; returns its depth."""
-        level, depth = [(self._leaf(), tree)], -1
-        while level:
-            level, depth = [pair for place, part in level for pair in self._fill(place, part)], depth + 1
-        return depth
-
-    def _leaf(self) -> int:
-        self.words.append(pack(_CODES_TO, 0, len(self.words)))
-        self.values.append(0.0)
-        return len(self.words) - 1
-
-    def _fill(self, place: int, tree: Tree) -> list[tuple[int, Tree]]:
-        """Fill in a node; returns its children with their places."""
-        if not isinstance(tree, Branch):
-            self.values[place] = tree
-            return []
-        field = int(self._inputs.columns[tree.column])
-        self.words[place] = pack(limit_of(tree, self._inputs), field, len(self.words))
-        return [(self._leaf(), tree.low), (self._leaf(), tree.high)]
 
 
 # ---- isolation forest -----------------------------------------------------------------------------------------------
@@ -412,14 +403,15 @@ def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regresso
     starts, first = np.zeros((len(states), len(inputs.columns), 2, 2), np.int64), 0
     branches: list[int] = []
     for slot, own in enumerate(states):
-        found = _Branches(inputs)
-        for number, tree in enumerate(tree for one in own for tree in one.trees):
-            values = found.add(tree, number)
+        words = Words(list)
+        trees_of_state = [tree for one in own for tree in one.trees]
+        for number, tree in enumerate(trees_of_state):
+            values = _leaves(tree, number, 0, inputs, words)
             leaves[first + number, [(1 << bit) % _PRIME for bit in range(len(values))]] = values
-        first += found.trees
-        for (place, below), words in found.words.items():
-            starts[slot, place, int(below)] = len(branches), len(branches) + len(words)
-            branches += sorted(words)
+        first += len(trees_of_state)
+        for (place, below), found in words.items():
+            starts[slot, place, int(below)] = len(branches), len(branches) + len(found)
+            branches += sorted(found)
     counts = np.array([len(one.trees) for one in every], np.int64)
     return Regressors(
         spans_of([len(own) for own in states]), spans_of(counts), np.array([one.column for one in every], np.int64),
@@ -428,34 +420,21 @@ def tables_of(states: Sequence[Sequence[Regressor]], inputs: Inputs) -> Regresso
     )  # fmt: skip
 
 
-class _Branches:
-    """Branches of the trees of a state, see `Regressors`.
+Words = defaultdict[tuple[int, bool], list[int]]
+"""Branches by input, and whether a code below 0 goes to the other child, see `Regressors`."""
 
-    Attributes:
-        trees: Number of trees.
-        words: Branches by input, and whether a code below 0 goes to the other child.
-    """
 
-    def __init__(self, inputs: Inputs) -> None:
-        self.trees, self.words = 0, defaultdict[tuple[int, bool], list[int]](list)
-        self._inputs = inputs
-
-    def add(self, tree: Tree, number: int) -> list[float]:
-        """Add a tree; returns the values of its leaves."""
-        self.trees += 1
-        return self._leaves(tree, number, 0)
-
-    def _leaves(self, tree: Tree, number: int, first: int) -> list[float]:
-        """Values of the leaves of a subtree of tree `number`; its first leaf has bit `first`."""
-        if not isinstance(tree, Branch):
-            return [tree]
-        limit = limit_of(tree, self._inputs)
-        below = limit < 0  # 0 goes to the upper child
-        values = self._leaves(tree.high if below else tree.low, number, first)
-        stay = _ALL & ~(((1 << len(values)) - 1) << first)
-        magnitude = -1 - limit if below else limit
-        self.words[tree.column, below].append((magnitude << 32) + (number << 16) + stay)
-        return values + self._leaves(tree.low if below else tree.high, number, first + len(values))
+def _leaves(tree: Tree, number: int, first: int, inputs: Inputs, words: Words) -> list[float]:
+    """Values of the leaves of a subtree of tree `number`, whose branches it adds; its first leaf has bit `first`."""
+    if not isinstance(tree, Branch):
+        return [tree]
+    limit = limit_of(tree, inputs)
+    below = limit < 0  # 0 goes to the upper child
+    values = _leaves(tree.high if below else tree.low, number, first, inputs, words)
+    stay = _ALL & ~(((1 << len(values)) - 1) << first)
+    magnitude = -1 - limit if below else limit
+    words[tree.column, below].append((magnitude << 32) + (number << 16) + stay)
+    return values + _leaves(tree.low if below else tree.high, number, first + len(values), inputs, words)
 
 
 def regressor(rows: np.ndarray, column: int) -> Any:  # noqa: ANN401 - of the library

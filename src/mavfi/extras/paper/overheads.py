@@ -12,9 +12,8 @@ import statistics
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.fingerprint import processor
@@ -34,8 +33,7 @@ LONG_S = 1.0
 """Time of a replay from which on it is not repeated: the clock is fine enough for one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
+class Cost(NamedTuple):
     """Times of one flight with a detector, by stage and, under `ALL`, in total.
 
     Attributes:
