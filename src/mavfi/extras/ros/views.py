@@ -1,4 +1,4 @@
-"""Views of other people's software: faults in the calls of a client program, and in registers of a node."""
+"""View of a foreign node: what faults in its registers do."""
 
 import polars as pl
 
@@ -14,9 +14,6 @@ _REPEAT = (
     "digest is that of this ledger"
 )
 _JUDGED = pl.col("effect") != "unknown"
-_OF_CALLS = pl.col("effect").is_in(["masked", "sdc", "exception", "hang"])
-"""Activated faults in calls whose effect is known."""
-_SILENT, _COLLIDED = pl.col("effect") == "sdc", pl.col("status") == "collision"
 
 
 def _of_registers(runs: Runs) -> bool:
@@ -47,22 +44,6 @@ def _stopped_note(runs: Runs) -> list[str]:
 
 
 CHAPTER = Chapter(40, (
-    View(
-        "boundary_effects", "What one bit in a call does to a program", ("side",),
-        (
-            m.count("n", "runs", _OF_CALLS),
-            m.wilson_rate("masked", "masked", pl.col("effect") == "masked", _OF_CALLS),
-            m.wilson_rate("deviates", "deviates", _SILENT & ~_COLLIDED, _OF_CALLS),
-            m.wilson_rate("collides", "collision", _SILENT & _COLLIDED, _OF_CALLS),
-            m.wilson_rate("exception", "program crash", pl.col("effect") == "exception", _OF_CALLS),
-            m.wilson_rate("hang", "hang", pl.col("effect") == "hang", _OF_CALLS),
-            m.count("not_activated", "not activated", effect="not_activated"),
-            m.count("unknown", "not judged", effect="unknown"),
-        ),
-        where=lambda runs: runs.injected.where(level="message").adding(side=pl.col("target")),
-        total=("side", "both"), applies=lambda runs: has(runs.injected, level="message"),
-        notes=lambda _: ("per cent of the runs whose fault was activated, [95 % interval, Wilson], count",),
-    ),
     View(
         "register_effects", "What one bit in a register does", ("registers",),
         (
