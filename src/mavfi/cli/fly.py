@@ -62,11 +62,11 @@ def fly(  # noqa: PLR0913 - one parameter per option
     request = of_extra if fault is None else parse(fault, mission.localization)
     with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
         from mavfi.api import fly_request
-        from mavfi.flight.compose import resolve, with_keys_of
+        from mavfi.flight.compose import resolve
 
         bare = resolve(mission)
         if cold:
-            _compile(resolve(with_keys_of(mission, detector)))
+            _compile(bare)
         setup, label, _ = watched(mission, detector, profile, models)
         with observing.observing(observers, extra, pace) as views:
             result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
