@@ -9,7 +9,7 @@ import pytest
 
 from mavfi import plugins
 from mavfi.analysis import Runs
-from mavfi.analysis.about import drawn
+from mavfi.analysis.runs import drawn
 from mavfi.api import fly
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.shrink import shrink
