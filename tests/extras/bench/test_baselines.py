@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector, residual_state
+from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import INPUT_LIMIT
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.features import REGIMES
@@ -15,7 +15,7 @@ from mavfi.detectors.registry import figures_of
 from mavfi.detectors.scoring import Threshold
 from mavfi.detectors.training import join
 from mavfi.errors import BadInputError
-from mavfi.extras.bench import library, trees
+from mavfi.extras.bench import library, residual_state, trees
 from mavfi.extras.bench.field_codes import MONITORED, FieldCodes, sample_of
 from mavfi.extras.bench.library import (
     Components,
