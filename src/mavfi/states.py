@@ -199,7 +199,11 @@ class StateSpec:
 
     def offset(self, name: str) -> int:
         """Byte offset of a field of the header."""
-        return int(self.header_dtype.fields[name][1])  # type: ignore[index]
+        columns = self.header_dtype.fields
+        assert columns is not None and self.header_dtype.names is not None
+        # by position: the only value of a program's call has no name, and NumPy gives it one
+        position = [f.name for f in self.header].index(name)
+        return int(columns[self.header_dtype.names[position]][1])
 
     def in_elements(self, name: str) -> bool:
         """Whether the named field belongs to the elements (which take precedence if a name is in both)."""

@@ -107,7 +107,7 @@ def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
 
 
 def header(campaign: Mapping[str, Any]) -> list[str]:
-    """Header lines of a report: campaign (from `analysis.about.describe`), progress, digest, versions, caveats."""
+    """Header lines of a report: campaign (from `analysis.runs.describe`), progress, digest, versions, caveats."""
     lines = [
         campaign["title"], *campaign["lines"],
         f"{campaign['done']} of {campaign['total']} runs done · digest {short(campaign['digest'])}…",

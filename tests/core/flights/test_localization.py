@@ -124,7 +124,7 @@ def test_a_fix_that_is_improbable_is_refused(field, bit):
     flight = fly(estimating(), fault("sensor.position", field, 5.0, bit))
     assert flight.log.injections[0].activated and flight.log.status is MissionStatus.SUCCESS
     estimator = flight.pipeline["state_estimation"]
-    assert np.sqrt(np.diag(estimator.covariance)[:3]).max() < 0.05  # it did not restart
+    assert np.sqrt(np.diag(estimator.memory.filter.covariance)[:3]).max() < 0.05  # it did not restart
 
 
 @pytest.mark.slow

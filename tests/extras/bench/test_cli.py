@@ -6,7 +6,7 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.ledger import status
 from mavfi.campaign.run import run_campaign
 from mavfi.cli.commands import run
-from mavfi.extras.paper import overheads
+from mavfi.extras.paper import overhead_views, overheads
 from tests.core.unit.campaign.fakes import DETECTOR, small
 
 
@@ -27,7 +27,7 @@ def test_measured_overheads_are_written_and_shown(ledger, capsys):
     assert {row["stage"] for row in rows} == set(overheads.STAGES)
     assert all(row["measured_detection"] == 0.25 and row["measured_sum"] == 0.75 for row in rows)
     assert all(row["modelled_detection"] == 0.005 <= row["modelled_sum"] for row in rows)
-    assert len(overheads.load(ledger)["rows"]) == 2 * len(overheads.STAGES), "two environments"
+    assert len(overhead_views.load(ledger)["rows"]) == 2 * len(overheads.STAGES), "two environments"
     assert run(["report", str(ledger), "--view", "overheads_as_in_the_paper"]) == 0
     assert "25 %" in capsys.readouterr().out
 
