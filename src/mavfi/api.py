@@ -102,7 +102,7 @@ def run(
         directory: Folder of its new or existing ledger.
         workers: Number of processes; the ledger does not depend on it.
         models: Folder of trained models; None = that of the ledger, or the shipped ones.
-        executor: Alternative executor, e.g. a `campaign.executors.dask.DaskExecutor`.
+        executor: Alternative executor, e.g. a `mavfi.extras.dask.executor.DaskExecutor`.
         progress: Called after every run.
 
     Raises:

@@ -167,15 +167,31 @@ def parameters_of(what: str, name: str, factory: Any) -> list[str]:  # noqa: ANN
 
 
 def build(
-    what: str, name: str, factory: Any, *arguments: object, needs: Mapping[str, str] | None = None, **options: object
+    what: str,
+    name: str,
+    factory: Any,
+    *arguments: object,
+    needs: Mapping[str, str] | None = None,
+    of_mission: Mapping[str, object] | None = None,
+    **options: object,
 ) -> Any:  # noqa: ANN401
     """Call a user's own class or function; kind (`what`) and name are for messages.
 
-    `needs` has the parameters of the methods that the object must have, by method, separated by commas.
+    Args:
+        what: Kind of object.
+        name: Its name.
+        factory: The class or function.
+        arguments: Its positional arguments.
+        needs: Parameters of the methods that the object must have, by method, separated by commas.
+        of_mission: What it may take from the mission, by the name of the parameter; None = unknown.
+        options: Its options, with `of_mission` only those that it has.
 
     Raises:
-        BadInputError: It raised, or the object lacks a method, or one of these takes other parameters.
+        BadInputError: It raised, or needs what is unknown, or has no such option, or the object lacks a method, or one
+            of these takes other parameters.
     """
+    if of_mission is not None:
+        options = _taken(what, name, factory, of_mission, options)
     try:
         made = factory(*arguments, **options)
     except MavfiError:
@@ -189,6 +205,21 @@ def build(
     for method, parameters in methods.items():
         _check_call(f"{what} {name!r}", method, getattr(made, method), parameters)
     return made
+
+
+def _taken(
+    what: str, name: str, factory: Any, of_mission: Mapping[str, object], options: Mapping[str, object]  # noqa: ANN401
+) -> dict[str, object]:  # fmt: skip
+    """Arguments by name: what a class takes from the mission, and options, all of which it must have."""
+    parameters = parameters_of(what, name, factory)
+    taken = {key: value for key, value in of_mission.items() if key in parameters}
+    for key, value in taken.items():
+        if value is None:
+            raise BadInputError(f"{what} {name!r}: needs the {key} of the mission")
+    unknown = sorted(set(options) - set(parameters))
+    if unknown:
+        raise BadInputError(f"{what} {name!r}: has no option {', '.join(unknown)}")
+    return {**taken, **options}
 
 
 def _check_call(place: str, method: str, function: Any, parameters: str) -> None:  # noqa: ANN401

@@ -60,7 +60,7 @@ class Runs:
     def of(runs: Iterable[Run], campaign: Mapping[str, Any] | None = None) -> "Runs":
         """Evaluate runs in plan order; those without a record are excluded.
 
-        `campaign` is a description by `about.describe`; its `monitored_set` names the monitored fields.
+        `campaign` is a description by `describe`; its `monitored_set` names the monitored fields.
         """
         about = campaign or {}
         done = [(run, run.record) for run in runs if run.record is not None]

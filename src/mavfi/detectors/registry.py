@@ -17,7 +17,7 @@ from mavfi.detectors.training import MonitoredFields, TrainedDetector
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, SpecMismatchError, hint
 from mavfi.files import is_file
-from mavfi.plugins import build, known, load_object, parameters_of
+from mavfi.plugins import build, known, load_object
 from mavfi.states import DETECTORS, INJECTABLE, PLANNERS
 
 GROUP = "mavfi.detectors"
@@ -206,7 +206,7 @@ def load_detector(
     factory = load_object("detector", name, GROUP, _SHIPPED)
     chosen = _options_of(name, profile, factory, options or {})
     if not _is_trained(factory):
-        return Loaded(_build(name, factory, _of_mission(name, factory, mission), chosen), "")
+        return Loaded(_build(name, factory, {key: mission.get(key) for key in ("limits", "seed")}, chosen), "")
     factory.check_installed()
     has_gate = chosen.pop("gate", False)
     features = chosen.pop("features", None) if _has_presets(factory) else None
@@ -291,21 +291,9 @@ def _config_of(name: str) -> DetectorConfig:
     return shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
 
 
-def _of_mission(name: str, factory: Any, mission: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
-    """What a constructor takes from the mission, by its parameters."""
-    wanted = [key for key in ("limits", "seed") if key in parameters_of("detector", name, factory)]
-    for key in wanted:
-        if mission.get(key) is None:
-            raise BadInputError(f"detector {name!r}: needs the {key} of the mission")
-    return {key: mission[key] for key in wanted}
-
-
 def _build(
-    name: str, factory: Any, given: Mapping[str, Any], options: Mapping[str, Any]  # noqa: ANN401
+    name: str, factory: Any, of_mission: Mapping[str, Any], options: Mapping[str, Any]  # noqa: ANN401
 ) -> Detector:  # fmt: skip
-    """Construct a detector with what it is given and its options; None = the default of the class."""
+    """Construct a detector with what it takes from the mission, and its options; None = the default of the class."""
     chosen = {key: value for key, value in options.items() if value is not None}
-    unknown = set(chosen) - set(parameters_of("detector", name, factory))
-    if unknown:
-        raise BadInputError(f"detector {name!r}: has no option {', '.join(sorted(unknown))}")
-    return require_detector(build("detector", name, factory, needs=_METHODS, **given, **chosen))
+    return require_detector(build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen))

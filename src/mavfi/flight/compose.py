@@ -327,9 +327,10 @@ def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:
     Raises:
         BadInputError: A value of these is not allowed.
     """
-    given = {key: getattr(spec, key) for key in spec.model_fields_set}
+    recommended = mission_keys(detector)
+    chosen = {key: getattr(spec, key) for key in spec.model_fields_set}
     name = detector if isinstance(detector, str) else type(detector).__name__
-    return parse(MissionSpec, {**mission_keys(detector), **given}, f"detector {name!r}: recovery")
+    return parse(MissionSpec, {**recommended, **chosen}, f"detector {name!r}: recovery")
 
 
 def limits_of(scenario: Scenario, world: World) -> MissionLimits:

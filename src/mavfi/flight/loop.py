@@ -206,7 +206,7 @@ class Record:
         self.calls: dict[str, int] = {}
 
     def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
-        """Append the row of a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
+        """Append the row of a control period, see `record.COLUMNS`: shapes (13,), (4,) and (3,)."""
         self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
 
     def note(self, now: int, kind: str, data: dict[str, object]) -> None:
@@ -635,7 +635,7 @@ class Observer(Protocol):
         """A control period has elapsed.
 
         Args:
-            row: Its row in the flight log, see `flight_log.COLUMNS`. Shape (21,).
+            row: Its row in the flight log, see `record.COLUMNS`. Shape (21,).
             items: Events, alarms and injections since the last one.
             status: Status at the end of the mission; None = it has not ended.
         """

@@ -1,7 +1,8 @@
 """Interface of a fault level, and the drawing of a campaign's faults.
 
 A level says how its faults are written as text, drawn from golden flights, injected, described and made smaller.  It is
-a class without arguments, an entry point of the group `mavfi.levels`; nothing else in mavfi names it.
+a class without arguments, an entry point of the group `mavfi.levels`; nothing else in mavfi names it, but for the list
+of the core's own, `faults.fault.SHIPPED`.
 """
 
 import re

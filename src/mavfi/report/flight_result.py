@@ -71,7 +71,7 @@ class FlightResult:
 
     @property
     def frame(self) -> polars.DataFrame:
-        """The flight as a data frame: one row per control tick, columns as in `flight_log.COLUMNS`."""
+        """The flight as a data frame: one row per control tick, columns as in `record.COLUMNS`."""
         import polars
 
         return polars.DataFrame(self.log.rows, schema=list(COLUMNS))

@@ -37,6 +37,7 @@ SHIPPED = {
     "mavfi.flight_controllers": "mavfi.sim.controller:_SHIPPED",
     "mavfi.maps": "mavfi.pipeline.maps:_SHIPPED",
     "mavfi.hosts": "mavfi.flight.host:SHIPPED",
+    "mavfi.levels": "mavfi.faults.fault:SHIPPED",
     "mavfi.detectors": "mavfi.detectors.registry:_SHIPPED",
 }
 """Where the core's own names of a group are, found without the metadata of an installation."""

@@ -107,3 +107,18 @@ def test_a_model_that_is_absent_is_one_line(folder, capsys):
     (folder / "my_quad.xml").unlink()
     assert run(["fly", "--vehicle", "my_quad.yaml"]) == 2
     assert capsys.readouterr().err == "mavfi: my_quad.yaml: key 'mjcf': my_quad.xml: there is no such file\n"
+
+
+def test_the_view_of_the_page_is_a_table_of_a_report(folder, tmp_path_factory, monkeypatch):
+    from my_views import CHAPTER  # of the page
+
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.run import run_campaign
+    from tests.core.unit.campaign.fakes import small
+
+    monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "all")
+    ledger = tmp_path_factory.mktemp("parity")
+    run_campaign(small(missions=4, faults=8), ledger, executor=LocalExecutor(1))
+    (view,) = CHAPTER.members
+    table = view.table(Runs.read(ledger))
+    assert {row[0] for row in table.rows} == {"even", "odd"} and not table.notes
