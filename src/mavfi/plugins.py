@@ -75,9 +75,21 @@ def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
 
 @functools.cache
 def extensions(group: str) -> dict[str, Any]:
-    """What extras and other packages add to a group of entry points, imported: objects by name, in order of names."""
-    points = sorted(entry_points(group=group), key=lambda point: point.name)
-    return {point.name: point.load() for point in points}
+    """What extras and other packages add to a group of entry points, imported: objects by name, in order of names.
+
+    Raises:
+        BadInputError: One cannot be imported.
+    """
+    loaded = {}
+    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        try:
+            loaded[point.name] = point.load()
+        except Exception as error:  # noqa: BLE001 - whatever another package raises while it is imported
+            raise BadInputError(
+                f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: "
+                "without the package that brings it"
+            ) from None
+    return loaded
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import pytest
 from mavfi import cli
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
-from mavfi.plugins import allow_plugins, allow_typed, build, known, load_object, plugin_failure
+from mavfi.plugins import allow_plugins, allow_typed, build, extensions, known, load_object, plugin_failure
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = {"here": "mavfi.errors:MavfiError"}
@@ -42,6 +43,13 @@ def test_what_cannot_be_loaded_is_one_line(name, message):
     with pytest.raises(BadInputError, match=message) as caught:
         load(name)
     assert str(caught.value).startswith(f"thing {name!r}: ") and "\n" not in str(caught.value)
+
+
+def test_an_entry_point_that_cannot_be_imported_is_one_line(monkeypatch):
+    broken = EntryPoint("broken", "no_such_package:X", GROUP)
+    monkeypatch.setattr("mavfi.plugins.entry_points", lambda group: [broken] if group == GROUP else [])
+    with pytest.raises(BadInputError, match=r"entry point 'broken' of mavfi.no_such_group: .* \(ModuleNotFoundError"):
+        extensions(GROUP)
 
 
 def test_a_module_that_raises_is_the_users_mistake(tmp_path, monkeypatch):
