@@ -136,7 +136,11 @@ class HostContract:
         found = host_class(self.host)
         make: Any = found
         assert (found.config is None) == (self.under_test is None) == (not found.config_key)
-        return make() if found.config is None else make(found.config.model_validate(self.under_test))
+        if found.config is None:
+            host: Host = make()
+        else:
+            host = make(found.config.model_validate(self.under_test))
+        return host
 
     def test_it_declares_what_it_is(self) -> None:
         """The declarations are of the declared types."""

@@ -135,7 +135,9 @@ def open_flight_log(path: Path) -> FlightLogReader:
         endings = ", ".join(f".{name}" for name in sorted(formats))
         raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")
     factory = load_object("reader of flight logs", extension, GROUP, formats)
-    return build("reader of flight logs", extension, factory, path, needs={"messages": "topics"})
+    methods = {"messages": "topics"}
+    reader: FlightLogReader = build("reader of flight logs", extension, factory, path, needs=methods)
+    return reader
 
 
 @contextmanager

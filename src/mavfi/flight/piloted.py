@@ -189,7 +189,8 @@ class PilotedVehicle:
 
     def to_world(self, ned: Triple) -> np.ndarray:
         """A place in the world's frame (m). Shape (3,)."""
-        return np.array(flipped(ned)) + self.origin
+        position: np.ndarray = np.array(flipped(ned)) + self.origin
+        return position
 
     def to_ned(self, point: np.ndarray) -> Triple:
         """A place of the world in NED (m)."""

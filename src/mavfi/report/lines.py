@@ -41,9 +41,11 @@ def lines_of(log: FlightLog) -> list[Line]:
 def lines_at(
     time_s: float, items: Iterable[Event | AlarmRecord | Injection], status: MissionStatus | None
 ) -> list[Line]:
-    """The lines of one instant of a running flight (s); `status`: of the mission, None = it goes on."""
-    found = [line for line in map(line_of, items) if line is not None]
-    return found if status is None else [*found, end_line(time_s, status)]
+    """Lines of what happened in a running flight at an instant (s); with a status, also that the mission has ended."""
+    lines = [line for line in map(line_of, items) if line is not None]
+    if status is not None:
+        lines.append(end_line(time_s, status))
+    return lines
 
 
 def end_line(time_s: float, status: MissionStatus) -> Line:

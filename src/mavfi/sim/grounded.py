@@ -271,7 +271,8 @@ class Grounded(Simulator):
         """World coordinates (m) of the points that rays in the body frame hit. Shape (n, 3)."""
         matrix = np.empty((3, 3))
         rotation_matrix(self.odometry[6:10], matrix)
-        return self.odometry[:3] + product(directions, matrix.T) * ranges[:, None]
+        points: np.ndarray = self.odometry[:3] + product(directions, matrix.T) * ranges[:, None]
+        return points
 
     def acceleration(self) -> tuple[float, float, float]:
         """Acceleration during the last physics step, world frame (m/s^2), without noise."""

@@ -64,7 +64,8 @@ class Imu:
         white, walk = normals(stream, 12).reshape(2, 6)
         self.bias = self.bias + self._scale * _WALK * math.sqrt(interval) * walk
         self.time_us = time_us
-        return truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white
+        sample: np.ndarray = truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white
+        return sample
 
 
 # ---- position fixes and compass --------------------------------------------------------------------------------------

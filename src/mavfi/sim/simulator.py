@@ -138,10 +138,11 @@ class Simulator:
     def _make_controller(self, heading: float) -> Controller:
         """A new flight controller, which starts from the present state."""
         name, start = self._scenario.flight_controller, self.odometry.copy()
-        return build(
+        controller: Controller = build(
             "flight controller", name, find_controller(name),
             Start(self._scenario.vehicle, start, heading, self._scenario.seed),
         )  # fmt: skip
+        return controller
 
     def _face(self, way: np.ndarray) -> float:
         yaw = float(atan2(way[1], way[0]))

@@ -76,7 +76,8 @@ class View:
         """Points in the world (m), infinite for the sky. Shape (height * width, 3)."""
         matrix = np.empty((3, 3))
         rotation_matrix(np.array(self.pose[3:]), matrix)
-        return np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
+        points: np.ndarray = np.array(self.pose[:3]) + (self.rays @ matrix.T) * self.ranges[:, None]
+        return points
 
 
 def check_kind(kind: int) -> None:
@@ -93,7 +94,8 @@ def floats(view: View, kind: int, sky: float) -> list[float]:
     depth = view.ranges if kind == PERSPECTIVE else view.planar()
     if kind == DISPARITY:
         depth = np.where(np.isfinite(depth), np.float32(_BASELINE_M) / np.maximum(depth, np.float32(1e-3)), 0.0)
-    return np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
+    values: list[float] = np.where(np.isfinite(depth), depth, np.float32(sky)).tolist()
+    return values
 
 
 def encoded(api: Api, view: View, kind: int, compress: bool = True) -> bytes:
@@ -123,7 +125,8 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
     grey: np.ndarray = 230.0 - 1.6 * planar - 40.0 * np.clip(slope, 0.0, 2.0)
     haze = sum(api.weather.get(kind, 0.0) for kind in (FOG, DUST)) if api.weather_on else 0.0
     clear = np.array([exp(value) for value in (-_THICKNESS * haze * planar).ravel().tolist()]).reshape(planar.shape)
-    return clear * grey + (1.0 - clear) * 200.0
+    seen: np.ndarray = clear * grey + (1.0 - clear) * 200.0
+    return seen
 
 
 def owners(api: Api, view: View) -> np.ndarray:
@@ -142,7 +145,8 @@ def _segments(api: Api, view: View, kind: int) -> np.ndarray:
     ids = np.array(segments, np.int64)[owners(api, view)]
     if kind == INFRARED:
         return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)
-    return _colours()[ids % 256].reshape(view.height, view.width, 3)
+    colours: np.ndarray = _colours()[ids % 256]
+    return colours.reshape(view.height, view.width, 3)
 
 
 def _colours() -> np.ndarray:

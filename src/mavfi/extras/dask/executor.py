@@ -254,4 +254,5 @@ def _flyer(function: Callable[[Any], Iterator[Any]], topic: str) -> Worker[Any]:
     _THREAD.topic = topic
     if getattr(_THREAD, "worker", None) is None:
         _THREAD.worker = Worker.started(function)
-    return _THREAD.worker
+    worker: Worker[Any] = _THREAD.worker
+    return worker

@@ -107,7 +107,8 @@ class BetaflightController:
         if self._used == len(self._noise):
             self._noise, self._used = self._random.normal(0.0, GYRO_NOISE, (_BLOCK, 3)), 0
         self._used += 1
-        return self._noise[self._used - 1]
+        sample: np.ndarray = self._noise[self._used - 1]
+        return sample
 
     def save(self) -> bytes:
         """Not possible: the state of another program.

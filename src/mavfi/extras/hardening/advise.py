@@ -185,7 +185,7 @@ class Prepared(NamedTuple):
 
 
 Tell = Callable[[str], None]
-"""Is told each piece of work."""
+"""Receives a line of text when a piece of work begins."""
 Choices = Callable[[Target], Ladder]
 """Makes the steps of a function, as `choices_of`."""
 

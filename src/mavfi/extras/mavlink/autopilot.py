@@ -94,7 +94,7 @@ class Parameters:
 
 
 def _from_wire(value: float) -> int:
-    return struct.unpack("<i", struct.pack("<f", value))[0]
+    return int(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
 # ---- missions --------------------------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ class Server:
     @property
     def port(self) -> int:
         """UDP port of the autopilot."""
-        return self._socket.getsockname()[1]
+        return int(self._socket.getsockname()[1])
 
     def write(self, data: bytes) -> None:
         """Send a packet to all peers; those that do not listen are skipped."""

@@ -193,4 +193,5 @@ class Plan:
 
 def load_plan() -> Plan:
     """The plan of the flight to which this process belongs."""
-    return pickle.loads((flight_folder() / _PLAN).read_bytes())
+    plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
+    return plan
